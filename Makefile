@@ -1,0 +1,36 @@
+# The ways into this project; each target sets up what it needs. `make help` lists them.
+#
+# Two cargo profiles, each with its own build of the dependencies (about three minutes of C++ on two cores):
+#   dev      `lint` and `test`: debug assertions and overflow checks are on, and the profile in Cargo.toml optimises the
+#            dependencies in full, so that tests which train are quick. Both targets share one build of libtorch's shim.
+#   release  `build`, `demo` and `bench`: what is measured and used.
+CARGO ?= cargo
+# rustup's folder, in case no new shell was opened since.
+export PATH := $(PATH):$(HOME)/.cargo/bin
+
+# One cargo at a time, whatever -j says: they would only wait for each other's lock.
+.NOTPARALLEL:
+.PHONY: help bootstrap build demo test lint bench
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
+
+bootstrap: ## install what is missing: SUMO, build tools, Python headers, libtorch
+	@scripts/bootstrap
+
+build: bootstrap ## build target/release/iwol
+	$(CARGO) build --locked --release
+
+demo: build ## train vehicles to cross an intersection, and compare them with SUMO's own driver
+	scripts/demo
+
+test: bootstrap ## run every test: unit, integration (against the real SUMO) and documentation
+	$(CARGO) test --locked
+
+lint: bootstrap ## check formatting, clippy's lints and the documentation; a warning is an error
+	$(CARGO) fmt --check
+	$(CARGO) clippy --locked --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
+
+bench: bootstrap ## measure speed with criterion
+	$(CARGO) bench --locked

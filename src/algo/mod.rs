@@ -1,0 +1,153 @@
+//! The learners. What they share are pure functions ([`ppo`]) and small parts; each algorithm is one file with its own loop.
+
+mod core;
+mod encoder;
+mod ex_iwol;
+mod im_iwol;
+mod mappo;
+mod message;
+pub mod ppo;
+pub mod settings;
+
+pub use ex_iwol::ExIwol;
+pub use im_iwol::ImIwol;
+pub use mappo::Mappo;
+pub use settings::Settings;
+
+use tch::Tensor;
+
+use crate::env::EnvSpec;
+use crate::nn;
+use crate::rng::Seed;
+use crate::rollout::Rollout;
+
+/// Names of the algorithms, as on the command line.
+pub const NAMES: [&str; 3] = ["mappo", "im-iwol", "ex-iwol"];
+
+/// What a policy sees at one decision of E environments with N agents each.
+#[derive(Debug)]
+pub struct Observation {
+    /// `[E, N, O]`
+    pub observation: Tensor,
+    /// Physical mask, `[E, N, N]`.
+    pub comm: Tensor,
+    /// `[E]`, 1 where a trajectory starts.
+    pub start: Tensor,
+    /// Memory after the last decision, `[E, N, M]`.
+    pub memory: Tensor,
+}
+
+impl Observation {
+    /// 0 where memories are cleared before the decision, 1 elsewhere, `[E, N]`.
+    fn keep(&self) -> Tensor {
+        let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
+        (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
+    }
+}
+
+/// How to choose actions.
+#[derive(Debug)]
+pub enum ActMode<'a> {
+    /// The mean, with the most likely communication graph.
+    Deterministic,
+    /// A sample from the given noise, so that the caller owns all randomness.
+    Sample {
+        /// Standard normal, `[E, N, A]`.
+        action: &'a Tensor,
+        /// Standard logistic, `[E, N, N]`; empty for policies without a graph.
+        graph: &'a Tensor,
+    },
+}
+
+impl ActMode<'_> {
+    /// Noise of the actions, if any.
+    fn action_noise(&self) -> Option<&Tensor> {
+        match self {
+            Self::Deterministic => None,
+            Self::Sample { action, .. } => Some(action),
+        }
+    }
+}
+
+/// What a policy decided.
+#[derive(Debug)]
+pub struct Decision {
+    /// `[E, N, A]`, not clipped.
+    pub action: Tensor,
+    /// `[E, N]`
+    pub log_prob: Tensor,
+    /// `[E, N, M]`
+    pub memory: Tensor,
+}
+
+/// Named diagnostics of an update, in the field's usual names.
+pub type Losses = Vec<(&'static str, f64)>;
+
+/// A learner: policy, value function and their optimisers.
+pub trait Algorithm {
+    /// Name, as on the command line.
+    fn name(&self) -> &'static str;
+
+    /// Memory of the policy per agent, M.
+    fn memory(&self) -> usize;
+
+    /// Whether the policy samples a communication graph.
+    fn samples_graph(&self) -> bool {
+        false
+    }
+
+    /// Chooses actions; no gradients, nothing of the learner changes.
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+
+    /// Learns from one rollout. `progress` is the share of the run that is done, `seed` the source of all noise.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] when a loss is not finite.
+    fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error>;
+
+    /// Weights, optimiser moments, value normalisation: everything that [`Algorithm::load`] needs to go on bit for bit.
+    fn state(&self) -> Vec<(String, Tensor)>;
+
+    /// Takes over a state.
+    ///
+    /// # Errors
+    /// [`Error::State`] when it is of another network.
+    fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error>;
+
+    /// Number of parameters that a deployed policy needs, and of all.
+    fn parameters(&self) -> (i64, i64);
+}
+
+/// Builds an algorithm by name, with weights drawn from `seed`.
+///
+/// # Errors
+/// [`Error::UnknownAlgorithm`].
+pub fn build(name: &str, spec: &EnvSpec, settings: &Settings, seed: Seed) -> Result<Box<dyn Algorithm>, Error> {
+    match name {
+        "mappo" => Ok(Box::new(Mappo::new(spec, settings, seed))),
+        "im-iwol" => Ok(Box::new(ImIwol::new(spec, settings, seed))),
+        "ex-iwol" => Ok(Box::new(ExIwol::new(spec, settings, seed))),
+        _ => Err(Error::UnknownAlgorithm { name: name.to_owned() }),
+    }
+}
+
+/// What can go wrong in a learner.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// No algorithm has this name.
+    #[error("there is no algorithm `{name}`; choose one of {}", NAMES.join(", "))]
+    UnknownAlgorithm {
+        /// The name.
+        name: String,
+    },
+    /// Training diverged.
+    #[error("{what} is not finite; the last checkpoint is intact")]
+    NonFinite {
+        /// Which quantity.
+        what: &'static str,
+    },
+    /// A stored state is of another network.
+    #[error(transparent)]
+    State(#[from] nn::Error),
+}

@@ -1,0 +1,86 @@
+//! Proximal policy optimisation as pure functions: what MAPPO and IWoL share (marlbenchmark/on-policy, `r_mappo.py`).
+
+use tch::{Kind, Tensor};
+
+/// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. All arguments `[B]`.
+pub fn policy_loss(
+    log_prob: &Tensor,
+    old_log_prob: &Tensor,
+    advantage: &Tensor,
+    active: &Tensor,
+    clip: f64,
+) -> Tensor {
+    let ratio = (log_prob - old_log_prob).exp();
+    let surrogate = (&ratio * advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage));
+    -masked_mean(&surrogate, active)
+}
+
+/// Clipped Huber loss, the larger of the plain and the clipped one, in normalised value space. All tensors `[B]`.
+pub fn value_loss(
+    value: &Tensor,
+    old_value: &Tensor,
+    target: &Tensor,
+    active: &Tensor,
+    clip: f64,
+    huber_delta: f64,
+) -> Tensor {
+    let clipped = old_value + (value - old_value).clamp(-clip, clip);
+    let loss = huber(&(target - value), huber_delta).maximum(&huber(&(target - clipped), huber_delta));
+    masked_mean(&loss, active)
+}
+
+/// e²/2 up to `delta`, linear beyond.
+fn huber(error: &Tensor, delta: f64) -> Tensor {
+    let size = error.abs();
+    // min(e, δ) · (e − min(e, δ)/2) equals both branches.
+    let inner = size.clamp_max(delta);
+    &inner * (size - &inner * 0.5)
+}
+
+/// Σ x · weight / Σ weight (0 where nothing has weight).
+pub fn masked_mean(x: &Tensor, weight: &Tensor) -> Tensor {
+    (x * weight).sum(Kind::Float) / weight.sum(Kind::Float).clamp_min(1e-8)
+}
+
+/// Normalises to mean 0 and standard deviation 1 over entries with `active > 0`; the others become 0.
+pub fn normalize_advantages(advantage: &mut [f32], active: &[f32]) {
+    let chosen = || advantage.iter().zip(active).filter(|(_, active)| **active > 0.0).map(|(a, _)| f64::from(*a));
+    let count = chosen().count().max(1) as f64;
+    let mean = chosen().sum::<f64>() / count;
+    let deviation = (chosen().map(|a| (a - mean).powi(2)).sum::<f64>() / count).sqrt() + 1e-5;
+    for (a, &active) in advantage.iter_mut().zip(active) {
+        *a = if active > 0.0 { ((f64::from(*a) - mean) / deviation) as f32 } else { 0.0 };
+    }
+}
+
+/// Share of the returns' variance that the values explain, over active entries; 0 where returns do not vary.
+pub fn explained_variance(values: &[f32], returns: &[f32], active: &[f32]) -> f64 {
+    let variance = |of: &dyn Fn(usize) -> f64| {
+        let chosen: Vec<f64> = (0..active.len()).filter(|&i| active[i] > 0.0).map(of).collect();
+        let mean = chosen.iter().sum::<f64>() / chosen.len().max(1) as f64;
+        chosen.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / chosen.len().max(1) as f64
+    };
+    let total = variance(&|i| f64::from(returns[i]));
+    if total < 1e-12 { 0.0 } else { 1.0 - variance(&|i| f64::from(returns[i] - values[i])) / total }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normalized_advantages_ignore_inactive_entries() {
+        let mut advantage = vec![1.0, 2.0, 3.0, 1e9];
+        normalize_advantages(&mut advantage, &[1.0, 1.0, 1.0, 0.0]);
+        assert_eq!(advantage[3], 0.0);
+        assert!((advantage[0] + 1.224_7).abs() < 1e-3 && advantage[1].abs() < 1e-6);
+    }
+
+    #[test]
+    fn explained_variance_knows_the_extremes() {
+        let returns = [1.0, 2.0, 4.0, 99.0];
+        let active = [1.0, 1.0, 1.0, 0.0];
+        assert_eq!(explained_variance(&returns, &returns, &active), 1.0);
+        assert!(explained_variance(&[7.0 / 3.0; 4], &returns, &active).abs() < 1e-6);
+    }
+}

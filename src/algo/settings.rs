@@ -1,0 +1,226 @@
+//! Settings of the learners. Each field says meaning, unit and what turning it does; `Default` is what the README reports.
+
+use serde::{Deserialize, Serialize};
+
+use crate::nn::MaskMode;
+
+/// Everything a learner can be told.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Networks, the same for every method.
+    pub network: Network,
+    /// Proximal policy optimisation, the same for every method.
+    pub ppo: Ppo,
+    /// Exploration noise of the Gaussian policy.
+    pub exploration: Exploration,
+    /// IWoL's own.
+    pub iwol: Iwol,
+}
+
+/// Networks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Network {
+    /// Observation encoder: `attention` (paper), `gru` (released code) or `mlp` (fastest).
+    pub encoder: EncoderKind,
+    /// Width H of embeddings, policy and value layers.
+    pub hidden: i64,
+    /// Layers after the first in the encoder's perceptron.
+    pub extra_layers: usize,
+    /// Width of an entity token (attention encoder).
+    pub token_width: i64,
+    /// Heads of the entity attention.
+    pub token_heads: i64,
+    /// Steps per sequence in the update of a recurrent encoder.
+    pub chunk_length: usize,
+}
+
+impl Default for Network {
+    fn default() -> Self {
+        Self {
+            encoder: EncoderKind::Attention,
+            hidden: 128,
+            extra_layers: 1,
+            token_width: 32,
+            token_heads: 2,
+            chunk_length: 8,
+        }
+    }
+}
+
+/// Kind of observation encoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EncoderKind {
+    /// Self-attention over entity tokens.
+    Attention,
+    /// Perceptron and gated recurrent unit with memory.
+    Gru,
+    /// Perceptron.
+    Mlp,
+}
+
+/// Proximal policy optimisation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ppo {
+    /// Adam's learning rate for policy and value.
+    pub learning_rate: f64,
+    /// Share of the run after which the rate falls linearly.
+    pub learning_rate_constant: f64,
+    /// Share of the rate that is left at the end.
+    pub learning_rate_end: f64,
+    /// Passes over a rollout.
+    pub epochs: usize,
+    /// Samples (agent × step) per minibatch; more gradient steps with smaller ones.
+    pub minibatch: usize,
+    /// Discount per step.
+    pub gamma: f64,
+    /// λ of generalised advantage estimation.
+    pub gae_lambda: f64,
+    /// ε of the clipped ratio and of the clipped value.
+    pub clip: f64,
+    /// Where the Huber loss of the (normalised) value turns linear.
+    pub huber_delta: f64,
+    /// Weight of the entropy bonus; 0 where the noise is imposed by a schedule.
+    pub entropy: f64,
+    /// Largest gradient norm, policy and value separately.
+    pub max_grad_norm: f64,
+    /// Decay of the value normalisation's running statistics.
+    pub value_norm_beta: f64,
+}
+
+impl Default for Ppo {
+    fn default() -> Self {
+        Self {
+            learning_rate: 7e-4,
+            learning_rate_constant: 0.6,
+            learning_rate_end: 0.1,
+            epochs: 5,
+            minibatch: 4096,
+            gamma: 0.99,
+            gae_lambda: 0.95,
+            clip: 0.2,
+            huber_delta: 10.0,
+            entropy: 0.0,
+            max_grad_norm: 10.0,
+            value_norm_beta: 0.99999,
+        }
+    }
+}
+
+/// Exploration noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Exploration {
+    /// `schedule`: the logarithm of the standard deviation is imposed; `learned`: it is a parameter (released code).
+    pub mode: NoiseMode,
+    /// Logarithm of the standard deviation at the beginning (of the parameter, when learned).
+    pub log_std_start: f64,
+    /// … at the end of the schedule.
+    pub log_std_end: f64,
+    /// Share of the run over which it falls linearly. Too early freezes a run that has not found the way yet.
+    pub log_std_share: f64,
+    /// Action mean of an untrained policy: above zero, agents move at once.
+    pub mean_bias: f64,
+}
+
+impl Default for Exploration {
+    fn default() -> Self {
+        Self { mode: NoiseMode::Schedule, log_std_start: 0.0, log_std_end: -1.7, log_std_share: 0.75, mean_bias: 0.5 }
+    }
+}
+
+/// Where the standard deviation comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NoiseMode {
+    /// Imposed.
+    Schedule,
+    /// A parameter.
+    Learned,
+}
+
+/// IWoL's own settings. Defaults follow the paper; each alternative that the released code uses is named.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Iwol {
+    /// Width D of Im-IWoL's latent z (paper: 32).
+    pub latent: i64,
+    /// Rounds L of the graph transformer (released scripts: 4).
+    pub rounds: usize,
+    /// Attention heads of the graph transformer (paper: 4).
+    pub heads: i64,
+    /// λ_W, weight of the world decoder's loss (paper: 0.05).
+    pub lambda_world: f64,
+    /// λ_I, weight of the interaction decoder's loss (paper: 0.05).
+    pub lambda_interaction: f64,
+    /// Slope of the leaky rectifier in the additive attention (released: 1.2 for driving).
+    pub slope: f64,
+    /// Temperature of the Gumbel-softmax.
+    pub temperature: f64,
+    /// How the graph enters attention: `hard` lets nothing through a cut edge; `logit-mul` multiplies logits (released).
+    pub mask: MaskMode,
+    /// Whether the physical mask applies (released: no).
+    pub physical_mask: bool,
+    /// Noise of the graph in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
+    /// each (released).
+    pub graph_noise: GraphNoise,
+    /// What Im-IWoL's policy head reads: `latent-embedding` (z and f; released) or `latent` (z alone; Algorithm 1).
+    pub policy_input: PolicyInput,
+    /// What the world decoder predicts: the privileged `state` (paper) or the agent's own `observation` (released scripts).
+    pub world_target: WorldTarget,
+    /// Whether the interaction decoder ends in tanh (released) or is linear.
+    pub interaction_tanh: bool,
+}
+
+impl Default for Iwol {
+    fn default() -> Self {
+        Self {
+            latent: 32,
+            rounds: 4,
+            heads: 4,
+            lambda_world: 0.05,
+            lambda_interaction: 0.05,
+            slope: 0.2,
+            temperature: 1.0,
+            mask: MaskMode::Hard,
+            physical_mask: true,
+            graph_noise: GraphNoise::Stored,
+            policy_input: PolicyInput::LatentEmbedding,
+            world_target: WorldTarget::State,
+            interaction_tanh: false,
+        }
+    }
+}
+
+/// See [`Iwol::graph_noise`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GraphNoise {
+    /// One graph per step, kept.
+    Stored,
+    /// A new graph in each epoch.
+    Resampled,
+}
+
+/// See [`Iwol::policy_input`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PolicyInput {
+    /// z and f.
+    LatentEmbedding,
+    /// z.
+    Latent,
+}
+
+/// See [`Iwol::world_target`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WorldTarget {
+    /// Privileged state.
+    State,
+    /// Own observation.
+    Observation,
+}

@@ -1,0 +1,197 @@
+//! Checkpoints: one safetensors file with weights, optimiser moments, value normalisation, the configuration, and where
+//! every world stood. Loading one executes nothing; training goes on from it bit for bit.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use tch::{Kind, Tensor};
+
+use crate::env::WorldState;
+use crate::record;
+
+/// Version of the layout.
+const FORMAT: &str = "iwol-sumo checkpoint 1";
+
+/// Where training stood.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+pub struct Progress {
+    /// Finished iterations (rollout and update).
+    pub iteration: u64,
+    /// Environment steps, of one world each.
+    pub step: u64,
+    /// Seconds of training so far.
+    pub seconds: f64,
+    /// Best validation so far: (success, window reward).
+    pub best: Option<(f64, f64)>,
+    /// Validations in a row that reached the stop mark.
+    pub solved: u32,
+    /// The next validation is due at this step.
+    pub next_validation: u64,
+}
+
+/// What a checkpoint holds.
+#[derive(Debug)]
+pub struct Checkpoint {
+    /// Where training stood.
+    pub progress: Progress,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+    /// Name of the algorithm.
+    pub algorithm: String,
+    /// State of the learner.
+    pub learner: Vec<(String, Tensor)>,
+    /// Episode and action history of each world.
+    pub worlds: Vec<WorldState>,
+    /// Memory of the policy, `[E, N, M]` flattened.
+    pub memory: Vec<f32>,
+}
+
+impl Checkpoint {
+    /// Writes to a temporary name and renames: an interrupted or full disk leaves the old file.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        let mut entries: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+        for (name, tensor) in &self.learner {
+            let shape = tensor.size().iter().map(|&d| d as usize).collect();
+            let (dtype, bytes) = tensor_bytes(tensor);
+            entries.push((format!("learner/{name}"), dtype, shape, bytes));
+        }
+        for (i, world) in self.worlds.iter().enumerate() {
+            entries.push((format!("world/{i}"), Dtype::F32, vec![world.actions.len()], f32_bytes(&world.actions)));
+        }
+        entries.push(("memory".to_owned(), Dtype::F32, vec![self.memory.len()], f32_bytes(&self.memory)));
+        let episodes: Vec<u64> = self.worlds.iter().map(|world| world.episode).collect();
+        let metadata = HashMap::from([
+            ("format".to_owned(), FORMAT.to_owned()),
+            ("algorithm".to_owned(), self.algorithm.clone()),
+            ("config".to_owned(), self.config.clone()),
+            ("progress".to_owned(), serde_json::to_string(&self.progress).expect("plain data")),
+            ("episodes".to_owned(), serde_json::to_string(&episodes).expect("plain data")),
+        ]);
+        let bad = |message: String| Error::Write { path: path.to_owned(), message };
+        let views = entries
+            .iter()
+            .map(|(name, dtype, shape, bytes)| {
+                TensorView::new(*dtype, shape.clone(), bytes).map(|view| (name, view)).map_err(|e| bad(e.to_string()))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let bytes = safetensors::serialize(views, Some(metadata)).map_err(|e| bad(e.to_string()))?;
+        record::write_atomic(path, &bytes)?;
+        Ok(())
+    }
+
+    /// Reads a checkpoint.
+    ///
+    /// # Errors
+    /// [`Error`] for anything that is not a whole checkpoint of this program.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let damaged = |message: String| Error::Damaged { path: path.to_owned(), message };
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| damaged(e.to_string()))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(e.to_string()))?;
+        let metadata = header.metadata().as_ref();
+        let text = |key: &str| {
+            metadata.and_then(|m| m.get(key)).cloned().ok_or_else(|| damaged(format!("it has no `{key}` entry")))
+        };
+        let format = text("format")?;
+        if format != FORMAT {
+            return Err(damaged(format!("its format is `{format}`, this program reads `{FORMAT}`")));
+        }
+        let progress = serde_json::from_str(&text("progress")?).map_err(|e| damaged(format!("progress: {e}")))?;
+        let episodes: Vec<u64> =
+            serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
+        let floats = |name: &str| -> Result<Vec<f32>, Error> {
+            let view = tensors.tensor(name).map_err(|e| damaged(format!("{name}: {e}")))?;
+            if view.dtype() != Dtype::F32 {
+                return Err(damaged(format!("{name} is not of 32-bit floats")));
+            }
+            Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+        };
+        let worlds = episodes
+            .iter()
+            .enumerate()
+            .map(|(i, &episode)| Ok(WorldState { episode, actions: floats(&format!("world/{i}"))? }))
+            .collect::<Result<_, Error>>()?;
+        let mut learner = Vec::new();
+        for (name, view) in tensors.iter() {
+            let Some(name) = name.strip_prefix("learner/") else { continue };
+            let kind = match view.dtype() {
+                Dtype::F32 => Kind::Float,
+                Dtype::F64 => Kind::Double,
+                Dtype::I64 => Kind::Int64,
+                other => return Err(damaged(format!("{name} has the unexpected type {other:?}"))),
+            };
+            let shape: Vec<i64> = view.shape().iter().map(|&d| d as i64).collect();
+            let tensor = Tensor::f_from_data_size(view.data(), &shape, kind)
+                .map_err(|e| damaged(format!("{name}: {e}")))?;
+            learner.push((name.to_owned(), tensor));
+        }
+        Ok(Self {
+            progress,
+            config: text("config")?,
+            algorithm: text("algorithm")?,
+            learner,
+            worlds,
+            memory: floats("memory")?,
+        })
+    }
+}
+
+fn f32_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+fn tensor_bytes(tensor: &Tensor) -> (Dtype, Vec<u8>) {
+    let flat = tensor.detach().reshape([-1]);
+    match tensor.kind() {
+        Kind::Double => {
+            let values = Vec::<f64>::try_from(flat).expect("a flat tensor of doubles");
+            (Dtype::F64, values.iter().flat_map(|v| v.to_le_bytes()).collect())
+        }
+        Kind::Int64 => {
+            let values = Vec::<i64>::try_from(flat).expect("a flat tensor of integers");
+            (Dtype::I64, values.iter().flat_map(|v| v.to_le_bytes()).collect())
+        }
+        _ => {
+            let values = Vec::<f32>::try_from(flat.to_kind(Kind::Float)).expect("a flat tensor of floats");
+            (Dtype::F32, f32_bytes(&values))
+        }
+    }
+}
+
+/// What can go wrong with a checkpoint.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// It cannot be read.
+    #[error("cannot read the checkpoint `{}`", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is not a whole checkpoint.
+    #[error("`{}` is not a usable checkpoint: {message}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// It cannot be put together.
+    #[error("cannot write the checkpoint `{}`: {message}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        message: String,
+    },
+    /// It cannot be stored.
+    #[error(transparent)]
+    Record(#[from] record::Error),
+}

@@ -1,0 +1,306 @@
+//! `iwol doctor`: what this machine has of what the program needs, and what is wrong with it. It tries things out
+//! rather than trust their presence: SUMO is started and asked for its TraCI version, libtorch computes a sum.
+
+use std::env;
+use std::fmt::{self, Display, Write as _};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
+
+/// The libtorch that the `tch` crate is made for.
+const TORCH: &str = "2.13.0";
+/// A small net of our own to start SUMO with, so that the check does not hang on the current folder.
+const NET: &str = include_str!("../../sumo_nets/intersection/arm30.net.xml");
+
+/// Prints what was found; `true` if nothing is wrong.
+///
+/// # Errors
+/// Only if the check itself cannot be carried out; what it finds wrong is part of what it prints.
+pub fn run() -> anyhow::Result<bool> {
+    let mut findings = Findings::default();
+    findings.row("iwol", format!("{} ({})", env!("CARGO_PKG_VERSION"), program()));
+    check_sumo(&mut findings)?;
+    check_torch(&mut findings);
+    check_threads(&mut findings);
+    check_files(&mut findings);
+    print!("{findings}");
+    Ok(findings.faults.is_empty())
+}
+
+/// What was found, in the order of printing.
+#[derive(Default)]
+struct Findings {
+    rows: Vec<(&'static str, String)>,
+    faults: Vec<Fault>,
+}
+
+/// Something that is wrong, and what can be done about it.
+struct Fault {
+    what: String,
+    hint: Option<String>,
+}
+
+impl Findings {
+    fn row(&mut self, name: &'static str, value: impl Into<String>) {
+        self.rows.push((name, value.into()));
+    }
+
+    /// A fault, with a row that says so in the place where a value was expected.
+    fn fault(&mut self, name: &'static str, what: impl Into<String>, hint: Option<&str>) {
+        self.row(name, "see below");
+        self.faults.push(Fault {
+            what: format!("{name}: {}", what.into()),
+            hint: hint.map(str::to_owned),
+        });
+    }
+}
+
+impl Display for Findings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+        for (name, value) in &self.rows {
+            writeln!(f, "{name:width$}  {value}")?;
+        }
+        writeln!(f)?;
+        if self.faults.is_empty() {
+            return writeln!(f, "nothing is wrong");
+        }
+        for Fault { what, hint } in &self.faults {
+            writeln!(f, "wrong: {what}")?;
+            if let Some(hint) = hint {
+                writeln!(f, "  hint: {hint}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn program() -> String {
+    env::current_exe().map_or_else(
+        |error| format!("path unknown: {error}"),
+        |path| path.display().to_string(),
+    )
+}
+
+fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
+    findings.row(
+        "SUMO_HOME",
+        env::var("SUMO_HOME").unwrap_or_else(|_| "not set".to_owned()),
+    );
+    let binary = match sumo::find_sumo() {
+        Ok(binary) => binary,
+        Err(error) => {
+            findings.fault("SUMO", chain(&error), error.hint().as_deref());
+            return Ok(());
+        }
+    };
+    match sumo::sumo_version(&binary) {
+        Ok(version) => findings.row("SUMO", format!("{version} ({})", binary.display())),
+        Err(error) => findings.fault("SUMO", chain(&error), error.hint().as_deref()),
+    }
+    let folder = tempfile::tempdir().context("could not make a temporary folder")?;
+    let net = folder.path().join("doctor.net.xml");
+    fs::write(&net, NET).with_context(|| format!("could not write `{}`", net.display()))?;
+    match exchange(net) {
+        Ok(answer) => findings.row("TraCI", answer),
+        Err(error) => findings.fault("TraCI", chain(&error), error.hint().as_deref()),
+    }
+    Ok(())
+}
+
+/// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
+fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
+    let config = SimulationConfig {
+        net,
+        step_length: 0.1,
+        seed: 0,
+        slots: 0,
+        vehicle_types: Vec::new(),
+        routes: Vec::new(),
+    };
+    let begin = Instant::now();
+    let mut simulation = TraciSimulation::start(config)?;
+    let started = begin.elapsed();
+    simulation.step(&[])?;
+    let version = simulation.version();
+    Ok(format!(
+        "API {} of {}, started in {} ms",
+        version.api,
+        version.software,
+        started.as_millis()
+    ))
+}
+
+fn check_torch(findings: &mut Findings) {
+    let library = loaded("libtorch_cpu.so");
+    let folder = library.as_deref().and_then(Path::parent);
+    // A libtorch of another origin may lack the file; then its version was checked by nobody, and we say no more.
+    let version = folder
+        .and_then(Path::parent)
+        .and_then(|home| fs::read_to_string(home.join("build-version")).ok())
+        .map_or_else(|| "version unknown".to_owned(), |text| text.trim().to_owned());
+    let place = folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
+    let release = version.split('+').next().unwrap_or_default();
+    if release.starts_with(|c: char| c.is_ascii_digit()) && release != TORCH {
+        let what = format!("{place} holds version {version}, and the program is made for {TORCH}");
+        findings.fault("libtorch", what, Some("run `scripts/bootstrap` and build again"));
+    } else {
+        findings.row("libtorch", format!("{version} ({place})"));
+    }
+    match tch::Tensor::from_slice(&[1.0_f64, 2.0])
+        .f_sum(tch::Kind::Double)
+        .and_then(|sum| f64::try_from(&sum))
+    {
+        Ok(3.0) => {}
+        Ok(sum) => findings.fault("arithmetic", format!("libtorch says that 1 + 2 is {sum}"), None),
+        Err(error) => findings.fault(
+            "arithmetic",
+            format!("libtorch could not add two numbers: {error}"),
+            None,
+        ),
+    }
+    let with_cuda = loaded("libtorch_cuda.so").is_some();
+    findings.row(
+        "device",
+        if tch::Cuda::is_available() {
+            format!("cuda ({} visible), cpu", tch::Cuda::device_count())
+        } else if with_cuda {
+            "cpu (libtorch has CUDA, but sees no device: does `nvidia-smi` list one?)".to_owned()
+        } else {
+            "cpu (for a GPU run `scripts/bootstrap --gpu` and build again)".to_owned()
+        },
+    );
+}
+
+/// Path of a shared library that this process has loaded.
+fn loaded(name: &str) -> Option<PathBuf> {
+    let maps = fs::read_to_string("/proc/self/maps").ok()?;
+    maps.lines().find_map(|line| library_path(line, name))
+}
+
+/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the sixth column and may
+/// hold spaces; the columns before it do not hold a slash.
+fn library_path(line: &str, name: &str) -> Option<PathBuf> {
+    let path = Path::new(&line[line.find('/')?..]);
+    (path.file_name()? == name).then(|| path.to_owned())
+}
+
+fn check_threads(findings: &mut Findings) {
+    let cores = std::thread::available_parallelism().map_or_else(|_| "unknown".to_owned(), |n| n.to_string());
+    findings.row(
+        "threads",
+        format!(
+            "cores {cores}, rayon {}, libtorch {}",
+            rayon::current_num_threads(),
+            tch::get_num_threads()
+        ),
+    );
+}
+
+/// The scenarios and nets of the current folder. That there are none is no fault: the program may run anywhere.
+fn check_files(findings: &mut Findings) {
+    let mut good = String::new();
+    for path in files_below(Path::new("scenarios"), ".xml") {
+        match Scenario::load(&path) {
+            Ok(scenario) => {
+                let separator = if good.is_empty() { "" } else { ", " };
+                let _ = write!(good, "{separator}{} ({} nets)", path.display(), scenario.nets.len());
+            }
+            Err(error) => findings.faults.push(Fault {
+                what: chain(&error),
+                hint: error.hint(),
+            }),
+        }
+    }
+    findings.row(
+        "scenarios",
+        if good.is_empty() {
+            "none in the folder ./scenarios".to_owned()
+        } else {
+            good
+        },
+    );
+    let nets = files_below(Path::new("sumo_nets"), ".net.xml").len();
+    findings.row("nets", format!("{nets} in the folder ./sumo_nets"));
+}
+
+/// Files whose name ends so, in a folder and the folders in it, sorted; none where the folder cannot be read.
+fn files_below(folder: &Path, ending: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        // A link to a folder is not followed: it may lead in a circle.
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            found.extend(files_below(&path, ending));
+        } else if entry.file_name().to_string_lossy().ends_with(ending) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// An error and its causes in one line.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let _ = write!(text, ": {error}");
+        cause = error.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_is_a_row_and_a_line_with_its_hint() {
+        let mut findings = Findings::default();
+        findings.row("iwol", "0.1.0");
+        assert_eq!(findings.to_string(), "iwol  0.1.0\n\nnothing is wrong\n");
+        findings.fault("SUMO", "`sumo` was not found", Some("run `scripts/bootstrap`"));
+        assert_eq!(
+            findings.to_string(),
+            "iwol  0.1.0\nSUMO  see below\n\nwrong: SUMO: `sumo` was not found\n  hint: run `scripts/bootstrap`\n"
+        );
+    }
+
+    #[test]
+    fn the_path_of_a_loaded_library_may_hold_spaces() {
+        let line = "7f00-7f10 r-xp 00001000 08:01 42                 /home/a b/lib/libtorch_cpu.so";
+        assert_eq!(
+            library_path(line, "libtorch_cpu.so"),
+            Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so"))
+        );
+        assert_eq!(library_path(line, "libtorch_cuda.so"), None);
+        assert_eq!(
+            library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"),
+            None
+        );
+    }
+
+    #[test]
+    fn this_process_has_loaded_libtorch() {
+        assert_eq!(tch::Tensor::from_slice(&[1.0_f32]).size(), [1]);
+        let path = loaded("libtorch_cpu.so").expect("libtorch is linked");
+        assert!(path.is_file(), "{} is no file", path.display());
+    }
+
+    #[test]
+    fn only_files_with_the_ending_are_listed_and_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("inner")).unwrap();
+        for name in ["b.net.xml", "a.nod.xml", "inner/a.net.xml"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let expected = [folder.path().join("b.net.xml"), folder.path().join("inner/a.net.xml")];
+        assert_eq!(files_below(folder.path(), ".net.xml"), expected);
+        assert!(files_below(&folder.path().join("absent"), ".xml").is_empty());
+    }
+}

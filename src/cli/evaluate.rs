@@ -1,0 +1,194 @@
+//! `iwol evaluate`
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use anyhow::{Context as _, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use iwol_sumo::algo::{self, Algorithm};
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::env::Task;
+use iwol_sumo::evaluate::{Metrics, POLICIES, Policy, evaluate};
+use iwol_sumo::record;
+use iwol_sumo::rng::Seed;
+use iwol_sumo::stats::Estimate;
+use iwol_sumo::train::RunDir;
+use serde::Serialize;
+use toml::Value;
+
+use super::Verdict;
+
+/// Deterministic actions on seeds of its own; means with 95 % intervals.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Run folder (its best checkpoint) or checkpoint file
+    #[arg(value_name = "RUN_OR_CHECKPOINT", required_unless_present = "policy")]
+    run: Option<PathBuf>,
+    /// Policy without training: throttle:<a>, gaussian, uniform or sumo; may be repeated
+    #[arg(long, value_name = "P")]
+    policy: Vec<String>,
+    /// Scenario file [default: the run's]
+    #[arg(long, required_unless_present = "run")]
+    scenario: Option<PathBuf>,
+    /// Number of vehicles [default: the run's, or the scenario's]
+    #[arg(long)]
+    agents: Option<u32>,
+    /// Episodes per policy
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: u64,
+    /// Seed of the evaluation's episodes
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// One setting of the task, e.g. --set env.detection_range=20; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Print one JSON object (a list for several policies) instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Write the JSON to a file as well
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// What is printed with `--json`.
+#[derive(Debug, Serialize)]
+struct Row {
+    scenario: String,
+    agents: u32,
+    policy: String,
+    episodes: u64,
+    seed: u64,
+    metrics: Metrics,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let mut policies = Vec::new();
+    for name in &args.policy {
+        let policy = Policy::by_name(name)
+            .with_context(|| format!("there is no policy `{name}`; choose one of {} with a in -1..1", POLICIES.join(", ")))?;
+        policies.push((name.clone(), policy));
+    }
+    let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
+    let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
+    if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
+        layers.document = Document { name: format!("{} (stored settings)", run.display()), text: checkpoint.config.clone() };
+    }
+    if let Some(path) = &args.scenario {
+        layers.flags.push(("scenario", Value::String(path.display().to_string())));
+    }
+    if let Some(agents) = args.agents {
+        layers.flags.push(("agents", Value::Integer(agents.into())));
+    }
+    let (config, scenario) = Config::resolve(&layers)?;
+    let task = Arc::new(Task::new(&scenario, config.agents)?);
+    let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
+        Some(checkpoint) => {
+            let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &config.settings(), Seed::new(0))?;
+            learner.load(&checkpoint.learner).context("the checkpoint does not fit this scenario's observations")?;
+            Some(learner)
+        }
+        None => None,
+    };
+    if let Some(learner) = &learner {
+        policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner)));
+    }
+
+    let stop = super::stop_flag()?;
+    let mut rows = Vec::new();
+    for (name, policy) in &policies {
+        let bar = ProgressBar::new(args.episodes);
+        bar.set_style(
+            ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} episodes  ETA {eta}").expect("a valid template"),
+        );
+        bar.set_message(name.clone());
+        let seed = Seed::new(args.seed).child("evaluation");
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &stop, &mut |done| bar.set_position(done))
+            .with_context(|| format!("evaluating {name} stopped"))?;
+        bar.finish_and_clear();
+        if stop.load(Ordering::Relaxed) {
+            eprintln!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
+            return Ok(Verdict::Interrupted);
+        }
+        let metrics = evaluation.metrics().context("no episode was finished")?;
+        rows.push(Row {
+            scenario: scenario.name.clone(),
+            agents: config.agents,
+            policy: name.clone(),
+            episodes: args.episodes,
+            seed: args.seed,
+            metrics,
+        });
+    }
+    let json = match &rows[..] {
+        [row] => serde_json::to_string(row)?,
+        rows => serde_json::to_string(rows)?,
+    };
+    if let Some(path) = &args.out {
+        record::write_atomic(path, json.as_bytes())?;
+    }
+    if args.json {
+        println!("{json}");
+    } else {
+        print!("{}", table(&rows));
+    }
+    Ok(Verdict::Good)
+}
+
+fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
+    let path = if run.is_dir() {
+        let dir = RunDir::new(run);
+        [dir.best(), dir.last()].into_iter().find(|path| path.exists()).with_context(|| {
+            format!("`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors", run.display())
+        })?
+    } else {
+        run.to_owned()
+    };
+    let checkpoint = Checkpoint::load(&path)?;
+    if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
+        bail!("`{}` is of the algorithm `{}`, which this program does not have", path.display(), checkpoint.algorithm);
+    }
+    Ok(checkpoint)
+}
+
+/// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
+fn table(rows: &[Row]) -> String {
+    let percent = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
+    let number = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
+    let fine = |e: &Estimate| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
+    type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
+    let lines: [(&str, Cell<'_>); 9] = [
+        ("success %", &|m| percent(&m.success)),
+        ("safety %", &|m| percent(&m.safety)),
+        ("crash %", &|m| percent(&m.crash)),
+        ("out of road %", &|m| percent(&m.out_of_road)),
+        ("reward", &|m| number(&m.reward)),
+        ("window reward", &|m| number(&m.window_reward)),
+        ("episode length", &|m| number(&m.episode_length)),
+        ("efficiency", &|m| fine(&m.efficiency)),
+        ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
+    ];
+    let mut columns: Vec<Vec<String>> = vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
+    for row in rows {
+        columns.push(std::iter::once(row.policy.clone()).chain(lines.iter().map(|l| (l.1)(&row.metrics))).collect());
+    }
+    let width = |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let mut text = String::new();
+    if let Some(first) = rows.first() {
+        let _ = writeln!(
+            text,
+            "{}, {} agents, {} episodes, seed {}: mean [95 % interval]",
+            first.scenario, first.agents, first.episodes, first.seed
+        );
+    }
+    for line in 0..=lines.len() {
+        for (i, column) in columns.iter().enumerate() {
+            let (cell, width) = (&column[line], width(column));
+            let _ = if i == 0 { write!(text, "{cell:<width$}") } else { write!(text, "   {cell:>width$}") };
+        }
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,107 @@
+//! The command line: one file per verb. Printing happens here only: data to stdout, everything else to stderr.
+
+mod doctor;
+mod evaluate;
+mod plot;
+mod train;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::{Parser, Subcommand};
+use iwol_sumo::{config, env, scenario, sumo};
+
+/// Multi-vehicle coordination in SUMO: train, evaluate and plot.
+#[derive(Debug, Parser)]
+#[command(name = "iwol", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Say more (-v: information, -vv: details)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Train agents on a scenario
+    Train(train::Args),
+    /// Evaluate trained and untrained policies, headless
+    Evaluate(evaluate::Args),
+    /// Draw learning curves as PNG
+    Plot(plot::Args),
+    /// Show what is installed, and what is wrong
+    Doctor,
+}
+
+/// How a verb that did its work ended.
+enum Verdict {
+    Good,
+    /// The work was done, but its answer is no.
+    Bad,
+    /// Someone asked to stop.
+    Interrupted,
+}
+
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = match cli.verbose {
+        0 => tracing::Level::WARN,
+        1 => tracing::Level::INFO,
+        _ => tracing::Level::DEBUG,
+    };
+    tracing_subscriber::fmt().with_max_level(level).with_writer(std::io::stderr).with_target(false).without_time().init();
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    tch::set_num_threads(cores as i32);
+    let result = match &cli.verb {
+        Verb::Train(args) => train::run(args),
+        Verb::Evaluate(args) => evaluate::run(args),
+        Verb::Plot(args) => plot::run(args),
+        Verb::Doctor => doctor::run().map(|good| if good { Verdict::Good } else { Verdict::Bad }),
+    };
+    match result {
+        Ok(Verdict::Good) => ExitCode::SUCCESS,
+        Ok(Verdict::Bad) => ExitCode::from(1),
+        Ok(Verdict::Interrupted) => ExitCode::from(130),
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            if let Some(hint) = hint(&error) {
+                eprintln!("\nhint: {hint}");
+            }
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// The first piece of advice along the chain of causes.
+fn hint(error: &anyhow::Error) -> Option<String> {
+    error.chain().find_map(|cause| {
+        if let Some(e) = cause.downcast_ref::<sumo::Error>() {
+            e.hint()
+        } else if let Some(e) = cause.downcast_ref::<env::Error>() {
+            e.hint()
+        } else if let Some(e) = cause.downcast_ref::<scenario::Error>() {
+            e.hint()
+        } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
+            e.hint()
+        } else if let Some(iwol_sumo::train::Error::Env(e)) = cause.downcast_ref::<iwol_sumo::train::Error>() {
+            e.hint()
+        } else {
+            None
+        }
+    })
+}
+
+/// A flag that Ctrl-C (or a termination signal) raises; a second one ends the program at once.
+fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let raised = Arc::clone(&flag);
+    ctrlc::set_handler(move || {
+        if raised.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+        eprintln!("\nstopping; once more ends at once");
+    })?;
+    Ok(flag)
+}

@@ -1,0 +1,146 @@
+//! `iwol train`
+
+use std::io::IsTerminal as _;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
+use toml::Value;
+
+use super::Verdict;
+
+/// Settings: defaults < --config < --set < flags. The resolved file is stored in the run folder.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Scenario file, e.g. scenarios/intersection.xml
+    #[arg(long)]
+    scenario: Option<PathBuf>,
+    /// mappo, im-iwol or ex-iwol
+    #[arg(long)]
+    algorithm: Option<String>,
+    /// Number of vehicles under control
+    #[arg(long)]
+    agents: Option<u32>,
+    /// Seed of everything random
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Environment steps (of one world each)
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Settings in TOML; a run folder's config.toml is one
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// One setting, e.g. --set ppo.gamma=0.995; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Run folder [default: runs/<scenario>/<algorithm>/seed_<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Go on from the run folder's last checkpoint, with its settings
+    #[arg(long)]
+    resume: bool,
+}
+
+impl Args {
+    fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
+        let integer = |v: u64| i64::try_from(v).map(Value::Integer).context("numbers must be below 2^63");
+        let mut flags = Vec::new();
+        if let Some(path) = &self.scenario {
+            flags.push(("scenario", Value::String(path.display().to_string())));
+        }
+        if let Some(name) = &self.algorithm {
+            flags.push(("algorithm", Value::String(name.clone())));
+        }
+        if let Some(agents) = self.agents {
+            flags.push(("agents", integer(agents.into())?));
+        }
+        if let Some(seed) = self.seed {
+            flags.push(("seed", integer(seed)?));
+        }
+        if let Some(steps) = self.steps {
+            flags.push(("steps", integer(steps)?));
+        }
+        Ok(flags)
+    }
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let document = match (&args.config, &args.out) {
+        (Some(path), _) => Document::read(path)?,
+        // A run to resume brings its own settings.
+        (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
+        _ => Document::default(),
+    };
+    let (config, scenario) = Config::resolve(&Layers { document, sets: args.set.clone(), flags: args.flags()? })?;
+    let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
+        PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))
+    }));
+    if !args.resume && dir.last().exists() {
+        bail!("`{}` already holds a run; add --resume to go on with it, or choose another --out", dir.path().display());
+    }
+    let stop = super::stop_flag()?;
+    let mut trainer = if args.resume {
+        let checkpoint = Checkpoint::load(&dir.last())?;
+        if checkpoint.algorithm != config.algorithm {
+            bail!("`{}` is a run of {}, not of {}", dir.path().display(), checkpoint.algorithm, config.algorithm);
+        }
+        Trainer::resume(config.clone(), scenario, &checkpoint)?
+    } else {
+        Trainer::new(config.clone(), scenario)?
+    };
+    let (deployed, all) = trainer.learner().parameters();
+    eprintln!(
+        "{} on {} with {} agents, seed {}: {} parameters ({} in the deployed policy)",
+        config.algorithm,
+        config.scenario.display(),
+        config.agents,
+        config.seed,
+        all,
+        deployed
+    );
+    let bar = ProgressBar::new(config.steps);
+    bar.set_style(
+        ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}").expect("a valid template"),
+    );
+    bar.set_position(trainer.progress().step);
+    bar.reset_eta();
+    let terminal = std::io::stderr().is_terminal();
+    let mut last_line = Instant::now();
+    let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
+        let percent = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+        let message = format!(
+            "{:.0} steps/s  success {} (validation {})",
+            report.steps_per_second,
+            percent(report.training_success),
+            percent(report.validation_success)
+        );
+        if terminal {
+            bar.set_position(report.step);
+            bar.set_message(message);
+        } else if last_line.elapsed() > Duration::from_secs(10) || report.step >= config.steps {
+            last_line = Instant::now();
+            eprintln!("{:>9} steps  {message}", report.step);
+        }
+    });
+    bar.finish_and_clear();
+    let outcome = outcome.with_context(|| format!("training {} stopped", config.algorithm))?;
+    let progress = trainer.progress();
+    let end = match outcome {
+        Outcome::Finished => "finished",
+        Outcome::Solved => "stopped, solved",
+        Outcome::Interrupted => "interrupted; go on with --resume",
+    };
+    eprintln!(
+        "{end} after {} steps in {}; best validation success {}",
+        progress.step,
+        human_duration(Duration::from_secs_f64(progress.seconds)),
+        progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
+    );
+    println!("{}", dir.path().display());
+    Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })
+}

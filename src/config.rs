@@ -1,0 +1,507 @@
+//! Settings of a run: defaults < `--config file.toml` < `--set key=value` < flags, checked key by key.
+//!
+//! The scenario's own numbers appear as the table `[env]`, so that the resolved configuration is complete, is stored with
+//! the run, and is itself a valid `--config`. Every mistake names the file, line and column, and the nearest valid key.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
+
+use crate::algo::{self, settings};
+use crate::scenario::{self, Scenario};
+use crate::suggest::nearest;
+
+/// Everything that defines a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The scenario's file.
+    pub scenario: PathBuf,
+    /// Name of the algorithm.
+    pub algorithm: String,
+    /// Number of agents.
+    pub agents: u32,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Environment steps (of one world each) to train for.
+    pub steps: u64,
+    /// The training loop.
+    pub train: Train,
+    /// Networks.
+    pub network: settings::Network,
+    /// Proximal policy optimisation.
+    pub ppo: settings::Ppo,
+    /// Exploration noise.
+    pub exploration: settings::Exploration,
+    /// IWoL.
+    pub iwol: settings::Iwol,
+    /// The scenario's numbers.
+    pub env: Env,
+}
+
+/// The training loop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Train {
+    /// Worlds E simulated in lock-step.
+    pub envs: usize,
+    /// Steps T per rollout.
+    pub segment: usize,
+    /// Environment steps between validations; each is followed by a checkpoint.
+    pub validate_every: u64,
+    /// Episodes per validation, with deterministic actions on seeds of their own.
+    pub validation_episodes: u64,
+    /// Stop once this share of agents succeeds in [`Train::stop_validations`] validations in a row; 0 never stops early.
+    pub stop_success: f64,
+    /// See [`Train::stop_success`].
+    pub stop_validations: u32,
+}
+
+impl Default for Train {
+    fn default() -> Self {
+        Self {
+            envs: 32,
+            segment: 128,
+            validate_every: 32_768,
+            validation_episodes: 64,
+            stop_success: 0.0,
+            stop_validations: 3,
+        }
+    }
+}
+
+/// The scenario's numbers that a run may change. Defaults are the scenario's own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Env {
+    /// Others further away are not seen \[m\].
+    pub detection_range: f64,
+    /// Nearest vehicles in the observation.
+    pub neighbours: usize,
+    /// Streams in the observation.
+    pub conflict_streams: usize,
+    /// Vehicles per stream in the observation.
+    pub stream_vehicles: usize,
+    /// Range d_comm of the physical mask \[m\].
+    pub communication_range: f64,
+    /// Share λ of the cooperative mix.
+    pub cooperation: f64,
+    /// Reward per metre.
+    pub reward_progress: f64,
+    /// Reward per step at 80 km/h.
+    pub reward_speed: f64,
+    /// Reward of an arrival.
+    pub reward_arrive: f64,
+    /// Reward of leaving the road.
+    pub reward_out_of_road: f64,
+    /// Reward of a crash.
+    pub reward_crash: f64,
+    /// Steps until truncation.
+    pub horizon: u32,
+    /// A crashed vehicle stays this long \[s\].
+    pub wreck_time: f64,
+}
+
+impl Env {
+    fn of(scenario: &Scenario) -> Self {
+        let (seen, reward) = (&scenario.observation, &scenario.reward);
+        Self {
+            detection_range: seen.detection_range,
+            neighbours: seen.neighbours,
+            conflict_streams: seen.conflict_streams,
+            stream_vehicles: seen.stream_vehicles,
+            communication_range: scenario.communication.range,
+            cooperation: reward.cooperation,
+            reward_progress: reward.progress,
+            reward_speed: reward.speed,
+            reward_arrive: reward.arrive,
+            reward_out_of_road: reward.out_of_road,
+            reward_crash: reward.crash,
+            horizon: scenario.termination.horizon,
+            wreck_time: scenario.termination.wreck_time,
+        }
+    }
+
+    fn apply(&self, scenario: &mut Scenario) {
+        let (seen, reward) = (&mut scenario.observation, &mut scenario.reward);
+        seen.detection_range = self.detection_range;
+        seen.neighbours = self.neighbours;
+        seen.conflict_streams = self.conflict_streams;
+        seen.stream_vehicles = self.stream_vehicles;
+        scenario.communication.range = self.communication_range;
+        reward.cooperation = self.cooperation;
+        reward.progress = self.reward_progress;
+        reward.speed = self.reward_speed;
+        reward.arrive = self.reward_arrive;
+        reward.out_of_road = self.reward_out_of_road;
+        reward.crash = self.reward_crash;
+        scenario.termination.horizon = self.horizon;
+        scenario.termination.wreck_time = self.wreck_time;
+    }
+}
+
+/// A TOML text and what to call it in messages.
+#[derive(Debug, Clone, Default)]
+pub struct Document {
+    /// File name, or another description of where it is from.
+    pub name: String,
+    /// The text.
+    pub text: String,
+}
+
+impl Document {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Ok(Self { name: path.display().to_string(), text })
+    }
+}
+
+/// Where settings come from, in rising priority.
+#[derive(Debug, Clone, Default)]
+pub struct Layers {
+    /// `--config`, or the configuration that a checkpoint holds.
+    pub document: Document,
+    /// `--set key=value`, in order.
+    pub sets: Vec<String>,
+    /// Flags, as `(key, TOML value)`.
+    pub flags: Vec<(&'static str, Value)>,
+}
+
+impl Config {
+    /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
+    ///
+    /// # Errors
+    /// [`Error`], naming the place.
+    pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
+        let Document { name, text } = &layers.document;
+        let parsed = DeTable::parse(text).map_err(|e| {
+            let place = Place::At { file: name.clone(), text, offset: e.span().map_or(0, |span| span.start) };
+            Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
+        })?;
+
+        // The scenario decides the defaults of `[env]` and of the number of agents, so it is looked up first.
+        let flag = layers.flags.iter().find(|(key, _)| *key == "scenario").and_then(|(_, v)| v.as_str());
+        let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix("scenario="));
+        let file = parsed.get_ref().iter().find(|(key, _)| key.get_ref() == "scenario").and_then(|(_, v)| match v.get_ref() {
+            DeValue::String(s) => Some(&**s),
+            _ => None,
+        });
+        let path = flag.or(set).or(file).ok_or(Error::NoScenario)?;
+        let mut scenario = Scenario::load(Path::new(path))?;
+
+        let mut table = Self::defaults(&scenario);
+        merge(&mut table, parsed.get_ref(), &[], name, text)?;
+        for set in &layers.sets {
+            let place = Place::Set(set).to_string();
+            let (key, value) = set.split_once('=').ok_or_else(|| Error::Value {
+                place: place.clone(),
+                key: set.clone(),
+                message: "write it as key=value".to_owned(),
+            })?;
+            // Bare words are strings: `network.encoder=mlp` needs no quotes.
+            let value = parse_value(value.trim()).unwrap_or_else(|| Value::String(value.trim().to_owned()));
+            let keys: Vec<&str> = key.trim().split('.').collect();
+            assign(&mut table, &keys, value, &place)?;
+        }
+        for (key, value) in &layers.flags {
+            let place = Place::Flag(key).to_string();
+            assign(&mut table, &key.split('.').collect::<Vec<_>>(), value.clone(), &place)?;
+        }
+        let config: Self = Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
+            place: name.clone(),
+            key: String::new(),
+            message: e.message().to_owned(),
+        })?;
+        config.env.apply(&mut scenario);
+        scenario.net_for(config.agents)?;
+        Ok((config, scenario))
+    }
+
+    /// The learner's settings.
+    pub fn settings(&self) -> algo::Settings {
+        algo::Settings {
+            network: self.network.clone(),
+            ppo: self.ppo.clone(),
+            exploration: self.exploration.clone(),
+            iwol: self.iwol.clone(),
+        }
+    }
+
+    /// As TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("a configuration is plain data")
+    }
+
+    fn defaults(scenario: &Scenario) -> Table {
+        let config = Self {
+            scenario: scenario.path.clone(),
+            algorithm: "im-iwol".to_owned(),
+            agents: scenario.agents.default,
+            seed: 0,
+            steps: 400_000,
+            train: Train::default(),
+            network: settings::Network::default(),
+            ppo: settings::Ppo::default(),
+            exploration: settings::Exploration::default(),
+            iwol: settings::Iwol::default(),
+            env: Env::of(scenario),
+        };
+        Table::try_from(config).expect("a configuration is plain data")
+    }
+
+    /// What is out of range, as `(key, rule)`.
+    fn out_of_range(&self) -> Option<(&'static str, &'static str)> {
+        let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
+        let share = |v: f64| (0.0..=1.0).contains(&v);
+        let finite_positive = |v: f64| v.is_finite() && v > 0.0;
+        let rules: [(&'static str, bool, &'static str); 43] = [
+            ("algorithm", algo::NAMES.contains(&self.algorithm.as_str()), "one of mappo, im-iwol, ex-iwol"),
+            ("agents", self.agents >= 1, "at least 1"),
+            ("seed", i64::try_from(self.seed).is_ok(), "below 2^63"),
+            ("steps", self.steps >= 1, "at least 1"),
+            ("train.envs", (1..=1024).contains(&t.envs), "1 to 1024"),
+            ("train.segment", (1..=100_000).contains(&t.segment), "1 to 100000"),
+            ("train.validate_every", t.validate_every >= 1, "at least 1"),
+            ("train.validation_episodes", (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
+            ("train.stop_success", share(t.stop_success), "0 to 1"),
+            ("train.stop_validations", t.stop_validations >= 1, "at least 1"),
+            ("network.hidden", (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
+            ("network.extra_layers", n.extra_layers <= 16, "0 to 16"),
+            ("network.token_width", (1..=1024).contains(&n.token_width), "1 to 1024"),
+            ("network.token_heads", n.token_heads >= 1 && n.token_width % n.token_heads == 0, "a divisor of network.token_width"),
+            ("network.chunk_length", (1..=t.segment).contains(&n.chunk_length), "1 to train.segment"),
+            ("ppo.learning_rate", finite_positive(p.learning_rate) || p.learning_rate == 0.0, "0 or more"),
+            ("ppo.learning_rate_constant", share(p.learning_rate_constant), "0 to 1"),
+            ("ppo.learning_rate_end", share(p.learning_rate_end), "0 to 1"),
+            ("ppo.epochs", (1..=1000).contains(&p.epochs), "1 to 1000"),
+            ("ppo.minibatch", p.minibatch >= 1, "at least 1"),
+            ("ppo.gamma", share(p.gamma), "0 to 1"),
+            ("ppo.gae_lambda", share(p.gae_lambda), "0 to 1"),
+            ("ppo.clip", finite_positive(p.clip), "above 0"),
+            ("ppo.huber_delta", finite_positive(p.huber_delta), "above 0"),
+            ("ppo.entropy", p.entropy.is_finite(), "a finite number"),
+            ("ppo.max_grad_norm", finite_positive(p.max_grad_norm), "above 0"),
+            ("ppo.value_norm_beta", (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
+            ("exploration.log_std_start", (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
+            ("exploration.log_std_end", (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
+            ("exploration.log_std_share", share(x.log_std_share), "0 to 1"),
+            ("exploration.mean_bias", x.mean_bias.is_finite(), "a finite number"),
+            ("iwol.latent", (1..=4096).contains(&i.latent), "1 to 4096"),
+            ("iwol.rounds", (1..=64).contains(&i.rounds), "1 to 64"),
+            ("iwol.heads", i.heads >= 1 && n.hidden % i.heads == 0, "a divisor of network.hidden"),
+            ("iwol.temperature", finite_positive(i.temperature), "above 0"),
+            ("env.detection_range", e.detection_range >= 0.0 && e.detection_range.is_finite(), "0 or more"),
+            ("env.neighbours", e.neighbours <= 16, "0 to 16"),
+            ("env.conflict_streams", e.conflict_streams <= 16, "0 to 16"),
+            ("env.stream_vehicles", e.stream_vehicles <= 16, "0 to 16"),
+            ("env.communication_range", e.communication_range >= 0.0 && e.communication_range.is_finite(), "0 or more"),
+            ("env.cooperation", share(e.cooperation), "0 to 1"),
+            ("env.horizon", (1..=1_000_000).contains(&e.horizon), "1 to 1000000"),
+            ("env.wreck_time", (0.0..=3600.0).contains(&e.wreck_time), "0 to 3600"),
+        ];
+        rules.into_iter().find(|rule| !rule.1).map(|(key, _, allowed)| (key, allowed))
+    }
+}
+
+/// Where a setting stands.
+enum Place<'a> {
+    At { file: String, text: &'a str, offset: usize },
+    Set(&'a str),
+    Flag(&'a str),
+}
+
+impl std::fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::At { file, text, offset } => {
+                let before = text.get(..*offset).unwrap_or(text);
+                let line = before.matches('\n').count() + 1;
+                let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+                write!(f, "{file}:{line}:{column}")
+            }
+            Self::Set(set) => write!(f, "--set {set}"),
+            Self::Flag(key) => write!(f, "--{key}"),
+        }
+    }
+}
+
+fn merge(table: &mut Table, layer: &DeTable<'_>, prefix: &[&str], file: &str, text: &str) -> Result<(), Error> {
+    for (key, value) in layer {
+        let mut keys = prefix.to_vec();
+        keys.push(key.get_ref());
+        let place = |offset| Place::At { file: file.to_owned(), text, offset }.to_string();
+        if let DeValue::Table(inner) = value.get_ref() {
+            check_key(table, &keys, &place(key.span().start))?;
+            merge(table, inner, &keys, file, text)?;
+        } else {
+            check_key(table, &keys, &place(key.span().start))?;
+            let parsed = parse_value(&text[value.span()]).ok_or_else(|| Error::Syntax {
+                place: place(value.span().start),
+                message: "this value cannot be read".to_owned(),
+            })?;
+            assign(table, &keys, parsed, &place(value.span().start))?;
+        }
+    }
+    Ok(())
+}
+
+fn parse_value(text: &str) -> Option<Value> {
+    let mut table: Table = toml::from_str(&format!("v = {text}")).ok()?;
+    if table.len() == 1 { table.remove("v") } else { None }
+}
+
+/// The table of defaults knows every valid key.
+fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
+    let mut here = table;
+    for (depth, key) in keys.iter().enumerate() {
+        let next = here.get(*key);
+        match next {
+            Some(Value::Table(inner)) => here = inner,
+            Some(_) if depth + 1 == keys.len() => {}
+            _ => {
+                let mut valid = Vec::new();
+                list_keys(table, "", &mut valid);
+                let name = keys.join(".");
+                let similar = nearest(&name, valid.iter().map(String::as_str))
+                    .or_else(|| nearest(key, here.keys().map(String::as_str)))
+                    .map(str::to_owned);
+                return Err(Error::UnknownKey { place: place.to_owned(), key: name, nearest: similar });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn list_keys(table: &Table, prefix: &str, out: &mut Vec<String>) {
+    for (key, value) in table {
+        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            Value::Table(inner) => list_keys(inner, &name, out),
+            _ => out.push(name),
+        }
+    }
+}
+
+/// Sets a key and checks the whole, so that a bad value is reported where it stands.
+fn assign(table: &mut Table, keys: &[&str], value: Value, place: &str) -> Result<(), Error> {
+    check_key(table, keys, place)?;
+    let (last, folders) = keys.split_last().expect("a key has a name");
+    let mut here = &mut *table;
+    for key in folders {
+        here = here.get_mut(*key).and_then(Value::as_table_mut).expect("checked above");
+    }
+    let value = match (&here[*last], value) {
+        (Value::Float(_), Value::Integer(i)) => Value::Float(i as f64),
+        (_, value) => value,
+    };
+    here.insert((*last).to_owned(), value);
+    let bad = |message: String| Error::Value { place: place.to_owned(), key: keys.join("."), message };
+    let config: Config =
+        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
+    match config.out_of_range() {
+        Some((key, allowed)) if key == keys.join(".") => Err(bad(format!("allowed: {allowed}"))),
+        Some((key, allowed)) => Err(bad(format!("{key} is then not valid (allowed: {allowed})"))),
+        None => Ok(()),
+    }
+}
+
+/// What can be wrong with a configuration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read `{}`", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is not TOML.
+    #[error("{place}: {message}")]
+    Syntax {
+        /// File, line and column.
+        place: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// No setting has this name.
+    #[error("{place}: there is no setting `{key}`{}", nearest.as_ref().map(|n| format!("; did you mean `{n}`?")).unwrap_or_default())]
+    UnknownKey {
+        /// Where it stands.
+        place: String,
+        /// The name.
+        key: String,
+        /// The nearest valid one.
+        nearest: Option<String>,
+    },
+    /// The value does not fit.
+    #[error("{place}: bad value for `{key}`: {message}")]
+    Value {
+        /// Where it stands.
+        place: String,
+        /// The setting.
+        key: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// Nothing says which scenario to run.
+    #[error("no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml")]
+    NoScenario,
+    /// The scenario is not valid.
+    #[error(transparent)]
+    Scenario(#[from] scenario::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        let layers = Layers {
+            document: Document { name: "c.toml".to_owned(), text: text.to_owned() },
+            sets: sets.iter().map(|s| (*s).to_owned()).collect(),
+            flags: vec![("scenario", Value::String(scenario.display().to_string()))],
+        };
+        Config::resolve(&layers).map(|(config, _)| config)
+    }
+
+    fn message(text: &str, sets: &[&str]) -> String {
+        resolve(text, sets).expect_err("must be refused").to_string()
+    }
+
+    #[test]
+    fn later_layers_win() {
+        let config = resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
+        assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
+        assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
+    }
+
+    #[test]
+    fn the_resolved_configuration_is_a_configuration() {
+        let config = resolve("", &["env.cooperation=0.25", "train.envs=3"]).unwrap();
+        assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
+    }
+
+    #[test]
+    fn mistakes_name_place_key_and_neighbour() {
+        assert_eq!(
+            message("seed = 1\n\n[ppo]\n  gama = 0.9\n", &[]),
+            "c.toml:4:3: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
+        );
+        assert_eq!(message("[ppo]\ngamma = 1.5\n", &[]), "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1");
+        assert!(message("[ppo]\ngamma = \"x\"\n", &[]).starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type"));
+        assert!(message("[ppo\n", &[]).starts_with("c.toml:1:"));
+        assert!(message("", &["iwol.mask=soft"]).starts_with("--set iwol.mask=soft: bad value for `iwol.mask`: unknown variant"));
+        assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
+        assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
+        assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
+    }
+}

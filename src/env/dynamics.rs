@@ -1,0 +1,85 @@
+//! The longitudinal law: from a throttle action to the motion of one decision interval.
+//!
+//! Constant acceleration, as measured on the vehicle of the paper's simulator: thrust in proportion to the action, a
+//! rolling drag at zero, braking along a curve that is five to ten times stronger than thrust. The vehicle never moves
+//! backwards. Integrated in the 0.02 s substeps of that simulator: a brake that stops a slow vehicle early in the interval
+//! must not let it roll on, or random actions would creep forward.
+
+use crate::scenario::{Control, Vehicle};
+
+/// Substeps per second of the integration.
+const RATE: f64 = 50.0;
+
+/// Way \[m\] and final speed \[m/s\] of one decision interval from speed `v` \[m/s\] under `action` (clipped to -1..=1;
+/// NaN counts as 0).
+pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f64, f64) {
+    let substeps = (control.interval * RATE).round().max(1.0);
+    let dt = control.interval / substeps;
+    let gain = acceleration(control, action) * dt;
+    let (mut way, mut v) = (0.0, v);
+    for _ in 0..substeps as u32 {
+        v = (v + gain).clamp(0.0, vehicle.max_speed);
+        way += v * dt;
+    }
+    (way, v)
+}
+
+/// Acceleration \[m/s²\] of a moving vehicle under `action`.
+pub fn acceleration(control: &Control, action: f64) -> f64 {
+    let action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
+    if action > 0.0 {
+        return control.accel * action;
+    }
+    let magnitude = -action;
+    let mut from = (0.0, 0.0);
+    let mut braking = 0.0;
+    for &to in &control.brake {
+        if magnitude <= to.0 {
+            braking = from.1 + (to.1 - from.1) * (magnitude - from.0) / (to.0 - from.0);
+            break;
+        }
+        from = to;
+        braking = to.1;
+    }
+    -braking.max(control.drag)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::ControlMode;
+
+    fn law() -> (Control, Vehicle) {
+        (
+            Control {
+                mode: ControlMode::Throttle,
+                interval: 0.1,
+                accel: 2.909,
+                drag: 0.364,
+                brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
+            },
+            Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
+        )
+    }
+
+    #[test]
+    fn follows_the_measured_rows() {
+        let (control, vehicle) = law();
+        for (action, expected) in
+            [(1.0, 2.909), (0.5, 1.4545), (0.0, -0.364), (-0.01, -0.364), (-0.3, -8.2), (-0.4, -9.2), (-0.5, -10.2), (-1.0, -14.7), (-3.0, -14.7), (9.0, 2.909)]
+        {
+            assert!((acceleration(&control, action) - expected).abs() < 1e-9, "{action}");
+        }
+        let speed = |v, action| advance(&control, &vehicle, v, action).1;
+        assert!((speed(10.0, -1.0) - 8.53).abs() < 1e-9);
+        assert_eq!(speed(0.5, -1.0), 0.0);
+        assert_eq!(speed(0.0, 0.0), 0.0);
+        assert_eq!(speed(22.2, 1.0), 22.222);
+        assert_eq!(advance(&control, &vehicle, 5.0, f64::NAN), advance(&control, &vehicle, 5.0, 0.0));
+        // From 10 m/s under full throttle: five substeps of 0.02 s, each at its new speed.
+        let way: f64 = (1..=5).map(|k| 0.02 * (10.0 + 2.909 * 0.02 * f64::from(k))).sum();
+        assert!((advance(&control, &vehicle, 10.0, 1.0).0 - way).abs() < 1e-12);
+        // A slow vehicle that brakes hard stops within the first substep.
+        assert_eq!(advance(&control, &vehicle, 0.2, -1.0).0, 0.0);
+    }
+}

@@ -1,0 +1,599 @@
+//! One world: an episode's slots, from spawn to arrival or wreck. It needs no simulator: commands go out, a snapshot comes in.
+//!
+//! Life of a slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
+//! while, then empty). No slot revives within an episode. An episode that has ended stays visible for one frame, whose
+//! agents are observed but do not act: a truncated agent's last observation, from which its return is bootstrapped.
+//! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
+
+use std::sync::Arc;
+
+use super::comm::physical_mask;
+use super::geometry::{Pose, boxes_overlap};
+use super::metrics::EpisodeRecord;
+use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
+use super::{Error, dynamics, observation, state};
+use crate::rng::{self, Seed};
+use crate::scenario::Reward;
+use crate::sumo::{Command, Snapshot};
+
+/// A vehicle this far behind a meeting point has left it, body and all \[m\].
+pub(super) const CLEARED: f64 = 7.0;
+/// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
+const SUBSTEPS: u32 = 5;
+/// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
+const BORDER_MARGIN: f64 = 0.035;
+/// SUMO's speed mode with every check off.
+const NO_CHECKS: i32 = 32;
+/// SUMO's speed mode of its own driver.
+const SUMO_CHECKS: i32 = 31;
+
+/// Who chooses the speeds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Driver {
+    /// The actions.
+    Agents,
+    /// SUMO's own driver and right of way; actions are ignored.
+    Sumo,
+}
+
+/// What a slot holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Status {
+    Empty,
+    Active,
+    Wreck,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Slot {
+    pub(super) status: Status,
+    pub(super) route: usize,
+    /// Pose of the centre.
+    pub(super) pose: Pose,
+    before: Pose,
+    /// Position of the centre along the route \[m\].
+    pub(super) s: f64,
+    pub(super) speed: f64,
+    /// Offset from the lane's centre line, positive to the left \[m\].
+    pub(super) lateral: f64,
+    pub(super) action: f64,
+    /// Segment of the route's polyline where the vehicle was last.
+    segment: usize,
+    departed: bool,
+    wreck_steps: u32,
+    arrived: bool,
+    crashed: bool,
+    out_of_road: bool,
+}
+
+const EMPTY: Slot = Slot {
+    status: Status::Empty,
+    route: 0,
+    pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
+    before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
+    s: 0.0,
+    speed: 0.0,
+    lateral: 0.0,
+    action: 0.0,
+    segment: 0,
+    departed: false,
+    wreck_steps: 0,
+    arrived: false,
+    crashed: false,
+    out_of_road: false,
+};
+
+/// The vehicles of a world and how they stand to each other; what observations are made from.
+#[derive(Debug, Clone)]
+pub(super) struct Traffic {
+    pub(super) slots: Vec<Slot>,
+    /// Slots on the road by route, furthest along first.
+    pub(super) by_route: Vec<Vec<usize>>,
+    /// Centre distances, `[N, N]` \[m\].
+    distances: Vec<f64>,
+}
+
+impl Traffic {
+    pub(super) fn distance(&self, i: usize, j: usize) -> f64 {
+        self.distances[i * self.slots.len() + j]
+    }
+
+    fn refresh(&mut self) {
+        let n = self.slots.len();
+        self.by_route.iter_mut().for_each(Vec::clear);
+        for i in 0..n {
+            if self.slots[i].status == Status::Empty {
+                continue;
+            }
+            self.by_route[self.slots[i].route].push(i);
+            for j in 0..i {
+                let d = self.slots[i].pose.distance(&self.slots[j].pose);
+                self.distances[i * n + j] = d;
+                self.distances[j * n + i] = d;
+            }
+        }
+        for queue in &mut self.by_route {
+            queue.sort_unstable_by(|&a, &b| self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b)));
+        }
+    }
+}
+
+/// What agents and learners get from a world after an exchange. Reused from step to step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// `[N, O]`; zeros where no agent is present.
+    pub observation: Vec<f32>,
+    /// `[N, S]`; zeros where no agent is present.
+    pub state: Vec<f32>,
+    /// Physical mask G_p, `[N, N]`; its diagonal tells who is present.
+    pub comm: Vec<f32>,
+    /// `[N]`, 1 where an agent acts in the coming step.
+    pub active: Vec<f32>,
+    /// Whether a new trajectory starts here (memories are cleared).
+    pub start: bool,
+    /// `[N]`: what the last step gave, with the cooperative mix.
+    pub reward: Vec<f32>,
+    /// `[N]`, 1 where the last step ended an agent's trajectory for good.
+    pub terminated: Vec<f32>,
+    /// `[N]`, 1 where the last step cut an agent's trajectory short.
+    pub truncated: Vec<f32>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Nothing happens until [`World::reset`].
+    Idle,
+    /// The coming exchange respawns.
+    Ended,
+    /// The respawn is under way.
+    Spawning,
+    Running,
+}
+
+/// A world's place in its episodes, enough to bring it back to the very same state.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct WorldState {
+    /// Number of the current episode.
+    pub episode: u64,
+    /// Actions since its spawn, `[steps, N]`.
+    pub actions: Vec<f32>,
+}
+
+/// One world.
+#[derive(Debug, Clone)]
+pub struct World {
+    task: Arc<Task>,
+    driver: Driver,
+    seed: Seed,
+    /// Distance between consecutive episode numbers of this world.
+    stride: u64,
+    /// Episodes from this number on are not played.
+    end: u64,
+    episode: u64,
+    next_episode: u64,
+    phase: Phase,
+    step: u32,
+    traffic: Traffic,
+    frame: Frame,
+    own_rewards: Vec<f64>,
+    /// Scratch: positions along the routes before the step, poses and presence after it, who is in a collision.
+    positions: Vec<f64>,
+    poses: Vec<Pose>,
+    present: Vec<bool>,
+    involved: Vec<bool>,
+    total_reward: f64,
+    step_rewards: Vec<f32>,
+    sumo_pairs: Vec<(u32, u32)>,
+    own_pairs: Vec<(u32, u32)>,
+    actions: Vec<f32>,
+    finished: Option<EpisodeRecord>,
+}
+
+impl World {
+    /// A world that plays episodes `first, first + stride, …` below `end` of the stream `seed`. It is idle until
+    /// [`World::reset`], and again when there are no more.
+    pub fn new(task: Arc<Task>, driver: Driver, seed: Seed, first: u64, stride: u64, end: u64) -> Self {
+        let n = task.agents;
+        let (o, s) = (task.spec.observation.len(), task.spec.state.len());
+        Self {
+            driver,
+            seed,
+            stride,
+            end,
+            episode: first,
+            next_episode: first,
+            phase: Phase::Idle,
+            step: 0,
+            traffic: Traffic {
+                slots: vec![EMPTY; n],
+                by_route: vec![Vec::with_capacity(n); task.routes.len()],
+                distances: vec![0.0; n * n],
+            },
+            frame: Frame {
+                observation: vec![0.0; n * o],
+                state: vec![0.0; n * s],
+                comm: vec![0.0; n * n],
+                active: vec![0.0; n],
+                start: false,
+                reward: vec![0.0; n],
+                terminated: vec![0.0; n],
+                truncated: vec![0.0; n],
+            },
+            own_rewards: vec![0.0; n],
+            positions: vec![0.0; n],
+            poses: vec![Pose::default(); n],
+            present: vec![false; n],
+            involved: vec![false; n],
+            total_reward: 0.0,
+            step_rewards: Vec::new(),
+            sumo_pairs: Vec::new(),
+            own_pairs: Vec::new(),
+            actions: Vec::new(),
+            finished: None,
+            task,
+        }
+    }
+
+    /// The last frame.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// The episode that the last step ended, if it did.
+    pub fn take_finished(&mut self) -> Option<EpisodeRecord> {
+        self.finished.take()
+    }
+
+    /// Number of the current episode in its stream.
+    pub fn episode(&self) -> u64 {
+        self.episode
+    }
+
+    /// Step of the current episode.
+    pub fn step_count(&self) -> u32 {
+        self.step
+    }
+
+    /// Whether there is nothing left to play.
+    pub fn is_idle(&self) -> bool {
+        self.phase == Phase::Idle
+    }
+
+    /// Place in the episodes, for a checkpoint.
+    pub fn state(&self) -> WorldState {
+        WorldState { episode: self.episode, actions: self.actions.clone() }
+    }
+
+    /// Lets the coming exchange start `episode`, whatever is on the road now.
+    pub fn reset(&mut self, episode: u64) {
+        self.next_episode = episode;
+        self.phase = Phase::Ended;
+    }
+
+    /// Commands of the coming exchange; `actions` is `[N, A]`, of which only active agents' entries count.
+    pub fn act(&mut self, world: u32, actions: &[f32], commands: &mut Vec<Command>) {
+        match self.phase {
+            Phase::Idle | Phase::Spawning => {}
+            Phase::Ended => self.spawn(world, commands),
+            Phase::Running => {
+                self.actions.extend_from_slice(actions);
+                let task = &*self.task;
+                for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+                    let at = i as u32;
+                    match slot.status {
+                        Status::Active if self.driver == Driver::Agents => {
+                            let action = f64::from(actions[i * task.spec.actions]);
+                            slot.action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
+                            let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
+                            let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
+                            slot.speed = speed;
+                            // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
+                            commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
+                        }
+                        Status::Wreck if slot.wreck_steps == 0 => {
+                            slot.status = Status::Empty;
+                            slot.departed = false;
+                            commands.push(Command::Remove { world, slot: at });
+                        }
+                        Status::Wreck => {
+                            slot.wreck_steps -= 1;
+                            commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                        }
+                        Status::Empty if slot.departed => {
+                            slot.departed = false;
+                            commands.push(Command::Remove { world, slot: at });
+                        }
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+
+    fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
+        let task = Arc::clone(&self.task);
+        if self.next_episode >= self.end {
+            self.phase = Phase::Idle;
+            return;
+        }
+        self.episode = self.next_episode;
+        self.next_episode += self.stride;
+        self.step = 0;
+        self.total_reward = 0.0;
+        self.step_rewards.clear();
+        self.sumo_pairs.clear();
+        self.own_pairs.clear();
+        self.actions.clear();
+        let mut rng = self.seed.index(self.episode).rng();
+        let mut places: Vec<usize> = (0..task.places.len()).collect();
+        rng::shuffle(&mut rng, &mut places);
+        let half = task.scenario.vehicle.length / 2.0;
+        let (vehicle_type, mode) = match self.driver {
+            Driver::Agents => (AGENT_TYPE, NO_CHECKS),
+            Driver::Sumo => (SUMO_TYPE, SUMO_CHECKS),
+        };
+        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+            let at = i as u32;
+            if slot.departed {
+                commands.push(Command::Remove { world, slot: at });
+            }
+            let place = task.places[places[i]];
+            let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
+            let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
+            let (point, heading) = task.routes[place.route].path.at(s);
+            let pose = offset(point, heading, lateral);
+            *slot = Slot { status: Status::Active, route: place.route, pose, before: pose, s, lateral, ..EMPTY };
+            commands.push(Command::Add {
+                world,
+                slot: at,
+                route: place.route as u32,
+                vehicle_type,
+                depart_pos: s + half,
+                depart_speed: 0.0,
+            });
+            commands.push(Command::SpeedMode { world, slot: at, mode });
+            if self.driver == Driver::Agents {
+                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+            }
+        }
+        self.phase = Phase::Spawning;
+    }
+
+    /// Takes in what the exchange brought, as world number `world` of the snapshot.
+    ///
+    /// # Errors
+    /// [`Error::Vanished`] when SUMO lost a vehicle.
+    pub fn observe(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
+        let n = self.task.agents;
+        match self.phase {
+            Phase::Idle | Phase::Ended => return Ok(()),
+            Phase::Spawning => {
+                self.place(world, snapshot)?;
+                self.phase = Phase::Running;
+                self.frame.start = true;
+                self.frame.reward.fill(0.0);
+                self.frame.terminated.fill(0.0);
+                self.frame.truncated.fill(0.0);
+            }
+            Phase::Running => {
+                self.frame.start = false;
+                self.step += 1;
+                self.own_rewards.fill(0.0);
+                self.frame.terminated.fill(0.0);
+                self.frame.truncated.fill(0.0);
+                self.advance(world, snapshot)?;
+            }
+        }
+        self.traffic.refresh();
+        if self.step > 0 {
+            self.mix_rewards();
+        }
+        let horizon = self.step >= self.task.scenario.termination.horizon;
+        let mut acting = 0;
+        for (i, slot) in self.traffic.slots.iter().enumerate() {
+            let present = slot.status == Status::Active;
+            self.present[i] = present;
+            self.poses[i] = slot.pose;
+            self.frame.truncated[i] = f32::from(u8::from(present && horizon));
+            self.frame.active[i] = f32::from(u8::from(present && !horizon));
+            acting += u32::from(present && !horizon);
+        }
+        physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
+        let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
+        for i in 0..n {
+            let (seen, known) =
+                (&mut self.frame.observation[i * o..(i + 1) * o], &mut self.frame.state[i * s..(i + 1) * s]);
+            if self.present[i] {
+                observation::write(&self.task, &self.traffic, i, seen);
+                state::write(&self.task, &self.traffic, i, known);
+            } else {
+                seen.fill(0.0);
+                known.fill(0.0);
+            }
+        }
+        if acting == 0 && self.phase == Phase::Running {
+            self.phase = Phase::Ended;
+            self.finished = Some(self.record(false));
+        }
+        Ok(())
+    }
+
+    /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
+    pub fn interrupt(&mut self) {
+        if self.phase == Phase::Running {
+            self.finished = Some(self.record(true));
+            for (truncated, active) in self.frame.truncated.iter_mut().zip(&mut self.frame.active) {
+                *truncated = *active;
+                *active = 0.0;
+            }
+            self.frame.reward.fill(0.0);
+            self.frame.terminated.fill(0.0);
+            self.frame.start = false;
+        } else if self.phase == Phase::Spawning {
+            self.next_episode = self.episode;
+        }
+        // The fresh SUMO is empty: nothing is left to remove.
+        self.traffic.slots.iter_mut().for_each(|slot| slot.departed = false);
+        self.phase = Phase::Ended;
+    }
+
+    /// Reads every vehicle's pose from the snapshot.
+    fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
+        let task = &*self.task;
+        let first = world as usize * task.agents;
+        let half = task.scenario.vehicle.length / 2.0;
+        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+            slot.before = slot.pose;
+            if slot.status == Status::Empty {
+                continue;
+            }
+            let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
+                // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
+                if slot.departed {
+                    return Err(Error::Vanished { slot: i, step: self.step });
+                }
+                continue;
+            };
+            slot.departed = true;
+            if self.driver == Driver::Sumo {
+                slot.speed = vehicle.speed;
+            }
+            let (sin, cos) = vehicle.heading.sin_cos();
+            let centre = [vehicle.x - half * cos, vehicle.y - half * sin];
+            slot.pose = offset(centre, vehicle.heading, slot.lateral);
+            let path = &task.routes[slot.route].path;
+            let (s, _, segment) = path.project([vehicle.x, vehicle.y], slot.segment);
+            slot.s = s - half;
+            slot.segment = segment;
+        }
+        Ok(())
+    }
+
+    /// One step of a running episode: motion, ends and rewards.
+    fn advance(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
+        for (old, slot) in self.positions.iter_mut().zip(&self.traffic.slots) {
+            *old = slot.s;
+        }
+        self.place(world, snapshot)?;
+        self.find_collisions();
+        for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
+            let pair = (collision.collider.min(collision.victim), collision.collider.max(collision.victim));
+            if !self.sumo_pairs.contains(&pair) {
+                self.sumo_pairs.push(pair);
+            }
+        }
+        let task = &*self.task;
+        let scenario = &task.scenario;
+        let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
+        let mut sum = 0.0;
+        for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
+            let route = &task.routes[slot.route];
+            slot.arrived = slot.s >= route.arrival;
+            let lane = route.path.widths[slot.segment];
+            slot.out_of_road = slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN;
+            slot.crashed = self.involved[i];
+            // The first that applies replaces the step's reward; several flags may hold at once.
+            let reward = if slot.arrived {
+                scenario.reward.arrive
+            } else if slot.out_of_road {
+                scenario.reward.out_of_road
+            } else if slot.crashed {
+                scenario.reward.crash
+            } else {
+                scenario.reward.progress * (slot.s - self.positions[i]) + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT
+            };
+            self.own_rewards[i] = reward;
+            sum += reward;
+            if slot.arrived || slot.out_of_road || slot.crashed {
+                self.frame.terminated[i] = 1.0;
+                slot.status = if slot.arrived { Status::Empty } else { Status::Wreck };
+                slot.wreck_steps = wreck_steps;
+                slot.speed = 0.0;
+            }
+        }
+        self.total_reward += sum / task.agents as f64;
+        self.step_rewards.push((sum / task.agents as f64) as f32);
+        Ok(())
+    }
+
+    /// Boxes of active vehicles against all others on the road, at fractions of the step.
+    fn find_collisions(&mut self) {
+        let slots = &self.traffic.slots;
+        let vehicle = &self.task.scenario.vehicle;
+        self.involved.fill(false);
+        for i in 0..slots.len() {
+            for j in 0..i {
+                let on_road = |k: usize| slots[k].status != Status::Empty && slots[k].departed;
+                let moving = |k: usize| slots[k].status == Status::Active;
+                if !on_road(i) || !on_road(j) || !(moving(i) || moving(j)) {
+                    continue;
+                }
+                let reach = vehicle.length + vehicle.width;
+                let travelled = slots[i].pose.distance(&slots[i].before) + slots[j].pose.distance(&slots[j].before);
+                if slots[i].pose.distance(&slots[j].pose) > reach + travelled {
+                    continue;
+                }
+                let hit = (1..=SUBSTEPS).any(|k| {
+                    let t = f64::from(k) / f64::from(SUBSTEPS);
+                    let (a, b) = (slots[i].before.towards(&slots[i].pose, t), slots[j].before.towards(&slots[j].pose, t));
+                    boxes_overlap(&a, &b, vehicle.length, vehicle.width)
+                });
+                if hit {
+                    self.involved[i] = true;
+                    self.involved[j] = true;
+                    let pair = (j as u32, i as u32);
+                    if !self.own_pairs.contains(&pair) {
+                        self.own_pairs.push(pair);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Cooperative mix: (1 − λ) · own + λ / N · (sum over agents within communication range, itself included).
+    fn mix_rewards(&mut self) {
+        let n = self.own_rewards.len();
+        let lambda = self.task.scenario.reward.cooperation;
+        let range = self.task.scenario.communication.range;
+        let slots = &self.traffic.slots;
+        for i in 0..n {
+            let mut near = 0.0;
+            if lambda > 0.0 {
+                for j in 0..n {
+                    // Agents that have just arrived are off the road, but their last reward counts.
+                    if i == j || slots[i].pose.distance(&slots[j].pose) <= range {
+                        near += self.own_rewards[j];
+                    }
+                }
+            }
+            self.frame.reward[i] = ((1.0 - lambda) * self.own_rewards[i] + lambda * near / n as f64) as f32;
+        }
+    }
+
+    fn record(&mut self, interrupted: bool) -> EpisodeRecord {
+        let n = self.task.agents as f64;
+        let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
+        let success = share(|slot| slot.arrived);
+        let danger = share(|slot| slot.crashed || slot.out_of_road);
+        EpisodeRecord {
+            episode: self.episode,
+            episode_length: self.step,
+            success,
+            safety: 1.0 - danger,
+            crash: share(|slot| slot.crashed),
+            out_of_road: share(|slot| slot.out_of_road),
+            reward: self.total_reward,
+            efficiency: (success - danger) * n / f64::from(self.step.max(1)),
+            sumo_collisions: self.sumo_pairs.len() as u32,
+            own_collisions: self.own_pairs.len() as u32,
+            interrupted,
+            step_rewards: std::mem::take(&mut self.step_rewards),
+        }
+    }
+}
+
+/// The pose at `lateral` metres to the left of a point.
+fn offset(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
+    let (sin, cos) = heading.sin_cos();
+    Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
+}

@@ -1,0 +1,293 @@
+//! Headless evaluation: deterministic policies on seeds of their own, and the policies that need no training.
+//!
+//! Episode `i` depends on `(seed, i)` alone, so results do not depend on how many worlds share the work.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rand::RngExt as _;
+use serde::Serialize;
+use tch::{Device, Kind, Tensor};
+
+use crate::algo::{ActMode, Algorithm, Observation};
+use crate::env::{self, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
+use crate::rng::{self, Seed};
+use crate::stats::Estimate;
+
+/// Steps of the window over which the paper sums rewards.
+pub const WINDOW: usize = 1000;
+
+/// Who drives.
+pub enum Policy<'a> {
+    /// The same throttle in every step.
+    Throttle(f32),
+    /// Standard normal actions (clipped by the environment), as an untrained policy gives.
+    Gaussian,
+    /// Actions uniform in −1..1.
+    Uniform,
+    /// SUMO's own driver and right of way.
+    Sumo,
+    /// A trained policy's mean actions.
+    Learned(&'a dyn Algorithm),
+}
+
+/// Names of the policies that need no training, as on the command line.
+pub const POLICIES: [&str; 4] = ["throttle:<a>", "gaussian", "uniform", "sumo"];
+
+impl Policy<'static> {
+    /// A policy that needs no training, by its name on the command line.
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "gaussian" => Some(Self::Gaussian),
+            "uniform" => Some(Self::Uniform),
+            "sumo" => Some(Self::Sumo),
+            _ => {
+                let throttle: f32 = name.strip_prefix("throttle:")?.parse().ok()?;
+                (-1.0..=1.0).contains(&throttle).then_some(Self::Throttle(throttle))
+            }
+        }
+    }
+}
+
+/// What an evaluation found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation {
+    /// The episodes that were asked for, in order.
+    pub episodes: Vec<EpisodeRecord>,
+    /// Reward per agent summed over windows of [`WINDOW`] steps, each starting with a fresh episode.
+    pub windows: Vec<f64>,
+}
+
+/// Means with 95 % intervals, the episode (or the window) being the unit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Share of agents that arrived.
+    pub success: Estimate,
+    /// Share of agents that neither crashed nor left the road.
+    pub safety: Estimate,
+    /// Share of agents that crashed.
+    pub crash: Estimate,
+    /// Share of agents that left the road.
+    pub out_of_road: Estimate,
+    /// Reward per agent and episode.
+    pub reward: Estimate,
+    /// Reward per agent over [`WINDOW`] steps with automatic reset (the paper's "Rewards").
+    pub window_reward: Estimate,
+    /// Steps.
+    pub episode_length: Estimate,
+    /// (success − danger) · N / steps.
+    pub efficiency: Estimate,
+    /// Colliding pairs per episode in SUMO's own report.
+    pub sumo_collisions: Estimate,
+}
+
+impl Evaluation {
+    /// Summary; `None` without episodes.
+    pub fn metrics(&self) -> Option<Metrics> {
+        let column = |of: fn(&EpisodeRecord) -> f64| self.episodes.iter().map(of).collect::<Vec<_>>();
+        Some(Metrics {
+            success: Estimate::rate(&column(|r| r.success))?,
+            safety: Estimate::rate(&column(|r| r.safety))?,
+            crash: Estimate::rate(&column(|r| r.crash))?,
+            out_of_road: Estimate::rate(&column(|r| r.out_of_road))?,
+            reward: Estimate::t(&column(|r| r.reward))?,
+            window_reward: Estimate::t(&self.windows)?,
+            episode_length: Estimate::t(&column(|r| f64::from(r.episode_length)))?,
+            efficiency: Estimate::t(&column(|r| r.efficiency))?,
+            sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
+        })
+    }
+}
+
+/// Plays `episodes` episodes of the stream `seed` and as many more as the first window needs.
+///
+/// `report` is told the number of finished episodes now and then; `stop` ends early with what there is.
+///
+/// # Errors
+/// When SUMO fails twice in a row.
+pub fn evaluate(
+    task: &Arc<Task>,
+    policy: &Policy<'_>,
+    episodes: u64,
+    seed: Seed,
+    stop: &AtomicBool,
+    report: &mut dyn FnMut(u64),
+) -> Result<Evaluation, env::Error> {
+    let mut records = play(task, policy, 0..episodes, seed, stop, report)?;
+    let mut extra: Vec<EpisodeRecord> = Vec::new();
+    loop {
+        let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
+        let windows = windows(&all);
+        let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
+        if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
+            records.sort_by_key(|record| record.episode);
+            return Ok(Evaluation { episodes: records, windows });
+        }
+        let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
+        let next = episodes + extra.len() as u64;
+        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, stop, &mut |_| {})?);
+    }
+}
+
+/// Sums of the mean reward over consecutive windows; each starts with a fresh episode and cuts its last one.
+fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
+    let mut sums = Vec::new();
+    let (mut sum, mut steps) = (0.0, 0);
+    for record in records {
+        let take = record.step_rewards.len().min(WINDOW - steps);
+        sum += record.step_rewards[..take].iter().map(|&r| f64::from(r)).sum::<f64>();
+        steps += take;
+        if steps == WINDOW {
+            sums.push(sum);
+            (sum, steps) = (0.0, 0);
+        }
+    }
+    sums
+}
+
+/// Plays a range of episodes of the stream `seed`, in order of their numbers; interrupted ones are played again.
+fn play(
+    task: &Arc<Task>,
+    policy: &Policy<'_>,
+    episodes: Range<u64>,
+    seed: Seed,
+    stop: &AtomicBool,
+    report: &mut dyn FnMut(u64),
+) -> Result<Vec<EpisodeRecord>, env::Error> {
+    let cores = std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
+    let worlds = (8 * cores as u64).min(episodes.end - episodes.start) as usize;
+    let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+    let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone() };
+    let mut records = Vec::new();
+    if worlds == 0 {
+        return Ok(records);
+    }
+    let mut env = VecEnv::new(task, &options)?;
+    let mut driver = PolicyDriver::new(policy, task, worlds, seed.child("actions"));
+    while !env.is_finished() && !stop.load(Ordering::Relaxed) {
+        let actions = driver.act(env.worlds());
+        env.step(actions)?;
+        let finished = env.take_finished();
+        if !finished.is_empty() {
+            records.extend(finished);
+            report(records.iter().filter(|r: &&EpisodeRecord| !r.interrupted).count() as u64);
+        }
+    }
+    drop(env);
+    let again: Vec<u64> = records.iter().filter(|r| r.interrupted).map(|r| r.episode).collect();
+    records.retain(|record| !record.interrupted);
+    for episode in again {
+        records.extend(play(task, policy, episode..episode + 1, seed, stop, &mut |_| {})?);
+    }
+    records.sort_by_key(|record| record.episode);
+    Ok(records)
+}
+
+/// Turns frames into actions, without randomness that depends on anything but seed, episode and step.
+struct PolicyDriver<'a> {
+    policy: &'a Policy<'a>,
+    task: &'a Task,
+    seed: Seed,
+    actions: Vec<f32>,
+    observation: Vec<f32>,
+    comm: Vec<f32>,
+    start: Vec<f32>,
+    memory: Tensor,
+}
+
+impl<'a> PolicyDriver<'a> {
+    fn new(policy: &'a Policy<'a>, task: &'a Task, worlds: usize, seed: Seed) -> Self {
+        let n = task.agents;
+        let memory = if let Policy::Learned(learner) = policy { learner.memory() } else { 0 };
+        Self {
+            policy,
+            task,
+            seed,
+            actions: vec![0.0; worlds * n * task.spec.actions],
+            observation: vec![0.0; worlds * n * task.spec.observation.len()],
+            comm: vec![0.0; worlds * n * n],
+            start: vec![0.0; worlds],
+            memory: Tensor::zeros([worlds as i64, n as i64, memory as i64], (Kind::Float, Device::Cpu)),
+        }
+    }
+
+    fn act<'w>(&mut self, worlds: impl Iterator<Item = &'w World>) -> &[f32] {
+        let width = self.task.agents * self.task.spec.actions;
+        match self.policy {
+            Policy::Throttle(throttle) => self.actions.fill(*throttle),
+            Policy::Sumo => {}
+            Policy::Gaussian | Policy::Uniform => {
+                for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
+                    let mut rng = self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
+                    if matches!(self.policy, Policy::Gaussian) {
+                        rng::fill_normal(&mut rng, actions);
+                    } else {
+                        actions.iter_mut().for_each(|a| *a = rng.random_range(-1.0..1.0));
+                    }
+                }
+            }
+            Policy::Learned(learner) => {
+                let n = self.task.agents;
+                let copy = |from: &[f32], to: &mut [f32], e: usize| to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
+                for (e, world) in worlds.enumerate() {
+                    let frame: &Frame = world.frame();
+                    copy(&frame.observation, &mut self.observation, e);
+                    copy(&frame.comm, &mut self.comm, e);
+                    self.start[e] = f32::from(u8::from(frame.start));
+                }
+                let (e, n) = (self.start.len() as i64, n as i64);
+                let decision = learner.act(
+                    &Observation {
+                        observation: Tensor::from_slice(&self.observation).view([e, n, -1]),
+                        comm: Tensor::from_slice(&self.comm).view([e, n, n]),
+                        start: Tensor::from_slice(&self.start),
+                        memory: self.memory.shallow_clone(),
+                    },
+                    &ActMode::Deterministic,
+                );
+                self.memory = decision.memory;
+                let count = self.actions.len();
+                decision.action.reshape([-1]).copy_data(&mut self.actions, count);
+            }
+        }
+        &self.actions
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
+        EpisodeRecord {
+            episode,
+            episode_length: rewards.len() as u32,
+            success: 1.0,
+            safety: 1.0,
+            crash: 0.0,
+            out_of_road: 0.0,
+            reward: 0.0,
+            efficiency: 0.0,
+            sumo_collisions: 0,
+            own_collisions: 0,
+            interrupted: false,
+            step_rewards: rewards.to_vec(),
+        }
+    }
+
+    #[test]
+    fn windows_start_fresh_and_cut_the_last_episode() {
+        let records = [record(0, &[1.0; 600]), record(1, &[2.0; 600]), record(2, &[3.0; 999]), record(3, &[4.0; 500])];
+        // 600 · 1 + 400 · 2, then a fresh start with the third episode: 999 · 3 + 1 · 4; the rest is no whole window.
+        assert_eq!(windows(&records.iter().collect::<Vec<_>>()), vec![1400.0, 3001.0]);
+    }
+
+    #[test]
+    fn policies_by_name() {
+        assert!(matches!(Policy::by_name("throttle:-0.5"), Some(Policy::Throttle(a)) if a == -0.5));
+        for bad in ["throttle:2", "throttle:nan", "throttle", "Gaussian", ""] {
+            assert!(Policy::by_name(bad).is_none(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Multi-vehicle coordination in SUMO.
+//!
+//! Debian's SUMO simulates the traffic; this crate drives the ego vehicles in lock-step with it, and trains agents that
+//! learn to coordinate: IWoL (implicit and explicit) and its baselines.
+//!
+//! - [`sumo`]: TraCI client, SUMO processes, nets
+//! - [`scenario`]: what a task is, as data
+//! - [`env`]: the multi-agent environments
+//! - [`nn`], [`rollout`], [`algo`]: the learners
+//! - [`config`], [`train`], [`evaluate`], [`checkpoint`], [`record`], [`plot`]: running them
+
+pub mod algo;
+pub mod checkpoint;
+pub mod config;
+pub mod env;
+pub mod evaluate;
+pub mod nn;
+pub mod plot;
+pub mod record;
+pub mod rng;
+pub mod rollout;
+pub mod scenario;
+pub mod stats;
+pub mod suggest;
+pub mod sumo;
+pub mod train;

@@ -1,0 +1,152 @@
+//! The learned communication graph: who listens to whom.
+//!
+//! Additive attention scores each ordered pair, a hard Gumbel-softmax turns the score into an edge with a straight-through
+//! gradient, and the physical mask removes what cannot be heard (paper, "Graph-attention Communication Protocol"; MAGIC,
+//! Niu et al. 2021). Where the noise is given by the caller it can be stored and replayed, so that an update sees the
+//! graphs of its rollout.
+
+use std::f64::consts::SQRT_2;
+
+use tch::{Kind, Tensor};
+
+use super::{Init, Mlp, Path};
+
+/// Scores pairs of agents and decides on edges.
+#[derive(Debug)]
+pub struct CommGraph {
+    base: Mlp,
+    receiver: Tensor,
+    sender: Tensor,
+    slope: f64,
+    temperature: f64,
+}
+
+impl CommGraph {
+    /// A graph over features of width `hidden`, with a trunk of its own of the same width. `slope` is that of the leaky
+    /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `temperature` that
+    /// of the straight-through gradient.
+    pub fn new(mut path: Path<'_>, hidden: i64, slope: f64, temperature: f64) -> Self {
+        let base = Mlp::new(path.sub("base"), hidden, hidden, 1);
+        let init = Init::XavierNormal(SQRT_2);
+        let receiver = path.create("receiver", &[1, hidden], init);
+        CommGraph {
+            base,
+            receiver,
+            sender: path.create("sender", &[1, hidden], init),
+            slope,
+            temperature,
+        }
+    }
+
+    /// Scores `e: [B, N, N]` from features `f: [B, N, H]`; `e[b, i, j]` speaks for `i` listening to `j`, and the
+    /// probability of that edge is `sigmoid(e)`.
+    pub fn scores(&self, f: &Tensor) -> Tensor {
+        let halves = self
+            .base
+            .forward(f)
+            .linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
+        let sum = halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2);
+        &sum * self.slope + sum.relu() * (1.0 - self.slope)
+    }
+
+    /// The graph `G: [B, N, N]` for features `f: [B, N, H]`, with values exactly 0 or 1 and the gradient of the
+    /// soft sample; row `i` holds those whom `i` listens to.
+    ///
+    /// `physical: [B, N, N]` (any kind; 0 cuts) removes edges; agents always listen to themselves, also dead ones.
+    /// `noise: [B, N, N]` is logistic (the difference of two Gumbel variables); without it an edge exists where its
+    /// probability exceeds one half.
+    pub fn forward(&self, f: &Tensor, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
+        let mut scores = self.scores(f);
+        if let Some(noise) = noise {
+            scores += noise;
+        }
+        let soft = (&scores / self.temperature).sigmoid();
+        let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
+        with_self_loops(&(learned * physical.to_kind(Kind::Float)))
+    }
+}
+
+/// `graph: [B, N, N]` (floating point) with its diagonal set to 1; no gradient flows through the diagonal.
+pub fn with_self_loops(graph: &Tensor) -> Tensor {
+    let eye = Tensor::eye(graph.size()[1], (Kind::Float, graph.device()));
+    graph * (1.0 - &eye) + eye
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+    use crate::nn::Params;
+    use crate::rng::{Seed, fill_logistic};
+
+    const CPU: (Kind, Device) = (Kind::Float, Device::Cpu);
+
+    fn uniform(shape: &[i64], seed: u64) -> Tensor {
+        let values = Init::Uniform(0.5).sample(shape, &mut Seed::new(seed).rng());
+        Tensor::from_slice(&values).view(shape) * 0.999 + 0.5
+    }
+
+    fn logistic(shape: &[i64], seed: u64) -> Tensor {
+        let mut noise = vec![0.0; shape.iter().product::<i64>() as usize];
+        fill_logistic(&mut Seed::new(seed).rng(), &mut noise);
+        Tensor::from_slice(&noise).view(shape)
+    }
+
+    fn scheduler() -> CommGraph {
+        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 0.2, 1.0)
+    }
+
+    #[test]
+    fn edges_are_zero_or_one_and_follow_the_physical_mask() {
+        let f = uniform(&[40, 6, 5], 1);
+        let noise = logistic(&[40, 6, 6], 2);
+        let physical = uniform(&[40, 6, 6], 3).gt(0.3);
+        for noise in [Some(&noise), None] {
+            let graph = scheduler().forward(&f, &physical, noise);
+            assert!(
+                (graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0,
+                "values are exactly 0 or 1"
+            );
+            assert!(
+                graph.diagonal(0, 1, 2).eq(1.0).all().int64_value(&[]) != 0,
+                "self loops"
+            );
+            let off_diagonal: Tensor = 1.0 - Tensor::eye(6, CPU);
+            let cut: Tensor = physical.logical_not().to_kind(Kind::Float) * off_diagonal;
+            assert_eq!((&graph * cut).sum(Kind::Float).double_value(&[]), 0.0, "cut edges");
+            let edges = graph.sum(Kind::Float).double_value(&[]);
+            assert!(edges > 240.0 + 50.0, "some edges exist beside the self loops: {edges}");
+        }
+    }
+
+    #[test]
+    fn edges_appear_as_often_as_their_probability_says() {
+        let (f, scheduler) = (uniform(&[1, 4, 5], 4), scheduler());
+        let (draws, all) = (20_000, Tensor::ones([1, 4, 4], CPU));
+        let f_many = f.expand([draws, 4, 5], false);
+        let noise = logistic(&[draws, 4, 4], 5);
+        let frequency = scheduler
+            .forward(&f_many, &all, Some(&noise))
+            .mean_dim(0, false, Kind::Float);
+        let expected = with_self_loops(&scheduler.scores(&f).sigmoid()).get(0);
+        let worst = (frequency - expected).abs().max().double_value(&[]);
+        assert!(worst < 0.02, "{worst}");
+    }
+
+    #[test]
+    fn gradient_reaches_the_scores_through_possible_edges_only() {
+        let f = uniform(&[50, 3, 5], 7).set_requires_grad(true);
+        let physical = Tensor::from_slice(&[1_f32, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]).view([1, 3, 3]);
+        let graph = scheduler().forward(&f, &physical, Some(&logistic(&[50, 3, 3], 8)));
+        let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false)
+            .remove(0)
+            .transpose(0, 1);
+        assert!(gradient.get(0).abs().max().double_value(&[]) > 0.0);
+        assert_eq!(
+            gradient.get(2).abs().max().double_value(&[]),
+            0.0,
+            "the third agent is dead"
+        );
+    }
+}

@@ -1,0 +1,38 @@
+//! Neural building blocks on libtorch: what the learners of `algo` are made of.
+//!
+//! A layer is a small struct that owns shallow copies of its tensors; the tensors themselves are registered by name,
+//! in order, in a [`Params`] store, which is what optimisers ([`optim::Adam`]) and checkpoints see. Initial weights and
+//! all sampling noise come from a Rust generator, never from libtorch's global one, so a run is a function of its seed.
+//! All tensors are `f32` unless a doc says otherwise.
+//!
+//! Shapes in the docs: `B` batch, `N` agents, `L` steps of a sequence, `T` tokens, `H` hidden width, `d` token width.
+
+pub mod attention;
+pub mod distributions;
+pub mod entity;
+mod error;
+pub mod graph;
+pub mod gru;
+pub mod init;
+pub mod linear;
+pub mod mlp;
+pub mod norm;
+pub mod optim;
+pub mod params;
+pub mod transformer;
+pub mod value_norm;
+
+pub use attention::{Mask, SelfAttention};
+pub use distributions::{gaussian_entropy, gaussian_log_prob};
+pub use entity::{Entity, TokenGroup};
+pub use error::{Error, ensure_finite};
+pub use graph::CommGraph;
+pub use gru::Gru;
+pub use init::Init;
+pub use linear::Linear;
+pub use mlp::Mlp;
+pub use norm::LayerNorm;
+pub use optim::{Adam, AdamConfig};
+pub use params::{Params, Path};
+pub use transformer::{GraphTransformer, MaskMode};
+pub use value_norm::ValueNorm;

@@ -1,0 +1,239 @@
+//! Adam with its state in our hands.
+//!
+//! libtorch's optimisers cannot be saved from tch, so a resumed run would not equal an uninterrupted one. This one keeps
+//! parameters, gradients and moments as flat tensors: clipping and a step are a handful of operations however many
+//! parameters there are. The gradients of the parameters are views of the flat gradient, into which `loss.backward()`
+//! accumulates.
+
+use tch::{Kind, Tensor};
+
+use super::params::{match_by_name, views};
+use super::{Error, Params};
+
+/// Coefficients of [`Adam`]; the learning rate is given at each step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AdamConfig {
+    /// Decay of the mean of gradients.
+    pub beta1: f64,
+    /// Decay of the mean of squared gradients.
+    pub beta2: f64,
+    /// Added to the root of the second moment. Default 1e-5, as in MAPPO (PyTorch's is 1e-8).
+    pub eps: f64,
+}
+
+impl Default for AdamConfig {
+    fn default() -> Self {
+        AdamConfig {
+            beta1: 0.9,
+            beta2: 0.999,
+            eps: 1e-5,
+        }
+    }
+}
+
+/// Adam (Kingma and Ba 2015) with PyTorch's bias correction, over all parameters of one store.
+#[derive(Debug)]
+pub struct Adam {
+    config: AdamConfig,
+    names: Vec<String>,
+    shapes: Vec<Vec<i64>>,
+    weights: Tensor,
+    gradient: Tensor,
+    first: Tensor,
+    second: Tensor,
+    steps: i64,
+}
+
+impl Adam {
+    /// An optimiser of `params` with the default coefficients. The parameters are flattened: the network must be complete.
+    ///
+    /// # Panics
+    /// If there are no parameters (a bug).
+    pub fn new(params: &mut Params) -> Self {
+        Adam::with_config(params, AdamConfig::default())
+    }
+
+    /// As [`Adam::new`], with other coefficients.
+    ///
+    /// # Panics
+    /// If there are no parameters (a bug).
+    pub fn with_config(params: &mut Params, config: AdamConfig) -> Self {
+        let weights = params.flatten();
+        let (gradient, shapes) = (weights.zeros_like(), params.shapes());
+        // A first backward pass makes libtorch create the gradients, whose memory is then exchanged for the views.
+        let all: Vec<Tensor> = params.named().iter().map(|(_, t)| t.sum(Kind::Float)).collect();
+        Tensor::stack(&all, 0).sum(Kind::Float).backward();
+        for ((_, parameter), view) in params.named().iter().zip(views(&gradient, &shapes)) {
+            parameter.grad().set_data(&view);
+        }
+        Adam {
+            config,
+            names: params.named().iter().map(|(name, _)| name.clone()).collect(),
+            shapes,
+            gradient,
+            first: weights.zeros_like(),
+            second: weights.zeros_like(),
+            weights,
+            steps: 0,
+        }
+    }
+
+    /// Sets the gradient to zero. [`Adam::step`] does so too.
+    pub fn zero_grad(&mut self) {
+        let _ = tch::no_grad(|| self.gradient.zero_());
+    }
+
+    /// Scales the gradient so that its Euclidean norm is at most `max` (as PyTorch's `clip_grad_norm_`), and returns the
+    /// norm before. A norm that is not finite is returned with the gradient untouched: do not step then.
+    pub fn clip_grad_norm(&mut self, max: f64) -> f64 {
+        let norm = self.gradient.norm().double_value(&[]);
+        let coefficient = max / (norm + 1e-6);
+        if norm.is_finite() && coefficient < 1.0 {
+            let _ = tch::no_grad(|| self.gradient.multiply_scalar_(coefficient));
+        }
+        norm
+    }
+
+    /// Moves the parameters against the gradient with learning rate `lr`, then sets the gradient to zero.
+    ///
+    /// The parameters change in place, unseen by libtorch's own checks: differentiate every loss before this.
+    pub fn step(&mut self, lr: f64) {
+        let AdamConfig { beta1, beta2, eps } = self.config;
+        self.steps += 1;
+        let correction1 = 1.0 - beta1.powf(self.steps as f64);
+        let correction2 = (1.0 - beta2.powf(self.steps as f64)).sqrt();
+        tch::no_grad(|| {
+            let _ = self.first.lerp_(&self.gradient, 1.0 - beta1);
+            let _ = self.second.lerp_(&self.gradient.square_(), 1.0 - beta2);
+            // lr / c1 * m / (sqrt(v) / c2 + eps), with c2 moved out of the denominator
+            let mut denominator = self.second.sqrt();
+            denominator += eps * correction2;
+            let _ = self
+                .weights
+                .addcdiv_(&(&self.first * (-lr * correction2 / correction1)), &denominator);
+            let _ = self.gradient.zero_();
+        });
+    }
+
+    /// Moments and step count by name, for a checkpoint: `<parameter>.m`, `<parameter>.v` and `step` (`i64`). The
+    /// tensors are views: copy or write them before the next step.
+    pub fn state(&self) -> Vec<(String, Tensor)> {
+        let mut state = vec![("step".to_owned(), Tensor::from(self.steps))];
+        for (suffix, flat) in [("m", &self.first), ("v", &self.second)] {
+            let named = self.names.iter().zip(views(flat, &self.shapes));
+            state.extend(named.map(|(name, view)| (format!("{name}.{suffix}"), view)));
+        }
+        state
+    }
+
+    /// Restores what [`Adam::state`] gave. Nothing is changed if there is an error.
+    ///
+    /// # Errors
+    /// [`Error::Missing`], [`Error::Unexpected`] or [`Error::Shape`] if the state is of other parameters.
+    pub fn load_state(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        let own = self.state();
+        let pairs = match_by_name(&own, state)?;
+        self.steps = pairs[0].1.int64_value(&[]).max(0);
+        for (own, value) in &pairs[1..] {
+            own.shallow_clone().copy_(value);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+    use crate::nn::Mlp;
+    use crate::rng::Seed;
+
+    fn network() -> (Params, Mlp, Tensor) {
+        let mut params = Params::new(Device::Cpu);
+        let mlp = Mlp::new(params.root(&mut Seed::new(1).rng()), 4, 8, 1);
+        (
+            params,
+            mlp,
+            Tensor::linspace(-1.0, 1.0, 12, (Kind::Float, Device::Cpu))
+                .view([3, 4])
+                .sin(),
+        )
+    }
+
+    fn loss(mlp: &Mlp, x: &Tensor) -> Tensor {
+        (mlp.forward(x) - 0.5).square().mean(Kind::Float)
+    }
+
+    fn bits(params: &Params) -> Vec<u32> {
+        let flat: Vec<Tensor> = params.named().iter().map(|(_, t)| t.detach().reshape([-1])).collect();
+        Vec::<f32>::try_from(Tensor::cat(&flat, 0))
+            .unwrap()
+            .into_iter()
+            .map(f32::to_bits)
+            .collect()
+    }
+
+    #[test]
+    fn learns_and_a_rate_of_zero_does_not() {
+        let (mut params, mlp, x) = network();
+        let mut adam = Adam::new(&mut params);
+        let (start, before) = (bits(&params), loss(&mlp, &x).double_value(&[]));
+        for _ in 0..10 {
+            loss(&mlp, &x).backward();
+            adam.step(0.0);
+        }
+        assert_eq!(start, bits(&params));
+        for _ in 0..100 {
+            loss(&mlp, &x).backward();
+            adam.step(1e-2);
+        }
+        let after = loss(&mlp, &x).double_value(&[]);
+        assert!(after < 0.05 * before, "{before} -> {after}");
+    }
+
+    #[test]
+    fn resuming_is_bit_equal() {
+        let train = |adam: &mut Adam, mlp: &Mlp, x: &Tensor, steps: i32| {
+            for _ in 0..steps {
+                loss(mlp, x).backward();
+                adam.clip_grad_norm(0.1);
+                adam.step(1e-3);
+            }
+        };
+        let (mut params, mlp, x) = network();
+        let mut adam = Adam::new(&mut params);
+        train(&mut adam, &mlp, &x, 3);
+        let (mut params_2, mlp_2, _) = network();
+        let mut adam_2 = Adam::new(&mut params_2);
+        params_2.copy_from(params.named()).unwrap();
+        adam_2.load_state(&adam.state()).unwrap();
+        train(&mut adam, &mlp, &x, 3);
+        train(&mut adam_2, &mlp_2, &x, 3);
+        assert_eq!(bits(&params), bits(&params_2));
+        let state = adam.state();
+        assert!(matches!(adam.load_state(&state[1..]), Err(Error::Missing { name }) if name == "step"));
+    }
+
+    #[test]
+    fn gradients_add_up_and_unused_parameters_get_none() {
+        let (mut params, mlp, x) = network();
+        let rest = params
+            .root(&mut Seed::new(2).rng())
+            .create("unused", &[3], crate::nn::Init::Constant(1.0));
+        let mut adam = Adam::new(&mut params);
+        loss(&mlp, &x).backward();
+        let norm = adam.clip_grad_norm(f64::INFINITY);
+        loss(&mlp, &x).backward();
+        let twice = adam.clip_grad_norm(norm);
+        assert!((twice - 2.0 * norm).abs() < 1e-6 * norm);
+        assert!((adam.clip_grad_norm(1e9) - norm).abs() < 1e-4 * norm);
+        adam.step(0.1);
+        assert_eq!(Vec::<f32>::try_from(&rest.detach()).unwrap(), [1.0; 3]);
+        assert_eq!(adam.clip_grad_norm(1.0), 0.0, "a step clears the gradient");
+        loss(&mlp, &x).backward();
+        assert!(adam.clip_grad_norm(1.0) > 0.0, "gradients still arrive after a step");
+        adam.zero_grad();
+        assert_eq!(adam.clip_grad_norm(1.0), 0.0);
+    }
+}

@@ -1,0 +1,339 @@
+//! The parameters of a network: named, ordered tensors.
+//!
+//! tch's own `VarStore` keeps its variables in an unordered map and its optimisers hide their state; resuming a run bit
+//! for bit needs both in our hands. A [`Params`] keeps the order of creation, and once [`Params::flatten`] has run
+//! (an optimiser does so) all tensors are views of one flat tensor, so that an update is a few operations in all
+//! instead of a few for each parameter.
+
+use std::collections::{HashMap, HashSet};
+use std::fmt::Display;
+
+use tch::{Device, Tensor};
+
+use super::{Error, Init};
+use crate::rng::Rng;
+
+/// Named parameters in the order of their creation. All require gradients and are `f32`.
+#[derive(Debug)]
+pub struct Params {
+    device: Device,
+    named: Vec<(String, Tensor)>,
+    flat: Option<Tensor>,
+}
+
+impl Params {
+    /// An empty store whose parameters will live on `device`.
+    pub fn new(device: Device) -> Self {
+        Params {
+            device,
+            named: Vec::new(),
+            flat: None,
+        }
+    }
+
+    /// The place where the parameters of a network are created; initial values are drawn from `rng`.
+    pub fn root<'a>(&'a mut self, rng: &'a mut Rng) -> Path<'a> {
+        Path {
+            params: self,
+            rng,
+            prefix: String::new(),
+        }
+    }
+
+    /// Where the parameters live.
+    pub fn device(&self) -> Device {
+        self.device
+    }
+
+    /// Every parameter with its name, such as `actor.base.layers.0.linear.weight`, in the order of creation.
+    pub fn named(&self) -> &[(String, Tensor)] {
+        &self.named
+    }
+
+    /// Number of scalar weights.
+    pub fn count(&self) -> i64 {
+        self.named.iter().map(|(_, t)| t.numel() as i64).sum()
+    }
+
+    /// Overwrites the values with those of `tensors`, matched by name. Nothing is changed if there is an error.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] or [`Error::Unexpected`] if the sets of names differ, [`Error::Shape`] if a shape does.
+    pub fn copy_from(&self, tensors: &[(String, Tensor)]) -> Result<(), Error> {
+        for (own, value) in match_by_name(&self.named, tensors)? {
+            tch::no_grad(|| own.shallow_clone().copy_(value));
+        }
+        Ok(())
+    }
+
+    /// A second store with the same names, order and values, that shares no memory with this one.
+    #[must_use]
+    pub fn deep_copy(&self) -> Params {
+        let copy = |t: &Tensor| t.detach().copy().set_requires_grad(true);
+        let named = self.named.iter().map(|(name, t)| (name.clone(), copy(t))).collect();
+        let mut params = Params {
+            device: self.device,
+            named,
+            flat: None,
+        };
+        if self.flat.is_some() {
+            let _ = params.flatten();
+        }
+        params
+    }
+
+    /// Moves every value towards that in `other` by the fraction `weight`: averaged weights, target networks.
+    ///
+    /// # Panics
+    /// If the stores do not have the same names and shapes in the same order (a bug).
+    pub fn lerp_from(&self, other: &Params, weight: f64) {
+        let same = |(a, b): (&(String, Tensor), &(String, Tensor))| a.0 == b.0 && a.1.size() == b.1.size();
+        assert!(
+            self.named.len() == other.named.len() && self.named.iter().zip(&other.named).all(same),
+            "averaged weights are of another network"
+        );
+        tch::no_grad(|| {
+            if let (Some(own), Some(other)) = (&self.flat, &other.flat) {
+                let _ = own.shallow_clone().lerp_(other, weight);
+            } else {
+                for ((_, own), (_, other)) in self.named.iter().zip(&other.named) {
+                    let _ = own.shallow_clone().lerp_(other, weight);
+                }
+            }
+        });
+    }
+
+    /// Moves all parameters into one flat tensor `[count]`, of which they become views, and returns that tensor.
+    /// Layers that hold the parameters see the change. From then on no parameter can be added.
+    ///
+    /// # Panics
+    /// If the store is empty (a bug).
+    pub fn flatten(&mut self) -> Tensor {
+        if let Some(flat) = &self.flat {
+            return flat.shallow_clone();
+        }
+        let parts: Vec<Tensor> = self.named.iter().map(|(_, t)| t.detach().reshape([-1])).collect();
+        let flat = Tensor::cat(&parts, 0);
+        let views = views(&flat, &self.shapes());
+        for ((_, own), view) in self.named.iter_mut().zip(views) {
+            own.set_data(&view);
+        }
+        self.flat = Some(flat.shallow_clone());
+        flat
+    }
+
+    /// The shape of every parameter, in order.
+    pub(super) fn shapes(&self) -> Vec<Vec<i64>> {
+        self.named.iter().map(|(_, t)| t.size()).collect()
+    }
+}
+
+/// Cuts a flat tensor into consecutive views of the given shapes.
+pub(super) fn views(flat: &Tensor, shapes: &[Vec<i64>]) -> Vec<Tensor> {
+    let mut start = 0;
+    let cut = |shape: &Vec<i64>| {
+        let length = shape.iter().product();
+        let view = flat.narrow(0, start, length).view(shape.as_slice());
+        start += length;
+        view
+    };
+    shapes.iter().map(cut).collect()
+}
+
+/// Pairs each tensor of `own` with the one of the same name in `given`; the sets of names and the shapes must agree.
+pub(super) fn match_by_name<'a>(
+    own: &'a [(String, Tensor)],
+    given: &'a [(String, Tensor)],
+) -> Result<Vec<(&'a Tensor, &'a Tensor)>, Error> {
+    let names: HashSet<&str> = own.iter().map(|(name, _)| name.as_str()).collect();
+    if let Some((name, _)) = given.iter().find(|(name, _)| !names.contains(name.as_str())) {
+        return Err(Error::Unexpected { name: name.clone() });
+    }
+    let by_name: HashMap<&str, &Tensor> = given.iter().map(|(name, t)| (name.as_str(), t)).collect();
+    let pair = |(name, own): &'a (String, Tensor)| {
+        let value = *by_name
+            .get(name.as_str())
+            .ok_or_else(|| Error::Missing { name: name.clone() })?;
+        if value.size() == own.size() {
+            Ok((own, value))
+        } else {
+            Err(Error::Shape {
+                name: name.clone(),
+                expected: own.size(),
+                found: value.size(),
+            })
+        }
+    };
+    own.iter().map(pair).collect()
+}
+
+/// A place in a [`Params`] under which a layer creates its parameters, together with the generator of their values.
+pub struct Path<'a> {
+    params: &'a mut Params,
+    rng: &'a mut Rng,
+    prefix: String,
+}
+
+impl Path<'_> {
+    /// The place `part` below this one; names are joined by dots.
+    pub fn sub(&mut self, part: impl Display) -> Path<'_> {
+        let prefix = self.join(part);
+        Path {
+            params: self.params,
+            rng: self.rng,
+            prefix,
+        }
+    }
+
+    /// Creates a parameter and registers it under `name` at this place.
+    ///
+    /// # Panics
+    /// If the name is taken, or if the store has been flattened (bugs).
+    pub fn create(&mut self, name: &str, shape: &[i64], init: Init) -> Tensor {
+        let values = init.sample(shape, self.rng);
+        self.register(name, shape, &values)
+    }
+
+    /// Creates a parameter from several matrices, each drawn on its own, stacked along the rows.
+    ///
+    /// # Panics
+    /// As [`Path::create`].
+    pub fn create_stacked(&mut self, name: &str, blocks: i64, shape: [i64; 2], init: Init) -> Tensor {
+        let values: Vec<f32> = (0..blocks).flat_map(|_| init.sample(&shape, self.rng)).collect();
+        self.register(name, &[blocks * shape[0], shape[1]], &values)
+    }
+
+    fn register(&mut self, name: &str, shape: &[i64], values: &[f32]) -> Tensor {
+        let name = self.join(name);
+        assert!(
+            self.params.flat.is_none(),
+            "parameter `{name}` is created after the optimiser"
+        );
+        assert!(
+            self.params.named.iter().all(|(other, _)| *other != name),
+            "parameter `{name}` exists twice"
+        );
+        let tensor = Tensor::from_slice(values)
+            .view(shape)
+            .to_device(self.params.device)
+            .set_requires_grad(true);
+        self.params.named.push((name, tensor.shallow_clone()));
+        tensor
+    }
+
+    fn join(&self, part: impl Display) -> String {
+        if self.prefix.is_empty() {
+            part.to_string()
+        } else {
+            format!("{}.{part}", self.prefix)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+
+    use tch::Kind;
+
+    use super::*;
+    use crate::nn::Mlp;
+    use crate::rng::Seed;
+
+    fn network(seed: u64) -> (Params, Mlp) {
+        let mut params = Params::new(Device::Cpu);
+        let mlp = Mlp::new(params.root(&mut Seed::new(seed).rng()).sub("actor"), 5, 8, 1);
+        (params, mlp)
+    }
+
+    fn values(params: &Params) -> Vec<Vec<f32>> {
+        params
+            .named()
+            .iter()
+            .map(|(_, t)| Vec::try_from(t.detach().reshape([-1])).unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn weights_are_a_function_of_the_seed() {
+        let (a, b, c) = (network(7).0, network(7).0, network(8).0);
+        assert_eq!(values(&a), values(&b));
+        assert_ne!(values(&a), values(&c));
+        assert_eq!(a.named()[2].0, "actor.layers.0.linear.weight");
+        assert_eq!(a.count(), 10 + (5 * 8 + 8 + 16) + (8 * 8 + 8 + 16));
+    }
+
+    #[test]
+    fn flattening_keeps_the_function_and_shares_memory() {
+        let (mut params, mlp) = network(1);
+        let x = Tensor::linspace(-1.0, 1.0, 10, (Kind::Float, Device::Cpu)).view([2, 5]);
+        let before = mlp.forward(&x);
+        let mut flat = params.flatten();
+        assert!(before.equal(&mlp.forward(&x)));
+        let gradient = Tensor::run_backward(
+            &[mlp.forward(&x).sum(Kind::Float)],
+            &[&params.named()[2].1],
+            false,
+            false,
+        );
+        assert_eq!(gradient[0].size(), [8, 5]);
+        let _ = tch::no_grad(|| flat.zero_());
+        assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0);
+    }
+
+    #[test]
+    fn copies_are_independent_and_averages_move() {
+        let (mut params, _) = network(1);
+        let mut flat = params.flatten();
+        let copy = params.deep_copy();
+        let _ = tch::no_grad(|| flat.fill_(1.0));
+        assert_ne!(values(&params), values(&copy));
+        copy.lerp_from(&params, 1.0);
+        assert_eq!(values(&params), values(&copy));
+        let other = network(2).0;
+        other.copy_from(params.named()).unwrap();
+        assert_eq!(values(&params), values(&other));
+    }
+
+    #[test]
+    fn loading_refuses_what_does_not_fit() {
+        type Change = fn(&mut Vec<(String, Tensor)>);
+        let (params, _) = network(1);
+        let before = values(&params);
+        let given = |change: Change| {
+            let mut list: Vec<_> = network(2)
+                .0
+                .named()
+                .iter()
+                .map(|(n, t)| (n.clone(), t.shallow_clone()))
+                .collect();
+            change(&mut list);
+            params.copy_from(&list).unwrap_err()
+        };
+        let missing = given(|l| drop(l.pop()));
+        assert!(
+            matches!(missing, Error::Missing { ref name } if name == "actor.layers.1.norm.bias"),
+            "{missing}"
+        );
+        let extra = given(|l| l.push(("x".into(), Tensor::zeros([1], (Kind::Float, Device::Cpu)))));
+        assert!(
+            matches!(extra, Error::Unexpected { ref name } if name == "x"),
+            "{extra}"
+        );
+        let shape = given(|l| l[2].1 = Tensor::zeros([8, 6], (Kind::Float, Device::Cpu)));
+        assert_eq!(
+            shape.to_string(),
+            "tensor `actor.layers.0.linear.weight` has shape [8, 6], but this network needs [8, 5]; check the configuration"
+        );
+        assert_eq!(values(&params), before, "a refused load changes nothing");
+    }
+
+    #[test]
+    #[should_panic(expected = "exists twice")]
+    fn a_name_is_used_once() {
+        let mut params = Params::new(Device::Cpu);
+        let mut rng = Seed::new(0).rng();
+        let mut root = params.root(&mut rng);
+        let _ = root.create("a", &[1], Init::Zeros);
+        let _ = root.create("a", &[1], Init::Zeros);
+    }
+}

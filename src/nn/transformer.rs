@@ -1,0 +1,231 @@
+//! The message transformer: `L` rounds of attention over the communication graph turn the agents' features into messages.
+//!
+//! Architecture of the released IWoL code (`transformer_comm.py`), itself the encoder of MAT (Wen et al. 2022): post-norm
+//! blocks whose output layers start near zero. How the graph acts on the attention is a choice, see [`MaskMode`].
+
+use std::f64::consts::SQRT_2;
+
+use serde::{Deserialize, Serialize};
+use tch::Tensor;
+
+use super::{Init, LayerNorm, Linear, Mask, Path, SelfAttention};
+
+/// How the graph acts on the attention.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MaskMode {
+    /// Only edges are attended to: what is sent over a cut edge changes nothing, bit for bit, and gets no gradient. The
+    /// gradient of an edge is that of its renormalised attention weight, so a learned graph is trained.
+    #[default]
+    Hard,
+    /// Logits are multiplied by the graph, as in the released code: a cut edge has logit 0 and still leaks.
+    LogitMul,
+}
+
+#[derive(Debug)]
+struct Block {
+    attention: SelfAttention,
+    attention_norm: LayerNorm,
+    up: Linear,
+    down: Linear,
+    mlp_norm: LayerNorm,
+}
+
+impl Block {
+    fn new(mut path: Path<'_>, width: i64, heads: i64) -> Self {
+        Block {
+            attention: SelfAttention::new(path.sub("attention"), width, heads, Init::Orthogonal(0.01)),
+            attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
+            up: Linear::new(path.sub("up"), width, width, Init::Orthogonal(SQRT_2)),
+            down: Linear::new(path.sub("down"), width, width, Init::Orthogonal(0.01)),
+            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+        }
+    }
+
+    fn forward(&self, x: &Tensor, mask: Mask<'_>) -> Tensor {
+        let x = self.attention_norm.forward(&(x + self.attention.forward(x, mask)));
+        let change = self.down.forward(&self.up.forward(&x).gelu("none"));
+        self.mlp_norm.forward(&(x + change))
+    }
+}
+
+/// Input layer (normalisation, linear, GELU, normalisation), `L` post-norm blocks over the graph, output head (linear,
+/// GELU, normalisation, linear with gain 0.01).
+#[derive(Debug)]
+pub struct GraphTransformer {
+    mask: MaskMode,
+    in_norm: LayerNorm,
+    input: Linear,
+    embed_norm: LayerNorm,
+    blocks: Vec<Block>,
+    head: Linear,
+    head_norm: LayerNorm,
+    out: Linear,
+}
+
+impl GraphTransformer {
+    /// A transformer whose features and messages have `width` entries, with that many `rounds` and attention `heads`.
+    ///
+    /// # Panics
+    /// If the heads do not divide the width.
+    pub fn new(mut path: Path<'_>, width: i64, rounds: usize, heads: i64, mask: MaskMode) -> Self {
+        let in_norm = LayerNorm::new(path.sub("in_norm"), width);
+        let input = Linear::new(path.sub("input"), width, width, Init::Orthogonal(SQRT_2));
+        let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
+        let mut blocks = path.sub("rounds");
+        let blocks = (0..rounds).map(|i| Block::new(blocks.sub(i), width, heads)).collect();
+        GraphTransformer {
+            mask,
+            in_norm,
+            input,
+            embed_norm,
+            blocks,
+            head: Linear::new(path.sub("head"), width, width, Init::Orthogonal(SQRT_2)),
+            head_norm: LayerNorm::new(path.sub("head_norm"), width),
+            out: Linear::new(path.sub("out"), width, width, Init::Orthogonal(0.01)),
+        }
+    }
+
+    /// Features `f: [B, N, H]` and graph `G: [B, N, N]` (0 or 1, row = listener) to messages `[B, N, H]`. Every
+    /// agent must listen to somebody, usually itself.
+    pub fn forward(&self, f: &Tensor, graph: &Tensor) -> Tensor {
+        let x = self.input.forward(&self.in_norm.forward(f)).gelu("none");
+        let mut x = self.embed_norm.forward(&x);
+        let mask = match self.mask {
+            MaskMode::Hard => hard_bias(graph),
+            MaskMode::LogitMul => graph.unsqueeze(1),
+        };
+        for block in &self.blocks {
+            let mask = match self.mask {
+                MaskMode::Hard => Mask::Add(&mask),
+                MaskMode::LogitMul => Mask::Multiply(&mask),
+            };
+            x = block.forward(&x, mask);
+        }
+        self.out
+            .forward(&self.head_norm.forward(&self.head.forward(&x).gelu("none")))
+    }
+}
+
+/// The logarithm of the graph as a bias `[B, 1, N, N]` on logits: 0 on edges, minus infinity elsewhere.
+///
+/// On edges it is written `G - 1`, which has the value of `ln G` and its derivative at 1. Thus the softmax of the biased
+/// logits equals `softmax(masked logits) * G`, renormalised over each row, in value and in the gradient of `G`:
+/// `∂out_i/∂G_ij = att_ij (v_j - out_i)`.
+fn hard_bias(graph: &Tensor) -> Tensor {
+    (graph - 1.0)
+        .masked_fill(&graph.le(0.5), f64::NEG_INFINITY)
+        .unsqueeze(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::{Device, Kind};
+
+    use super::*;
+    use crate::nn::{CommGraph, Params};
+    use crate::rng::Seed;
+
+    const AGENTS: i64 = 5;
+    const WIDTH: i64 = 8;
+
+    fn transformer(mask: MaskMode) -> GraphTransformer {
+        let mut params = Params::new(Device::Cpu);
+        let network = GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, 3, 2, mask);
+        // The gain of 0.01 would hide any flow of information below rounding: make all matrices large.
+        tch::no_grad(|| {
+            for (name, tensor) in params.named() {
+                if name.ends_with("qkv.weight") || name.ends_with("out.weight") || name.ends_with("down.weight") {
+                    let _ = tensor.shallow_clone().multiply_scalar_(100.0);
+                }
+            }
+        });
+        network
+    }
+
+    fn uniform(shape: &[i64], seed: u64) -> Tensor {
+        let values = Init::Uniform(1.0).sample(shape, &mut Seed::new(seed).rng());
+        Tensor::from_slice(&values).view(shape)
+    }
+
+    fn perturbed(f: &Tensor, agent: i64) -> Tensor {
+        let other = f.copy();
+        other
+            .select(1, agent)
+            .copy_(&(uniform(&[f.size()[0], f.size()[2]], 99) * 50.0));
+        other
+    }
+
+    /// Columns of `sender` zero, except for itself.
+    fn silenced(sender: i64) -> Tensor {
+        let graph = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
+        let _ = graph.select(2, sender).fill_(0.0);
+        let _ = graph.select(2, sender).select(1, sender).fill_(1.0);
+        graph
+    }
+
+    fn others(t: &Tensor, agent: i64) -> Tensor {
+        let index: Vec<i64> = (0..AGENTS).filter(|i| *i != agent).collect();
+        t.index_select(1, &Tensor::from_slice(&index))
+    }
+
+    #[test]
+    fn a_cut_sender_changes_nothing_bit_for_bit() {
+        let (network, f) = (
+            transformer(MaskMode::Hard),
+            uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true),
+        );
+        let graph = silenced(2);
+        let out = network.forward(&f, &graph);
+        let out_perturbed = network.forward(&perturbed(&f.detach(), 2), &graph);
+        assert!(
+            others(&out, 2).equal(&others(&out_perturbed, 2)),
+            "others hear a cut sender"
+        );
+        assert!(
+            !out.select(1, 2).equal(&out_perturbed.select(1, 2)),
+            "the sender hears itself"
+        );
+        let gradient =
+            Tensor::run_backward(&[others(&out, 2).square().sum(Kind::Float)], &[&f], false, false).remove(0);
+        assert_eq!(gradient.select(1, 2).abs().max().double_value(&[]), 0.0);
+        assert!(gradient.select(1, 1).abs().max().double_value(&[]) > 0.0);
+    }
+
+    #[test]
+    fn an_open_edge_and_the_released_masking_do_let_information_through() {
+        let f = uniform(&[3, AGENTS, WIDTH], 2);
+        let complete = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
+        for (mask, graph) in [(MaskMode::Hard, complete), (MaskMode::LogitMul, silenced(2))] {
+            let network = transformer(mask);
+            let difference = network.forward(&f, &graph) - network.forward(&perturbed(&f, 2), &graph);
+            assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3, "{mask:?}");
+        }
+    }
+
+    /// Scheduler and transformer together: a dead agent has no physical edges, whatever the scheduler would like.
+    #[test]
+    fn a_dead_agent_changes_nothing_through_the_learned_graph() {
+        let mut params = Params::new(Device::Cpu);
+        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, 0.2, 1.0);
+        let network = transformer(MaskMode::Hard);
+        let physical = silenced(4);
+        let _ = physical.select(1, 4).fill_(0.0);
+        let noise = uniform(&[3, AGENTS, AGENTS], 4) * 3.0;
+        let f = uniform(&[3, AGENTS, WIDTH], 5).set_requires_grad(true);
+        let run = |f: &Tensor| {
+            let graph = scheduler.forward(f, &physical, Some(&noise));
+            others(&network.forward(f, &graph), 4)
+        };
+        let out = run(&f);
+        assert!(out.equal(&run(&perturbed(&f.detach(), 4))));
+        let mut inputs = vec![f.shallow_clone()];
+        inputs.extend(params.named().iter().map(|(_, t)| t.shallow_clone()));
+        let gradients = Tensor::run_backward(&[out.square().sum(Kind::Float)], &inputs, false, false);
+        assert_eq!(gradients[0].select(1, 4).abs().max().double_value(&[]), 0.0);
+        assert!(
+            gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0),
+            "the scheduler is trained"
+        );
+    }
+}

@@ -1,0 +1,98 @@
+//! Running normalisation of value targets (ValueNorm of MAPPO's reference code, `onpolicy/utils/valuenorm.py`).
+//!
+//! With the reference's decay of 0.99999 it is in effect a cumulative mean over all batches seen. State is in `f64`.
+
+use tch::{Kind, Tensor};
+
+const MIN_WEIGHT: f64 = 1e-5;
+const MIN_VARIANCE: f64 = 1e-2;
+
+/// Running mean and mean square of the returns, each with the same debiasing weight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ValueNorm {
+    decay: f64,
+    mean: f64,
+    mean_square: f64,
+    weight: f64,
+}
+
+impl ValueNorm {
+    /// Nothing seen yet: mean 0, standard deviation 0.1. With every batch the old statistics are weighted by `decay`.
+    pub fn new(decay: f64) -> Self {
+        ValueNorm {
+            decay,
+            mean: 0.0,
+            mean_square: 0.0,
+            weight: 0.0,
+        }
+    }
+
+    /// Takes in a batch of returns of any shape, those of active agents only; an empty one leaves the state as it is.
+    pub fn update(&mut self, returns: &Tensor) {
+        if returns.numel() == 0 {
+            return;
+        }
+        let x = returns.detach().to_kind(Kind::Double);
+        let (mean, mean_square) = (x.mean(Kind::Double), x.square().mean(Kind::Double));
+        let (mean, mean_square) = (mean.double_value(&[]), mean_square.double_value(&[]));
+        self.mean = self.decay * self.mean + (1.0 - self.decay) * mean;
+        self.mean_square = self.decay * self.mean_square + (1.0 - self.decay) * mean_square;
+        self.weight = self.decay * self.weight + (1.0 - self.decay);
+    }
+
+    /// Debiased mean and standard deviation (at least 0.1) of the returns seen.
+    pub fn mean_std(&self) -> (f64, f64) {
+        let weight = self.weight.max(MIN_WEIGHT);
+        let mean = self.mean / weight;
+        let variance = self.mean_square / weight - mean * mean;
+        (mean, variance.max(MIN_VARIANCE).sqrt())
+    }
+
+    /// Returns to the network's scale, elementwise.
+    pub fn normalize(&self, returns: &Tensor) -> Tensor {
+        let (mean, std) = self.mean_std();
+        (returns - mean) / std
+    }
+
+    /// The network's values to the scale of the returns, elementwise.
+    pub fn denormalize(&self, values: &Tensor) -> Tensor {
+        let (mean, std) = self.mean_std();
+        values * std + mean
+    }
+
+    /// Running mean, mean square and weight, for a checkpoint.
+    pub fn state(&self) -> [f64; 3] {
+        [self.mean, self.mean_square, self.weight]
+    }
+
+    /// Takes over what [`ValueNorm::state`] gave.
+    pub fn load_state(&mut self, [mean, mean_square, weight]: [f64; 3]) {
+        *self = ValueNorm {
+            decay: self.decay,
+            mean,
+            mean_square,
+            weight,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_narrow_then_follows_the_returns() {
+        let mut norm = ValueNorm::new(0.99999);
+        assert_eq!(norm.mean_std(), (0.0, 0.1));
+        let x = Tensor::from_slice(&[2.0_f32, 6.0]);
+        norm.update(&x.narrow(0, 0, 0));
+        assert_eq!(norm, ValueNorm::new(0.99999), "an empty batch");
+        norm.update(&x);
+        let (mean, std) = norm.mean_std();
+        assert!((mean - 4.0).abs() < 1e-9 && (std - 2.0).abs() < 1e-9, "{mean} {std}");
+        assert!(norm.denormalize(&norm.normalize(&x)).allclose(&x, 1e-6, 1e-6, false));
+        let mut restored = ValueNorm::new(0.99999);
+        restored.load_state(norm.state());
+        assert_eq!(restored, norm);
+    }
+}

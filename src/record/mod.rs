@@ -1,0 +1,220 @@
+//! The files of a run folder: metrics as JSON lines, TensorBoard events, and whole files that appear at once or not at
+//! all.
+//!
+//! A run may be killed at any moment and resumed later, so nothing here leaves a file half-made: whole files are
+//! written beside the target and renamed, and appended records are cut back to the last complete one when the file is
+//! opened again or when a write fails.
+
+mod json_lines;
+mod tensor_board;
+
+use std::fs::{File, OpenOptions, Permissions};
+use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+pub use json_lines::{JsonLines, read_json_lines};
+pub use tensor_board::TensorBoard;
+
+/// Why a run file could not be written or read. Every message names the file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused (no such folder, no permission, disk full, ...).
+    #[error("cannot {action} `{}`", path.display())]
+    Io {
+        /// What was being done, as a verb.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A value has no JSON form, for example a map whose keys are not strings.
+    #[error("cannot write a line to `{}`: the value has no JSON form", path.display())]
+    Encode {
+        /// The file that was to hold the value.
+        path: PathBuf,
+        /// The serialiser's reason.
+        source: serde_json::Error,
+    },
+    /// A complete line of a JSON-lines file is not what it should be: the file was edited, or is another one.
+    #[error("line {line} of `{}` is damaged; delete the line, or move the file away", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// The line, counted from 1.
+        line: usize,
+        /// The parser's reason.
+        source: serde_json::Error,
+    },
+}
+
+impl Error {
+    /// Wraps a system error; for `map_err`.
+    fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
+    }
+}
+
+/// Writes a whole file so that a reader sees the old content or the new, never a part.
+///
+/// The bytes go to a temporary name in the same folder, are forced to disk, and take the place of `path` by a rename.
+/// If anything fails on the way (disk full, killed), the old file is untouched; only a kill can leave the temporary
+/// file, whose name begins with `.tmp`.
+///
+/// # Errors
+/// [`Error::Io`], naming `path`.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let mut file = temporary_beside(path, "")?;
+    file.as_file_mut().write_all(bytes).map_err(Error::io("write", path))?;
+    replace(file, path)
+}
+
+/// An empty temporary file in the folder of `path`, deleted on drop; [`replace`] turns it into `path`.
+pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFile, Error> {
+    tempfile::Builder::new()
+        .suffix(suffix)
+        // The usual rights of a new file (less the umask), where temporary files are private by default.
+        .permissions(Permissions::from_mode(0o666))
+        .tempfile_in(folder_of(path))
+        .map_err(Error::io("create", path))
+}
+
+/// Forces `file` to disk and gives it the name `path`, replacing what was there in one step.
+pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
+    file.as_file().sync_all().map_err(Error::io("write", path))?;
+    file.persist(path).map_err(|e| Error::Io {
+        action: "replace",
+        path: path.to_owned(),
+        source: e.error,
+    })?;
+    // The rename itself survives a power cut only once the folder is on disk; not every file system can do that.
+    if let Ok(folder) = File::open(folder_of(path)) {
+        let _ = folder.sync_all();
+    }
+    Ok(())
+}
+
+/// The folder a file lies in; `.` for a bare file name.
+fn folder_of(path: &Path) -> &Path {
+    path.parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// A file that grows by whole records: one write each, undone if it fails half-way.
+#[derive(Debug)]
+struct Appender {
+    file: File,
+    path: PathBuf,
+    /// Length up to which the file holds complete records, bytes.
+    len: u64,
+}
+
+impl Appender {
+    /// Opens `path` as `options` say (append is added), keeping the first `keep` bytes of it, or all.
+    fn open(path: &Path, options: &mut OpenOptions, keep: Option<u64>) -> Result<Self, Error> {
+        let file = options.append(true).open(path).map_err(Error::io("open", path))?;
+        let len = match keep {
+            Some(len) => file.set_len(len).map(|()| len),
+            None => file.metadata().map(|m| m.len()),
+        };
+        Ok(Self {
+            len: len.map_err(Error::io("open", path))?,
+            file,
+            path: path.to_owned(),
+        })
+    }
+
+    /// Appends one record and hands it to the operating system, so that killing this process cannot lose it.
+    fn append(&mut self, record: &[u8]) -> Result<(), Error> {
+        if let Err(source) = self.file.write_all(record) {
+            // Cut off what was written, or the next record would continue a broken one. Should this fail as well, the
+            // error to report is the first.
+            let _ = self.file.set_len(self.len);
+            return Err(Error::Io {
+                action: "append to",
+                path: self.path.clone(),
+                source,
+            });
+        }
+        self.len += record.len() as u64;
+        Ok(())
+    }
+
+    /// Forces all records to disk, so that a power cut cannot lose them either.
+    fn sync(&self) -> Result<(), Error> {
+        self.file.sync_data().map_err(Error::io("write", &self.path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn write_atomic_creates_and_replaces() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("meta.json");
+        write_atomic(&path, b"old and longer").unwrap();
+        write_atomic(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["meta.json"]);
+        let plain = folder.path().join("plain");
+        fs::write(&plain, b"").unwrap();
+        let mode = |p: &Path| fs::metadata(p).unwrap().permissions().mode();
+        assert_eq!(mode(&path), mode(&plain), "same rights as any new file");
+    }
+
+    #[test]
+    fn write_atomic_that_fails_leaves_the_target_and_no_litter() {
+        let folder = tempfile::tempdir().unwrap();
+        // The rename fails because the target is a folder with something in it.
+        let path = folder.path().join("target");
+        fs::create_dir(&path).unwrap();
+        fs::write(path.join("old"), b"old").unwrap();
+        let error = write_atomic(&path, b"new").unwrap_err();
+        assert!(error.to_string().contains(&path.display().to_string()), "{error}");
+        assert_eq!(fs::read(path.join("old")).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["target"]);
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("no/such/file");
+        for error in [
+            write_atomic(&path, b"x").unwrap_err(),
+            JsonLines::create(&path).unwrap_err(),
+        ] {
+            assert!(error.to_string().contains("no/such/file"), "{error}");
+            assert!(matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound));
+        }
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_full_disk_is_reported() {
+        let mut appender = Appender::open(Path::new("/dev/full"), &mut OpenOptions::new(), None).unwrap();
+        let error = appender.append(b"record").unwrap_err();
+        assert_eq!(error.to_string(), "cannot append to `/dev/full`");
+        assert!(matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull));
+        assert_eq!(appender.len, 0);
+    }
+}

@@ -1,0 +1,246 @@
+//! Preallocated storage of a rollout, and its division into minibatches.
+//!
+//! Row `t` holds what was known before decision `t`; the reward and the ends of row `t` are what that decision brought.
+//! Row `T` closes the rollout: it is observed and valued, but not acted upon. An agent that was truncated at `t` is still
+//! observed in row `t + 1` (present, not active), so that its value can be bootstrapped like any other.
+
+use std::ops::Range;
+
+/// Sizes of a rollout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sizes {
+    /// Steps T.
+    pub steps: usize,
+    /// Environments E.
+    pub envs: usize,
+    /// Agent slots N.
+    pub agents: usize,
+    /// Observation features O.
+    pub observation: usize,
+    /// Privileged state features S.
+    pub state: usize,
+    /// Action dimensions A.
+    pub actions: usize,
+    /// Memory of the policy per agent M (0: none).
+    pub memory: usize,
+    /// Whether the policy samples communication graphs.
+    pub graph_noise: bool,
+}
+
+/// One rollout; all arrays are row-major.
+#[derive(Debug, Clone)]
+pub struct Rollout {
+    /// Sizes.
+    pub sizes: Sizes,
+    /// `[T + 1, E, N, O]`
+    pub observation: Vec<f32>,
+    /// `[T + 1, E, N, S]`
+    pub state: Vec<f32>,
+    /// Physical mask, `[T + 1, E, N, N]`; the diagonal tells who is present.
+    pub comm: Vec<f32>,
+    /// `[T + 1, E, N]`, 1 where an agent acts.
+    pub active: Vec<f32>,
+    /// `[T + 1, E]`, 1 where trajectories start (memories are cleared).
+    pub start: Vec<f32>,
+    /// Memory before the decision, `[T + 1, E, N, M]`.
+    pub memory: Vec<f32>,
+    /// Noise of the policy's communication graph, `[T + 1, E, N, N]`; empty without one.
+    pub graph_noise: Vec<f32>,
+    /// `[T, E, N, A]`, as sampled (not clipped).
+    pub action: Vec<f32>,
+    /// `[T, E, N]`
+    pub log_prob: Vec<f32>,
+    /// `[T, E, N]`
+    pub reward: Vec<f32>,
+    /// `[T, E, N]`, 1 where the trajectory ended for good.
+    pub terminated: Vec<f32>,
+    /// `[T, E, N]`, 1 where the trajectory was cut short.
+    pub truncated: Vec<f32>,
+}
+
+impl Rollout {
+    /// Allocates everything, zeroed.
+    pub fn new(sizes: Sizes) -> Self {
+        let rows = sizes.steps * sizes.envs * sizes.agents;
+        let closed = (sizes.steps + 1) * sizes.envs * sizes.agents;
+        Self {
+            observation: vec![0.0; closed * sizes.observation],
+            state: vec![0.0; closed * sizes.state],
+            comm: vec![0.0; closed * sizes.agents],
+            active: vec![0.0; closed],
+            start: vec![0.0; (sizes.steps + 1) * sizes.envs],
+            memory: vec![0.0; closed * sizes.memory],
+            graph_noise: vec![0.0; if sizes.graph_noise { closed * sizes.agents } else { 0 }],
+            action: vec![0.0; rows * sizes.actions],
+            log_prob: vec![0.0; rows],
+            reward: vec![0.0; rows],
+            terminated: vec![0.0; rows],
+            truncated: vec![0.0; rows],
+            sizes,
+        }
+    }
+
+    /// Range of step `t` in an array whose entry per agent has `width` numbers.
+    pub fn at(&self, t: usize, width: usize) -> Range<usize> {
+        let size = self.sizes.envs * self.sizes.agents * width;
+        t * size..(t + 1) * size
+    }
+
+    /// Range of step `t`, environment `e`.
+    pub fn cell(&self, t: usize, e: usize, width: usize) -> Range<usize> {
+        let size = self.sizes.agents * width;
+        let first = (t * self.sizes.envs + e) * size;
+        first..first + size
+    }
+
+    /// Generalised advantage estimation: advantages and returns, `[T, E, N]`, from values `[T + 1, E, N]` in units of
+    /// the reward.
+    ///
+    /// A terminated trajectory has no future; a truncated one is bootstrapped with the value of its last observation;
+    /// both end the chain. Inactive entries are zero.
+    pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
+        let width = self.sizes.envs * self.sizes.agents;
+        debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
+        let mut advantage = vec![0.0; self.sizes.steps * width];
+        let mut returns = vec![0.0; self.sizes.steps * width];
+        let mut chain = vec![0.0_f64; width];
+        for t in (0..self.sizes.steps).rev() {
+            for (k, chain) in chain.iter_mut().enumerate() {
+                let i = t * width + k;
+                if self.active[i] == 0.0 {
+                    *chain = 0.0;
+                    continue;
+                }
+                let terminated = self.terminated[i] > 0.0;
+                if terminated || self.truncated[i] > 0.0 {
+                    *chain = 0.0;
+                }
+                let next = if terminated { 0.0 } else { f64::from(values[i + width]) };
+                let value = f64::from(values[i]);
+                *chain = f64::from(self.reward[i]) + gamma * next - value + gamma * lambda * *chain;
+                advantage[i] = *chain as f32;
+                returns[i] = (*chain + value) as f32;
+            }
+        }
+        (advantage, returns)
+    }
+
+    /// Chunks of `length` consecutive steps of one environment, as `(first step, environment)`; the last chunk of an
+    /// environment is left out if it would be shorter.
+    pub fn chunks(&self, length: usize) -> Vec<(usize, usize)> {
+        let per_env = self.sizes.steps / length;
+        (0..per_env).flat_map(|c| (0..self.sizes.envs).map(move |e| (c * length, e))).collect()
+    }
+
+    /// Rows `t · E + e` of chunks, step-major: all first steps, then all second steps, …
+    pub fn rows(&self, chunks: &[(usize, usize)], length: usize) -> Vec<i64> {
+        (0..length).flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn random_rollout(steps: usize, width: usize, events: &[u8], rewards: &[f32]) -> Rollout {
+        let mut rollout = Rollout::new(Sizes {
+            steps,
+            envs: 1,
+            agents: width,
+            observation: 1,
+            state: 1,
+            actions: 1,
+            memory: 0,
+            graph_noise: false,
+        });
+        // A trajectory per slot: an end is followed by inactivity until the next start.
+        for k in 0..width {
+            let mut alive = true;
+            for t in 0..=steps {
+                let i = t * width + k;
+                let event = events[i % events.len()];
+                if !alive && event == 3 {
+                    alive = true;
+                }
+                rollout.active[i] = f32::from(u8::from(alive));
+                if t < steps {
+                    // Rewards of inactive entries are rubbish on purpose: they must not matter.
+                    rollout.reward[i] = rewards[i % rewards.len()];
+                    if alive && event == 1 {
+                        rollout.terminated[i] = 1.0;
+                        alive = false;
+                    } else if alive && event == 2 {
+                        rollout.truncated[i] = 1.0;
+                        alive = false;
+                    }
+                }
+            }
+        }
+        rollout
+    }
+
+    proptest! {
+        /// GAE is the exponentially weighted sum of k-step advantages, each computed from its definition.
+        #[test]
+        fn advantages_follow_the_definition(
+            steps in 1usize..14,
+            width in 1usize..4,
+            events in proptest::collection::vec(0u8..5, 60),
+            rewards in proptest::collection::vec(-3.0f32..3.0, 60),
+            values in proptest::collection::vec(-3.0f32..3.0, 60),
+            gamma in 0.5f64..1.0,
+            lambda in 0.0f64..1.0,
+        ) {
+            let rollout = random_rollout(steps, width, &events, &rewards);
+            let values: Vec<f32> = (0..(steps + 1) * width).map(|i| values[i % values.len()]).collect();
+            let (advantage, returns) = rollout.advantages(&values, gamma, lambda);
+            for k in 0..width {
+                for t in 0..steps {
+                    let at = |t: usize| t * width + k;
+                    if rollout.active[at(t)] == 0.0 {
+                        prop_assert_eq!(advantage[at(t)], 0.0);
+                        prop_assert_eq!(returns[at(t)], 0.0);
+                        continue;
+                    }
+                    // n-step advantages up to the trajectory's end or the rollout's.
+                    let mut n_step = Vec::new();
+                    let mut sum = 0.0;
+                    for (n, u) in (t..steps).enumerate() {
+                        let discount = gamma.powi(n as i32);
+                        sum += discount * f64::from(rollout.reward[at(u)]);
+                        let dead = rollout.terminated[at(u)] > 0.0;
+                        let next = if dead { 0.0 } else { f64::from(values[at(u + 1)]) };
+                        n_step.push(sum + discount * gamma * next - f64::from(values[at(t)]));
+                        if dead || rollout.truncated[at(u)] > 0.0 {
+                            break;
+                        }
+                    }
+                    let last = n_step.len() - 1;
+                    let expected: f64 = n_step.iter().enumerate().map(|(n, a)| {
+                        let weight = if n == last { 1.0 } else { 1.0 - lambda };
+                        weight * lambda.powi(n as i32) * a
+                    }).sum();
+                    prop_assert!((f64::from(advantage[at(t)]) - expected).abs() < 1e-4, "{} {}", advantage[at(t)], expected);
+                    prop_assert!((returns[at(t)] - advantage[at(t)] - values[at(t)]).abs() < 1e-4);
+                }
+            }
+        }
+
+        #[test]
+        fn chunks_partition_the_rollout(steps in 1usize..40, envs in 1usize..5, length in 1usize..11) {
+            let rollout = Rollout::new(Sizes {
+                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graph_noise: false,
+            });
+            let chunks = rollout.chunks(length);
+            let mut rows = rollout.rows(&chunks, length);
+            // Step-major: entry l · chunks + c is step l of chunk c.
+            for (i, &row) in rows.iter().enumerate() {
+                let (t, e) = chunks[i % chunks.len()];
+                prop_assert_eq!(row as usize, (t + i / chunks.len()) * envs + e);
+            }
+            rows.sort_unstable();
+            prop_assert_eq!(rows, (0..(steps / length * length * envs) as i64).collect::<Vec<_>>());
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
+
+use super::{Error, Net, Scenario, load::Places, reader::Reader};
+use crate::sumo::net::{self, Path};
+
+/// Slack of comparisons of positions \[m\].
+const SLACK: f64 = 1e-6;
+
+/// Reads every net of a scenario and checks what the scenario says about it.
+pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<(), Error> {
+    for (net, at) in scenario.nets.iter().zip(&places.nets) {
+        let map = net::Net::load(&net.file).map_err(|source| {
+            let (line, column) = reader.position(at.file);
+            Error::Net {
+                path: scenario.path.clone(),
+                line,
+                column,
+                source: Box::new(source),
+            }
+        })?;
+        let paths = routes(scenario, &map, places, reader)?;
+        spawns(scenario, net, &map, &paths, &at.spawns, reader)?;
+        lanes(scenario, &map, &paths, places, reader)?;
+    }
+    Ok(())
+}
+
+/// The centre line of every route, once its edges are connected and its finish lies on the last.
+fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Result<Vec<Path>, Error> {
+    let mut paths = Vec::new();
+    for (route, at) in scenario.routes.iter().zip(&places.routes) {
+        let path = map.route_path(&route.edges).map_err(|source| {
+            let (line, column) = reader.position(at.edges);
+            Error::Route {
+                path: scenario.path.clone(),
+                line,
+                column,
+                route: route.id.clone(),
+                source: Box::new(source),
+            }
+        })?;
+        let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
+        if route.arrival_pos.abs() > length + SLACK {
+            let (line, column) = reader.position(at.arrival_pos);
+            let edge = route.edges.last().map_or("", String::as_str);
+            return Err(Error::Value {
+                path: scenario.path.clone(),
+                line,
+                column,
+                element: "route".into(),
+                key: "arrivalPos",
+                value: route.arrival_pos.to_string(),
+                allowed: format!("{} to {length} m on edge `{edge}`", -length),
+            });
+        }
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+/// Every place lies with its vehicle on the route's first edge, before the finish, and clear of the others.
+fn spawns(
+    scenario: &Scenario,
+    net: &Net,
+    map: &net::Net,
+    paths: &[Path],
+    rows: &[usize],
+    reader: &Reader,
+) -> Result<(), Error> {
+    let half = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
+    let mut taken = Vec::new();
+    for (row, &offset) in net.spawns.iter().zip(rows) {
+        let route = &scenario.routes[row.route];
+        let lane = paths[row.route].lanes[0];
+        let length = map.lanes[lane].length;
+        let end = match route.arrival_pos {
+            _ if route.edges.len() > 1 => length,
+            pos if pos < 0.0 => length + pos,
+            pos => pos,
+        };
+        for pos in (0..row.count).map(|i| row.first + row.spacing * f64::from(i)) {
+            if pos - half < -SLACK || pos + half > end + SLACK {
+                let (line, column) = reader.position(offset);
+                return Err(Error::Place {
+                    path: scenario.path.clone(),
+                    line,
+                    column,
+                    route: route.id.clone(),
+                    pos,
+                    edge: route.edges[0].clone(),
+                    half,
+                    end,
+                });
+            }
+            taken.push((lane, pos, offset));
+        }
+    }
+    taken.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let needed = 2.0 * half;
+    let close = taken
+        .windows(2)
+        .find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed - SLACK);
+    let Some([(lane, first, a), (_, second, b)]) = close else {
+        return Ok(());
+    };
+    let (line, column) = reader.position(*a.max(b));
+    Err(Error::Overlap {
+        path: scenario.path.clone(),
+        line,
+        column,
+        lane: map.lanes[*lane].id.clone(),
+        first: *first,
+        second: *second,
+        needed,
+    })
+}
+
+/// A vehicle that the jitter moves aside stays on its lane.
+fn lanes(scenario: &Scenario, map: &net::Net, paths: &[Path], places: &Places, reader: &Reader) -> Result<(), Error> {
+    let needed = scenario.vehicle.width + 2.0 * scenario.jitter.lateral;
+    let starts = paths.iter().map(|path| &map.lanes[path.lanes[0]]);
+    let Some(narrow) = starts.into_iter().find(|lane| lane.width < needed - SLACK) else {
+        return Ok(());
+    };
+    let (line, column) = reader.position(places.lateral);
+    Err(Error::Value {
+        path: scenario.path.clone(),
+        line,
+        column,
+        element: "jitter".into(),
+        key: "lateral",
+        value: scenario.jitter.lateral.to_string(),
+        allowed: format!(
+            "what keeps a vehicle {} m wide on lane `{}`, {} m wide",
+            scenario.vehicle.width, narrow.id, narrow.width
+        ),
+    })
+}

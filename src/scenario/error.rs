@@ -1,0 +1,228 @@
+//! What can be wrong with a scenario file. Messages begin with `path:line:column`, name the key and, where one is
+//! close, the valid name that was probably meant.
+
+use std::{io, path::PathBuf};
+
+use crate::sumo::net::{NetError, did_you_mean};
+
+/// Why a scenario cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file does not exist or cannot be read as text.
+    #[error("{}: cannot read the scenario", path.display())]
+    Read {
+        /// The scenario file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is larger than any scenario.
+    #[error("{}: the scenario is larger than {limit} bytes", path.display())]
+    TooLarge {
+        /// The scenario file.
+        path: PathBuf,
+        /// Largest size \[bytes\].
+        limit: u64,
+    },
+    /// The file is not well-formed XML.
+    #[error("{}:{line}:{column}: not well-formed XML", path.display())]
+    Parse {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// What the XML parser said.
+        source: roxmltree::Error,
+    },
+    /// An element, attribute or text that a scenario does not have at this place.
+    #[error("{}:{line}:{column}: unknown {kind} `{key}` in {parent}{}", path.display(), did_you_mean(*nearest))]
+    Unknown {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// `element`, `attribute` or `text`.
+        kind: &'static str,
+        /// Its name.
+        key: String,
+        /// Where it stands, as `<agents>`.
+        parent: Box<str>,
+        /// The valid name closest to it, if one is close.
+        nearest: Option<&'static str>,
+        /// All names that are valid there.
+        valid: &'static [&'static str],
+    },
+    /// An element or attribute is not there.
+    #[error("{}:{line}:{column}: <{parent}> lacks the {kind} `{key}`", path.display())]
+    Missing {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line of the parent, from 1.
+        line: u32,
+        /// Column of the parent, from 1.
+        column: u32,
+        /// `element` or `attribute`.
+        kind: &'static str,
+        /// Its name.
+        key: &'static str,
+        /// The element that lacks it.
+        parent: String,
+    },
+    /// Something that may occur once occurs again.
+    #[error("{}:{line}:{column}: a second {key}", path.display())]
+    Duplicate {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line of the second one, from 1.
+        line: u32,
+        /// Column of the second one, from 1.
+        column: u32,
+        /// What it is, as `element <agents>`.
+        key: String,
+    },
+    /// An attribute's value cannot be read or is out of range.
+    #[error("{}:{line}:{column}: `{value}` is not a valid {key} of <{element}>, allowed: {allowed}", path.display())]
+    Value {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// The element.
+        element: String,
+        /// The attribute.
+        key: &'static str,
+        /// The value, shortened if long.
+        value: String,
+        /// What it may be.
+        allowed: String,
+    },
+    /// A spawn row names a route that the scenario does not have.
+    #[error("{}:{line}:{column}: {key} `{value}` is not the id of a route{}", path.display(), did_you_mean(nearest.as_deref()))]
+    Reference {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// The attribute.
+        key: &'static str,
+        /// The id.
+        value: String,
+        /// The route id closest to it, if one is close.
+        nearest: Option<String>,
+    },
+    /// A net file is missing or broken.
+    #[error("{}:{line}:{column}: file: the net cannot be used", path.display())]
+    Net {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// What is wrong with it.
+        source: Box<NetError>,
+    },
+    /// A route cannot be driven in one of the nets.
+    #[error("{}:{line}:{column}: edges: the route `{route}` cannot be driven", path.display())]
+    Route {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// Id of the route.
+        route: String,
+        /// Why not.
+        source: Box<NetError>,
+    },
+    /// A spawn place, with the vehicle's length and the jitter, lies partly outside its edge or beyond the finish.
+    #[error(
+        "{}:{line}:{column}: spawn: the place at {pos} m of route `{route}` does not fit on edge `{edge}`: \
+         it needs {half} m on both sides within 0 to {end} m", path.display()
+    )]
+    Place {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// Id of the route.
+        route: String,
+        /// Position of the place \[m\].
+        pos: f64,
+        /// Id of the edge.
+        edge: String,
+        /// Half the vehicle's length and the jitter \[m\].
+        half: f64,
+        /// End of the edge, or of what lies before the finish \[m\].
+        end: f64,
+    },
+    /// Two spawn places of one net are so close that vehicles could touch.
+    #[error(
+        "{}:{line}:{column}: spawn: the places at {first} m and {second} m of lane `{lane}` overlap: \
+         vehicle and jitter need {needed} m", path.display()
+    )]
+    Overlap {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line of one of the spawn rows, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// Id of the lane.
+        lane: String,
+        /// Position of one \[m\].
+        first: f64,
+        /// Position of the other \[m\].
+        second: f64,
+        /// Least distance \[m\].
+        needed: f64,
+    },
+    /// The number of agents asked for is not one that the scenario takes.
+    #[error("{}: agents: {agents} is outside of {min} to {max}", path.display())]
+    Agents {
+        /// The scenario file.
+        path: PathBuf,
+        /// Number asked for.
+        agents: u32,
+        /// Fewest.
+        min: u32,
+        /// Most.
+        max: u32,
+    },
+}
+
+impl Error {
+    /// What the user may do about it, where that is not plain from the message.
+    #[must_use]
+    pub fn hint(&self) -> Option<String> {
+        match self {
+            Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound => {
+                Some("give the path of a scenario file, as scenarios/intersection.xml".into())
+            }
+            Self::Unknown { parent, valid, .. } if !valid.is_empty() => {
+                Some(format!("valid in {parent}: {}", valid.join(", ")))
+            }
+            Self::Missing { .. } => Some("scenarios/intersection.xml shows every element and attribute".into()),
+            Self::Net { source, .. } | Self::Route { source, .. } => source.hint(),
+            Self::Place { .. } | Self::Overlap { .. } => {
+                Some("move the places, lower their number, or make the longitudinal jitter smaller".into())
+            }
+            Self::Agents { min, max, .. } => Some(format!(
+                "ask for {min} to {max} agents, or write a scenario with a larger net and a larger `max` of <agents>"
+            )),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,386 @@
+//! Reads a scenario file: strict, so that a misspelt key is an error and not a default, and every error has its place.
+
+use std::{
+    collections::{HashMap, HashSet},
+    fs::File,
+    io::Read,
+    path::Path,
+};
+
+use roxmltree::Node;
+
+use super::{
+    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, Reward, Route, Scenario,
+    SpawnRow, Termination, Vehicle, check,
+    reader::{Names, Reader, document, finite, in_element},
+};
+use crate::sumo::net::{nearest, shorten};
+
+/// Largest file that is read \[bytes\].
+const MAX_BYTES: u64 = 4 << 20;
+
+/// Most spawn places in a net.
+const MAX_PLACES: u32 = 10_000;
+
+/// The elements of a scenario.
+const PARTS: Names = &[
+    "description",
+    "agents",
+    "routes",
+    "nets",
+    "vehicle",
+    "jitter",
+    "control",
+    "observation",
+    "reward",
+    "termination",
+    "communication",
+];
+const OBSERVATION: Names = &["detectionRange", "neighbours", "conflictStreams", "streamVehicles"];
+const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation"];
+
+impl Scenario {
+    /// Reads a scenario file and checks it against its nets.
+    ///
+    /// # Errors
+    /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
+    /// not go with its nets.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let read = |source| Error::Read {
+            path: path.into(),
+            source,
+        };
+        let mut text = String::new();
+        let file = File::open(path).map_err(read)?;
+        let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
+        if bytes as u64 > MAX_BYTES {
+            return Err(Error::TooLarge {
+                path: path.into(),
+                limit: MAX_BYTES,
+            });
+        }
+        let document = document(&text, path)?;
+        let reader = Reader {
+            path,
+            document: &document,
+        };
+        let (scenario, places) = reader.scenario()?;
+        check::nets(&scenario, &places, &reader)?;
+        Ok(scenario)
+    }
+
+    /// Reads a scenario from its text; its nets are not looked at. Net files are taken as relative to the folder of `path`.
+    ///
+    /// # Errors
+    /// As [`Scenario::load`], less the nets.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, Error> {
+        if text.len() as u64 > MAX_BYTES {
+            return Err(Error::TooLarge {
+                path: path.into(),
+                limit: MAX_BYTES,
+            });
+        }
+        let document = document(text, path)?;
+        Reader {
+            path,
+            document: &document,
+        }
+        .scenario()
+        .map(|(scenario, _)| scenario)
+    }
+
+    /// The smallest net with a place for each of `agents` agents.
+    ///
+    /// # Errors
+    /// [`Error::Agents`] if the scenario does not take this number.
+    pub fn net_for(&self, agents: u32) -> Result<&Net, Error> {
+        let AgentRange { min, max, .. } = self.agents;
+        let refuse = |max| Error::Agents {
+            path: self.path.clone(),
+            agents,
+            min,
+            max,
+        };
+        if !(min..=max).contains(&agents) {
+            return Err(refuse(max));
+        }
+        let largest = self.nets.iter().map(Net::capacity).max().unwrap_or(0);
+        let large_enough = self.nets.iter().filter(|net| net.capacity() >= agents);
+        large_enough
+            .min_by_key(|net| net.capacity())
+            .ok_or_else(|| refuse(largest))
+    }
+}
+
+/// Where in the text the parts stand that are checked against the nets: byte offsets.
+pub(super) struct Places {
+    /// Per route.
+    pub(super) routes: Vec<RoutePlaces>,
+    /// Per net.
+    pub(super) nets: Vec<NetPlaces>,
+    /// Of the jitter's `lateral`.
+    pub(super) lateral: usize,
+}
+
+/// Where the parts of a route stand.
+pub(super) struct RoutePlaces {
+    pub(super) edges: usize,
+    pub(super) arrival_pos: usize,
+}
+
+/// Where the parts of a net stand.
+pub(super) struct NetPlaces {
+    pub(super) file: usize,
+    /// Of each spawn row.
+    pub(super) spawns: Vec<usize>,
+}
+
+impl<'a, 'input> Reader<'a, 'input> {
+    fn scenario(&self) -> Result<(Scenario, Places), Error> {
+        let root = self.document.root_element();
+        if !root.has_tag_name("scenario") {
+            return Err(self.unknown(
+                root,
+                "element",
+                root.tag_name().name(),
+                "the file".into(),
+                &["scenario"],
+            ));
+        }
+        self.expect(root, &["name"], PARTS)?;
+        let part = |name| self.child(root, name);
+
+        let (routes, route_places) = self.routes(part("routes")?)?;
+        let (nets, net_places) = self.nets(part("nets")?, &routes)?;
+        let agents = self.agents(part("agents")?, &nets)?;
+        let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
+        let places = Places {
+            routes: route_places,
+            nets: net_places,
+            lateral: Self::offset(jitter, "lateral"),
+        };
+        let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
+        let observation = self.leaf(part("observation")?, OBSERVATION)?;
+        let reward = self.leaf(part("reward")?, REWARD)?;
+        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime"])?;
+        let communication = self.leaf(part("communication")?, &["range"])?;
+
+        let scenario = Scenario {
+            name: self.name(root)?,
+            path: self.path.into(),
+            description: self.description(part("description")?)?,
+            agents,
+            nets,
+            routes,
+            vehicle: Vehicle {
+                length: self.positive(vehicle, "length")?,
+                width: self.positive(vehicle, "width")?,
+                max_speed: self.positive(vehicle, "maxSpeed")?,
+            },
+            jitter: Jitter {
+                longitudinal: self.not_negative(jitter, "longitudinal")?,
+                lateral: self.not_negative(jitter, "lateral")?,
+            },
+            control: self.control(part("control")?)?,
+            observation: Observation {
+                detection_range: self.positive(observation, "detectionRange")?,
+                neighbours: self.whole(observation, "neighbours", 0, 64)? as usize,
+                conflict_streams: self.whole(observation, "conflictStreams", 0, 64)? as usize,
+                stream_vehicles: self.whole(observation, "streamVehicles", 0, 64)? as usize,
+            },
+            reward: Reward {
+                progress: self.any(reward, "progress")?,
+                speed: self.any(reward, "speed")?,
+                arrive: self.any(reward, "arrive")?,
+                out_of_road: self.any(reward, "outOfRoad")?,
+                crash: self.any(reward, "crash")?,
+                cooperation: self.number(reward, "cooperation", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
+            },
+            termination: Termination {
+                horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
+                wreck_time: self.not_negative(termination, "wreckTime")?,
+            },
+            communication: Communication {
+                range: self.not_negative(communication, "range")?,
+            },
+        };
+        Ok((scenario, places))
+    }
+
+    /// The name is also a folder's.
+    fn name(&self, root: Node<'a, 'input>) -> Result<String, Error> {
+        let name = self.text(root, "name")?;
+        let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+        if name.is_empty() || name.len() > 64 || !name.chars().all(valid) {
+            return Err(self.value(root, "name", "1 to 64 letters, digits, `-` and `_`"));
+        }
+        Ok(name.into())
+    }
+
+    fn description(&self, node: Node<'a, 'input>) -> Result<String, Error> {
+        self.expect_attributes(node, &[])?;
+        if let Some(inner) = node.children().find(Node::is_element) {
+            return Err(self.unknown(inner, "element", inner.tag_name().name(), in_element(node), &[]));
+        }
+        let text: String = node.children().filter(Node::is_text).filter_map(|n| n.text()).collect();
+        Ok(text.split_whitespace().collect::<Vec<_>>().join(" "))
+    }
+
+    fn agents(&self, node: Node<'a, 'input>, nets: &[Net]) -> Result<AgentRange, Error> {
+        self.leaf(node, &["min", "max", "default"])?;
+        let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
+        let min = self.whole(node, "min", 1, MAX_PLACES)?;
+        let max = self.whole(node, "max", min, MAX_PLACES)?;
+        if max > largest {
+            let allowed = format!("{min} to {largest}, the number of places of the largest net");
+            return Err(self.value(node, "max", allowed));
+        }
+        Ok(AgentRange {
+            min,
+            max,
+            default: self.whole(node, "default", min, max)?,
+        })
+    }
+
+    fn routes(&self, node: Node<'a, 'input>) -> Result<(Vec<Route>, Vec<RoutePlaces>), Error> {
+        self.expect(node, &[], &["route"])?;
+        let (mut routes, mut places, mut ids) = (Vec::new(), Vec::new(), HashSet::new());
+        for route in node.children().filter(Node::is_element) {
+            self.leaf(route, &["id", "edges", "arrivalPos"])?;
+            let id = self.text(route, "id")?;
+            if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
+                return Err(self.value(route, "id", "a word without spaces, quotes and any of |\\;,<>&"));
+            }
+            if !ids.insert(id) {
+                return Err(self.duplicate(
+                    Self::offset(route, "id"),
+                    format!("route with the id `{}`", shorten(id)),
+                ));
+            }
+            let edges: Vec<String> = self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
+            if edges.is_empty() {
+                return Err(self.value(route, "edges", "edge ids separated by spaces"));
+            }
+            routes.push(Route {
+                id: id.into(),
+                edges,
+                arrival_pos: self.any(route, "arrivalPos")?,
+            });
+            places.push(RoutePlaces {
+                edges: Self::offset(route, "edges"),
+                arrival_pos: Self::offset(route, "arrivalPos"),
+            });
+        }
+        if routes.is_empty() {
+            return Err(self.missing(node, "element", "route"));
+        }
+        Ok((routes, places))
+    }
+
+    fn nets(&self, node: Node<'a, 'input>, routes: &[Route]) -> Result<(Vec<Net>, Vec<NetPlaces>), Error> {
+        self.expect(node, &[], &["net"])?;
+        let index: HashMap<&str, usize> = routes.iter().enumerate().map(|(i, r)| (r.id.as_str(), i)).collect();
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let mut nets = Vec::new();
+        for net in node.children().filter(Node::is_element) {
+            self.expect(net, &["file"], &["spawn"])?;
+            let file = self.text(net, "file")?;
+            if file.is_empty() {
+                return Err(self.value(net, "file", "a .net.xml"));
+            }
+            let (mut spawns, mut places, mut room) = (Vec::new(), Vec::new(), MAX_PLACES);
+            for spawn in net.children().filter(Node::is_element) {
+                let row = self.spawn(spawn, routes, &index, room)?;
+                room -= row.count;
+                spawns.push(row);
+                places.push(spawn.range().start);
+            }
+            if spawns.is_empty() {
+                return Err(self.missing(net, "element", "spawn"));
+            }
+            let at = NetPlaces {
+                file: Self::offset(net, "file"),
+                spawns: places,
+            };
+            nets.push((
+                Net {
+                    file: folder.join(file),
+                    spawns,
+                },
+                at,
+            ));
+        }
+        if nets.is_empty() {
+            return Err(self.missing(node, "element", "net"));
+        }
+        nets.sort_by_key(|(net, _)| net.capacity());
+        Ok(nets.into_iter().unzip())
+    }
+
+    fn spawn(
+        &self,
+        node: Node<'a, 'input>,
+        routes: &[Route],
+        index: &HashMap<&str, usize>,
+        room: u32,
+    ) -> Result<SpawnRow, Error> {
+        self.leaf(node, &["route", "first", "spacing", "count"])?;
+        let id = self.text(node, "route")?;
+        let Some(&route) = index.get(id) else {
+            let (line, column) = self.position(Self::offset(node, "route"));
+            let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
+            let value = shorten(id);
+            return Err(Error::Reference {
+                path: self.path.into(),
+                line,
+                column,
+                key: "route",
+                value,
+                nearest,
+            });
+        };
+        let count = self.whole(node, "count", 1, MAX_PLACES)?;
+        if count > room {
+            return Err(self.value(node, "count", format!("at most {MAX_PLACES} places in a net")));
+        }
+        Ok(SpawnRow {
+            route,
+            first: self.not_negative(node, "first")?,
+            spacing: self.positive(node, "spacing")?,
+            count,
+        })
+    }
+
+    fn control(&self, node: Node<'a, 'input>) -> Result<Control, Error> {
+        self.leaf(node, &["mode", "interval", "accel", "drag", "brake"])?;
+        let mode = match self.text(node, "mode")? {
+            "throttle" => ControlMode::Throttle,
+            _ => return Err(self.value(node, "mode", "throttle")),
+        };
+        let in_milliseconds = |v: f64| (v * 1000.0 - (v * 1000.0).round()).abs() < 1e-6;
+        let interval = |v: f64| (0.001..=10.0).contains(&v) && in_milliseconds(v);
+        Ok(Control {
+            mode,
+            interval: self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?,
+            accel: self.positive(node, "accel")?,
+            drag: self.not_negative(node, "drag")?,
+            brake: self.brake(node)?,
+        })
+    }
+
+    fn brake(&self, node: Node<'a, 'input>) -> Result<Vec<(f64, f64)>, Error> {
+        let pair = |text: &str| {
+            let (magnitude, deceleration) = text.split_once(':')?;
+            Some((finite(magnitude)?, finite(deceleration)?))
+        };
+        let curve: Option<Vec<(f64, f64)>> = self.text(node, "brake")?.split_whitespace().map(pair).collect();
+        let curve = curve.filter(|curve| {
+            let from_origin = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
+            let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
+            from_origin && ascending && curve.last().is_some_and(|last| last.0 == 1.0)
+        });
+        let allowed =
+            "pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling";
+        curve.ok_or_else(|| self.value(node, "brake", allowed))
+    }
+}

@@ -1,0 +1,205 @@
+//! What a task is, as data: read from `scenarios/<name>.xml` (schema: `scenarios/scenario.xsd`).
+//!
+//! Units are SI. Positions on lanes are those of the vehicle's **centre** unless a field says otherwise.
+
+mod check;
+mod error;
+mod load;
+mod reader;
+mod write;
+
+pub use error::Error;
+
+use std::path::PathBuf;
+
+/// One task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scenario {
+    /// Name; also the run folder's first level.
+    pub name: String,
+    /// Where it was read from.
+    pub path: PathBuf,
+    /// One sentence for people.
+    pub description: String,
+    /// How many agents it takes.
+    pub agents: AgentRange,
+    /// Nets by size, ascending by [`Net::capacity`].
+    pub nets: Vec<Net>,
+    /// Routes that agents follow.
+    pub routes: Vec<Route>,
+    /// The agents' vehicle.
+    pub vehicle: Vehicle,
+    /// How spawn places are disturbed.
+    pub jitter: Jitter,
+    /// How actions become motion.
+    pub control: Control,
+    /// What an agent sees.
+    pub observation: Observation,
+    /// Reward terms.
+    pub reward: Reward,
+    /// When an episode or an agent ends.
+    pub termination: Termination,
+    /// Who can hear whom.
+    pub communication: Communication,
+}
+
+/// Number of agents that a scenario takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AgentRange {
+    /// Fewest.
+    pub min: u32,
+    /// Most.
+    pub max: u32,
+    /// When the user does not say.
+    pub default: u32,
+}
+
+/// A net and its spawn places.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Net {
+    /// The `.net.xml`, resolved against the scenario file's folder.
+    pub file: PathBuf,
+    /// Rows of spawn places.
+    pub spawns: Vec<SpawnRow>,
+}
+
+/// Equally spaced spawn places at the start of a route.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpawnRow {
+    /// Index into [`Scenario::routes`].
+    pub route: usize,
+    /// Position of the first place on the route's first edge \[m\].
+    pub first: f64,
+    /// Distance between places \[m\].
+    pub spacing: f64,
+    /// Number of places.
+    pub count: u32,
+}
+
+/// One spawn place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpawnPlace {
+    /// Index into [`Scenario::routes`].
+    pub route: usize,
+    /// Position on the route's first edge \[m\].
+    pub pos: f64,
+}
+
+/// A route through the net.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    /// Name.
+    pub id: String,
+    /// Edge ids in driving order.
+    pub edges: Vec<String>,
+    /// Where the agent has arrived, on the last edge \[m\]; a negative value counts from its end.
+    pub arrival_pos: f64,
+}
+
+/// The agents' vehicle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Vehicle {
+    /// \[m\]
+    pub length: f64,
+    /// \[m\]
+    pub width: f64,
+    /// \[m/s\]
+    pub max_speed: f64,
+}
+
+/// Uniform disturbance of spawn places, plus or minus.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jitter {
+    /// Along the lane \[m\].
+    pub longitudinal: f64,
+    /// Across the lane \[m\].
+    pub lateral: f64,
+}
+
+/// How actions become motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Control {
+    /// Kind of control.
+    pub mode: ControlMode,
+    /// Decision interval \[s\]; also SUMO's step length.
+    pub interval: f64,
+    /// Acceleration at full throttle \[m/s²\].
+    pub accel: f64,
+    /// Deceleration of a rolling vehicle at zero throttle \[m/s²\].
+    pub drag: f64,
+    /// Braking curve: (action magnitude, deceleration \[m/s²\]), ascending; linear between, from the origin.
+    pub brake: Vec<(f64, f64)>,
+}
+
+/// Kind of control.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ControlMode {
+    /// One action, throttle and brake; SUMO keeps the vehicle on its route.
+    Throttle,
+}
+
+/// What an agent sees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Others further away than this are not seen \[m\].
+    pub detection_range: f64,
+    /// Nearest vehicles described one by one.
+    pub neighbours: usize,
+    /// Crossing or merging streams described, in the order in which the agent meets them.
+    pub conflict_streams: usize,
+    /// Vehicles described per stream, those next to the conflict point first.
+    pub stream_vehicles: usize,
+}
+
+/// Reward terms and their weights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reward {
+    /// Per metre along the route.
+    pub progress: f64,
+    /// Per step at [`Reward::SPEED_UNIT`], in proportion to speed.
+    pub speed: f64,
+    /// Replaces the step's reward on arrival.
+    pub arrive: f64,
+    /// Replaces the step's reward when leaving the road.
+    pub out_of_road: f64,
+    /// Replaces the step's reward in a crash.
+    pub crash: f64,
+    /// Share λ of the cooperative mix in training, 0 to 1.
+    pub cooperation: f64,
+}
+
+impl Reward {
+    /// 80 km/h, the speed that the speed term counts as one \[m/s\].
+    pub const SPEED_UNIT: f64 = 80.0 / 3.6;
+}
+
+/// When an episode or an agent ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Termination {
+    /// Truncation after this many steps.
+    pub horizon: u32,
+    /// A crashed vehicle stays as an obstacle for this time \[s\].
+    pub wreck_time: f64,
+}
+
+/// Who can hear whom.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Communication {
+    /// Range d_comm of the physical mask \[m\].
+    pub range: f64,
+}
+
+impl Net {
+    /// Number of spawn places.
+    #[must_use]
+    pub fn capacity(&self) -> u32 {
+        self.spawns.iter().map(|row| row.count).sum()
+    }
+
+    /// The places, row by row.
+    pub fn places(&self) -> impl Iterator<Item = SpawnPlace> + '_ {
+        self.spawns.iter().flat_map(|row| {
+            (0..row.count).map(|i| SpawnPlace { route: row.route, pos: row.first + row.spacing * f64::from(i) })
+        })
+    }
+}

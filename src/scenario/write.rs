@@ -1,0 +1,125 @@
+//! Writes a scenario as the XML that it can be read from.
+
+use std::{
+    fmt::{self, Write},
+    path::Path,
+};
+
+use super::{ControlMode, Scenario};
+
+impl Scenario {
+    /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
+    /// the folder of [`Scenario::path`] where they were read so.
+    pub fn to_xml(&self) -> String {
+        let mut xml = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write(&mut xml);
+        xml
+    }
+
+    fn write(&self, xml: &mut String) -> fmt::Result {
+        let xsi =
+            "xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" xsi:noNamespaceSchemaLocation=\"scenario.xsd\"";
+        writeln!(xml, "<?xml version=\"1.0\" encoding=\"UTF-8\"?>")?;
+        writeln!(xml, "<scenario name=\"{}\" {xsi}>", escape(&self.name))?;
+        writeln!(xml, "    <description>{}</description>", escape(&self.description))?;
+        let a = self.agents;
+        writeln!(
+            xml,
+            "    <agents min=\"{}\" max=\"{}\" default=\"{}\"/>",
+            a.min, a.max, a.default
+        )?;
+        writeln!(xml, "    <routes>")?;
+        for route in &self.routes {
+            let (id, edges) = (escape(&route.id), escape(&route.edges.join(" ")));
+            writeln!(
+                xml,
+                "        <route id=\"{id}\" edges=\"{edges}\" arrivalPos=\"{}\"/>",
+                route.arrival_pos
+            )?;
+        }
+        writeln!(xml, "    </routes>\n    <nets>")?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        for net in &self.nets {
+            let file = net.file.strip_prefix(folder).unwrap_or(&net.file);
+            writeln!(xml, "        <net file=\"{}\">", escape(&file.to_string_lossy()))?;
+            for row in &net.spawns {
+                let route = self.routes.get(row.route).map_or("", |route| route.id.as_str());
+                let (first, spacing, count) = (row.first, row.spacing, row.count);
+                write!(xml, "            <spawn route=\"{}\" first=\"{first}\" ", escape(route))?;
+                writeln!(xml, "spacing=\"{spacing}\" count=\"{count}\"/>")?;
+            }
+            writeln!(xml, "        </net>")?;
+        }
+        writeln!(xml, "    </nets>")?;
+        let v = self.vehicle;
+        writeln!(
+            xml,
+            "    <vehicle length=\"{}\" width=\"{}\" maxSpeed=\"{}\"/>",
+            v.length, v.width, v.max_speed
+        )?;
+        let j = self.jitter;
+        writeln!(
+            xml,
+            "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>",
+            j.longitudinal, j.lateral
+        )?;
+        let c = &self.control;
+        let ControlMode::Throttle = c.mode;
+        write!(
+            xml,
+            "    <control mode=\"throttle\" interval=\"{}\" accel=\"{}\" drag=\"{}\" ",
+            c.interval, c.accel, c.drag
+        )?;
+        let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
+        writeln!(xml, "brake=\"{}\"/>", brake.join(" "))?;
+        let o = self.observation;
+        write!(
+            xml,
+            "    <observation detectionRange=\"{}\" neighbours=\"{}\" ",
+            o.detection_range, o.neighbours
+        )?;
+        writeln!(
+            xml,
+            "conflictStreams=\"{}\" streamVehicles=\"{}\"/>",
+            o.conflict_streams, o.stream_vehicles
+        )?;
+        let r = self.reward;
+        write!(
+            xml,
+            "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ",
+            r.progress, r.speed, r.arrive
+        )?;
+        writeln!(
+            xml,
+            "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>",
+            r.out_of_road, r.crash, r.cooperation
+        )?;
+        let t = self.termination;
+        writeln!(
+            xml,
+            "    <termination horizon=\"{}\" wreckTime=\"{}\"/>",
+            t.horizon, t.wreck_time
+        )?;
+        writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;
+        writeln!(xml, "</scenario>")
+    }
+}
+
+/// Text as it may stand in an attribute or an element.
+fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\t' => escaped.push_str("&#9;"),
+            '\n' => escaped.push_str("&#10;"),
+            '\r' => escaped.push_str("&#13;"),
+            c => escaped.push(c),
+        }
+    }
+    escaped
+}

@@ -1,0 +1,322 @@
+//! Means and 95 % confidence intervals.
+//!
+//! Every number the program reports about a policy is a mean over independent units (episodes, or seeds) and is shown
+//! with an interval, so that two rows of a table can be compared. Quantities without bounds get Student's t interval;
+//! rates in `0..=1` get Wilson's score interval, which stays inside `0..=1` and does not collapse to a point when
+//! every episode succeeds or none does. A leaf: imports nothing of this crate.
+
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// The 97.5 % quantile of the standard normal distribution: half the width, in standard errors, of a 95 % interval.
+const Z_975: f64 = 1.959_963_984_540_054;
+
+/// Arithmetic mean; `None` for no values.
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Sample standard deviation (divisor `n - 1`); `None` for fewer than two values, for which it is not defined.
+pub fn sample_sd(values: &[f64]) -> Option<f64> {
+    let mean = mean(values)?;
+    let n = values.len();
+    (n > 1).then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt())
+}
+
+/// A mean with its 95 % confidence interval.
+///
+/// In JSON a bound that does not exist (an infinite one) is `null`, and so is a mean that is not a number; reading
+/// gives back the infinities and NaN.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Mean of the values, in their unit.
+    #[serde(deserialize_with = "nan_if_null")]
+    pub mean: f64,
+    /// Lower end of the 95 % interval; `-inf` where the values put no bound on it.
+    #[serde(deserialize_with = "negative_infinity_if_null")]
+    pub low: f64,
+    /// Upper end of the 95 % interval; `+inf` where the values put no bound on it.
+    #[serde(deserialize_with = "infinity_if_null")]
+    pub high: f64,
+}
+
+impl Estimate {
+    /// Student's t interval of the mean of independent values: `mean ± t(0.975, n-1)·sd/√n`.
+    ///
+    /// `None` for no values. One value says nothing about the spread: its interval is `(-inf, +inf)`. A NaN among the
+    /// values makes all three numbers NaN.
+    pub fn t(values: &[f64]) -> Option<Self> {
+        let mean = mean(values)?;
+        let half = match sample_sd(values) {
+            Some(sd) => {
+                let n = values.len() as f64;
+                student_t_quantile(0.975, n - 1.0) * sd / n.sqrt()
+            }
+            None => f64::INFINITY,
+        };
+        Some(Self {
+            mean,
+            low: mean - half,
+            high: mean + half,
+        })
+    }
+
+    /// Wilson's score interval of a rate, from one value in `0..=1` per independent unit.
+    ///
+    /// The unit is the episode: agents of one episode crash together, so an episode contributes the *fraction* of its
+    /// agents that succeeded, and `n` is the number of episodes, not of agents. A fraction varies at most as much as a
+    /// yes/no with the same mean, so the interval is then on the wide, safe side.
+    ///
+    /// `None` for no values. One value gives a valid, very wide interval. Values are expected in `0..=1`; a mean
+    /// outside (rounding) is moved to the nearer end.
+    pub fn rate(values: &[f64]) -> Option<Self> {
+        let mean = mean(values)?.clamp(0.0, 1.0);
+        let n = values.len() as f64;
+        let z2 = Z_975 * Z_975;
+        let centre = (mean + z2 / (2.0 * n)) / (1.0 + z2 / n);
+        let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();
+        // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
+        Some(Self {
+            mean,
+            low: (centre - half).max(0.0).min(mean),
+            high: (centre + half).min(1.0).max(mean),
+        })
+    }
+}
+
+fn nan_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
+}
+
+fn infinity_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
+}
+
+fn negative_infinity_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NEG_INFINITY))
+}
+
+/// Quantile of Student's t distribution: the `t` with `P(T <= t) = p`, for `df` degrees of freedom.
+///
+/// Absolute error below 1e-6 for quantiles of the usual size (up to a few hundred). NaN unless `0 < p < 1` and `df >
+/// 0`.
+pub fn student_t_quantile(p: f64, df: f64) -> f64 {
+    if !(p > 0.0 && p < 1.0 && df > 0.0) {
+        return f64::NAN;
+    }
+    if p < 0.5 {
+        return -student_t_quantile(1.0 - p, df);
+    }
+    // P(|T| > t) = I_x(df/2, 1/2) with x = df/(df + t²) falls steadily in t: double until the root lies below, then
+    // halve.
+    let two_tails = 2.0 * (1.0 - p);
+    let outside = |t: f64| regularized_beta(df / (df + t * t), df / 2.0, 0.5);
+    let (mut low, mut high) = (0.0, 1.0);
+    while outside(high) > two_tails && high < f64::MAX / 4.0 {
+        low = high;
+        high *= 2.0;
+    }
+    loop {
+        let middle = f64::midpoint(low, high);
+        if middle <= low || middle >= high {
+            return middle;
+        }
+        if outside(middle) > two_tails {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+}
+
+/// Regularised incomplete beta function `I_x(a, b)` for `0 <= x <= 1`, by its continued fraction.
+fn regularized_beta(x: f64, a: f64, b: f64) -> f64 {
+    if x <= 0.0 {
+        return 0.0;
+    }
+    if x >= 1.0 {
+        return 1.0;
+    }
+    let front = (a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b)).exp();
+    // The fraction converges fast on one side of the distribution's mean; the other side follows by symmetry.
+    if x < (a + 1.0) / (a + b + 2.0) {
+        front * beta_fraction(x, a, b) / a
+    } else {
+        1.0 - front * beta_fraction(1.0 - x, b, a) / b
+    }
+}
+
+/// The continued fraction of the incomplete beta function, evaluated front to back (modified Lentz method).
+fn beta_fraction(x: f64, a: f64, b: f64) -> f64 {
+    const TINY: f64 = 1e-300;
+    let nonzero = |v: f64| if v.abs() < TINY { TINY } else { v };
+    let mut c = 1.0;
+    let mut d = 1.0 / nonzero(1.0 - (a + b) * x / (a + 1.0));
+    let mut value = d;
+    for i in 1..10_000 {
+        let m = f64::from(i);
+        let even = m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m));
+        let odd = -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0));
+        let before = value;
+        for term in [even, odd] {
+            d = 1.0 / nonzero(1.0 + term * d);
+            c = nonzero(1.0 + term / c);
+            value *= c * d;
+        }
+        if (value / before - 1.0).abs() < 1e-15 {
+            break;
+        }
+    }
+    value
+}
+
+/// Natural logarithm of the gamma function for `x > 0`: Stirling's series after moving `x` up to where it is accurate.
+fn ln_gamma(mut x: f64) -> f64 {
+    let mut shift = 0.0;
+    while x < 10.0 {
+        shift += x.ln();
+        x += 1.0;
+    }
+    let inverse2 = 1.0 / (x * x);
+    let series = (1.0 / 12.0 + inverse2 * (-1.0 / 360.0 + inverse2 * (1.0 / 1260.0 + inverse2 * (-1.0 / 1680.0)))) / x;
+    (x - 0.5) * x.ln() - x + 0.5 * (2.0 * std::f64::consts::PI).ln() + series - shift
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: f64, b: f64, tolerance: f64) {
+        assert!((a - b).abs() <= tolerance, "{a} is not within {tolerance} of {b}");
+    }
+
+    #[test]
+    fn mean_and_sample_sd_match_hand_numbers() {
+        assert_eq!(mean(&[]), None);
+        assert_eq!(sample_sd(&[3.0]), None);
+        close(mean(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(), 5.0, 1e-15);
+        close(
+            sample_sd(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(),
+            (32.0_f64 / 7.0).sqrt(),
+            1e-15,
+        );
+    }
+
+    #[test]
+    fn t_quantiles_match_closed_forms_and_tables() {
+        // df 1 is the Cauchy distribution, df 2 has an algebraic quantile, df 4 one by Shaw's formula.
+        close(
+            student_t_quantile(0.975, 1.0),
+            (0.475 * std::f64::consts::PI).tan(),
+            1e-9,
+        );
+        close(
+            student_t_quantile(0.975, 2.0),
+            0.95 / (2.0_f64 * 0.975 * 0.025).sqrt(),
+            1e-9,
+        );
+        let alpha = (4.0_f64 * 0.975 * 0.025).sqrt();
+        let q = ((alpha.acos() / 3.0).cos() / alpha).mul_add(4.0, -4.0);
+        close(student_t_quantile(0.975, 4.0), q.sqrt(), 1e-9);
+        for (df, expected) in [
+            (1, 12.7062),
+            (2, 4.3027),
+            (3, 3.1824),
+            (9, 2.2622),
+            (30, 2.0423),
+            (120, 1.9799),
+        ] {
+            close(student_t_quantile(0.975, f64::from(df)), expected, 5e-5);
+        }
+        // Expansion around the normal quantile: z + (z³ + z)/(4 df).
+        close(
+            student_t_quantile(0.975, 1e6),
+            Z_975 + (Z_975.powi(3) + Z_975) / 4e6,
+            1e-8,
+        );
+        close(student_t_quantile(0.025, 9.0), -student_t_quantile(0.975, 9.0), 1e-12);
+        close(student_t_quantile(0.5, 7.0), 0.0, 1e-9);
+        assert!(student_t_quantile(1.0, 3.0).is_nan() && student_t_quantile(0.9, 0.0).is_nan());
+    }
+
+    #[test]
+    fn t_interval_matches_a_worked_example() {
+        // n = 4, mean 2.5, sd √(5/3), t(0.975, 3) = 3.182446.
+        let e = Estimate::t(&[1.0, 2.0, 3.0, 4.0]).unwrap();
+        let half = 3.182_446_305 * (5.0_f64 / 3.0).sqrt() / 2.0;
+        close(e.mean, 2.5, 1e-15);
+        close(e.low, 2.5 - half, 1e-8);
+        close(e.high, 2.5 + half, 1e-8);
+        let constant = Estimate::t(&[7.0; 5]).unwrap();
+        assert_eq!((constant.low, constant.high), (7.0, 7.0));
+    }
+
+    #[test]
+    fn intervals_of_nothing_and_of_one_value() {
+        assert_eq!(Estimate::t(&[]), None);
+        assert_eq!(Estimate::rate(&[]), None);
+        assert_eq!(
+            Estimate::t(&[2.0]),
+            Some(Estimate {
+                mean: 2.0,
+                low: f64::NEG_INFINITY,
+                high: f64::INFINITY
+            })
+        );
+        let one = Estimate::rate(&[1.0]).unwrap();
+        close(one.low, 1.0 / (1.0 + Z_975 * Z_975), 1e-12);
+        assert_eq!((one.mean, one.high), (1.0, 1.0));
+    }
+
+    #[test]
+    fn wilson_interval_matches_published_values() {
+        // Newcombe (1998), table I: 81/263 -> 0.2553..0.3662; 15/148 -> 0.0624..0.1605; 0/20 -> 0..0.1611; 1/29 ->
+        // 0.0061..0.1718.
+        for (k, n, low, high) in [
+            (81, 263, 0.2553, 0.3662),
+            (15, 148, 0.0624, 0.1605),
+            (0, 20, 0.0, 0.1611),
+            (1, 29, 0.0061, 0.1718),
+        ] {
+            let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
+            let e = Estimate::rate(&values).unwrap();
+            close(e.low, low, 5e-5);
+            close(e.high, high, 5e-5);
+        }
+    }
+
+    #[test]
+    fn rate_bounds_hold_the_mean_and_stay_in_range() {
+        for n in 1..40 {
+            for k in 0..=n {
+                let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
+                let e = Estimate::rate(&values).unwrap();
+                assert!(
+                    0.0 <= e.low && e.low <= e.mean && e.mean <= e.high && e.high <= 1.0,
+                    "{k}/{n}: {e:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn rate_counts_episodes_not_agents() {
+        // Two episodes of fraction 1/2 say as much as two yes/no episodes with the same mean.
+        assert_eq!(Estimate::rate(&[0.5, 0.5]), Estimate::rate(&[1.0, 0.0]));
+    }
+
+    #[test]
+    fn json_keeps_the_three_numbers_and_the_missing_bounds() {
+        let e = Estimate {
+            mean: 0.5,
+            low: 0.25,
+            high: 0.75,
+        };
+        let text = serde_json::to_string(&e).unwrap();
+        assert_eq!(text, r#"{"mean":0.5,"low":0.25,"high":0.75}"#);
+        assert_eq!(serde_json::from_str::<Estimate>(&text).unwrap(), e);
+        let open = Estimate::t(&[2.0]).unwrap();
+        let text = serde_json::to_string(&open).unwrap();
+        assert_eq!(text, r#"{"mean":2.0,"low":null,"high":null}"#);
+        assert_eq!(serde_json::from_str::<Estimate>(&text).unwrap(), open);
+    }
+}

@@ -1,0 +1,96 @@
+//! The valid name nearest to a mistyped one, for the hint beside an "unknown name" error. A leaf: imports nothing of
+//! this crate.
+
+/// Names longer than this are not compared: nobody mistyped them, and the comparison is quadratic in the length.
+const LONGEST: usize = 128;
+
+/// Likeness (Jaro-Winkler, `0..=1`) from which a name is worth suggesting.
+const ALIKE: f64 = 0.8;
+
+/// The entry of `valid` that `name` was most likely meant to be, or `None` if nothing is alike.
+///
+/// Case and the choice between `-`, `_` and a space do not count. Of equally near names the first wins.
+pub fn nearest<'a>(name: &str, valid: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let name = plain(name)?;
+    let mut best: Option<(f64, &str)> = None;
+    for candidate in valid {
+        let Some(plain_candidate) = plain(candidate) else {
+            continue;
+        };
+        let likeness = likeness(&name, &plain_candidate);
+        if likeness >= ALIKE && best.is_none_or(|(most, _)| likeness > most) {
+            best = Some((likeness, candidate));
+        }
+    }
+    best.map(|(_, candidate)| candidate)
+}
+
+/// Jaro-Winkler, which forgives a wrong ending, or edit distance in proportion to the length, which forgives a missing
+/// beginning: the kinder of the two. A name contained whole in the other counts as just alike.
+fn likeness(a: &str, b: &str) -> f64 {
+    let contained = a.len().min(b.len()) >= 3 && (a.contains(b) || b.contains(a));
+    strsim::jaro_winkler(a, b)
+        .max(strsim::normalized_damerau_levenshtein(a, b))
+        .max(if contained { ALIKE } else { 0.0 })
+}
+
+/// The name with the differences removed that do not count; `None` if it is empty or too long to compare.
+fn plain(name: &str) -> Option<String> {
+    (!name.is_empty() && name.len() <= LONGEST).then(|| name.trim().to_lowercase().replace(['_', ' '], "-"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALGORITHMS: [&str; 3] = ["mappo", "im-iwol", "ex-iwol"];
+    const KEYS: [&str; 10] = [
+        "horizon",
+        "detection_range",
+        "comm_range",
+        "neighbours",
+        "agents",
+        "seed",
+        "learning_rate",
+        "gamma",
+        "gae_lambda",
+        "entropy_coefficient",
+    ];
+
+    #[test]
+    fn finds_what_was_meant() {
+        for (typed, meant) in [
+            ("mapo", "mappo"),
+            ("ppo", "mappo"),
+            ("MAPPO", "mappo"),
+            ("im_iwol", "im-iwol"),
+            ("imiwol", "im-iwol"),
+            ("ex-iwoll", "ex-iwol"),
+            ("iwol", "im-iwol"),
+        ] {
+            assert_eq!(nearest(typed, ALGORITHMS), Some(meant), "{typed}");
+        }
+        for (typed, meant) in [
+            ("horizn", "horizon"),
+            ("detection-range", "detection_range"),
+            ("range", "detection_range"),
+            ("com-range", "comm_range"),
+            ("neighbors", "neighbours"),
+            ("agnets", "agents"),
+            ("lerning_rate", "learning_rate"),
+            ("lambda", "gae_lambda"),
+            ("entropy", "entropy_coefficient"),
+        ] {
+            assert_eq!(nearest(typed, KEYS), Some(meant), "{typed}");
+        }
+    }
+
+    #[test]
+    fn suggests_nothing_for_something_else() {
+        for typed in ["", "x", "dqn", "banana", &"mappo".repeat(100)] {
+            assert_eq!(nearest(typed, ALGORITHMS), None, "{typed}");
+        }
+        assert_eq!(nearest("wheelbase", KEYS), None);
+        assert_eq!(nearest("mappo", []), None);
+    }
+}

@@ -1,0 +1,327 @@
+//! Any number of commands for one message. A [`Batch`] keeps its buffers, so that one that is filled
+//! again and again allocates nothing. The step is not a command of the batch: the client appends it,
+//! last, because SUMO carries out what follows a step in a message before that step.
+
+use std::ops::Range;
+
+use super::{
+    Error,
+    codec::{Reader, Value, Writer},
+    constants::{self as c, Domain},
+};
+
+/// What follows the status of a command that was carried out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Answer {
+    Nothing,
+    Version,
+    Variable,
+    Subscription { context: bool },
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Queued {
+    pub(super) command: u8,
+    pub(super) answer: Answer,
+    /// Where the object's identifier (an untyped string) lies in the message.
+    object: Range<usize>,
+}
+
+/// What a vehicle needs to depart, see [`Batch::vehicle_add`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Departure<'a> {
+    /// Route identifier.
+    pub route: &'a str,
+    /// Vehicle type identifier.
+    pub vehicle_type: &'a str,
+    /// Position of the front bumper on the first edge \[m\].
+    pub position: f64,
+    /// Speed \[m/s\].
+    pub speed: f64,
+}
+
+/// Commands for one message, in the order in which SUMO carries them out.
+#[derive(Debug, Clone, Default)]
+pub struct Batch {
+    writer: Writer,
+    queued: Vec<Queued>,
+    stepped: bool,
+    text: String,
+}
+
+impl Batch {
+    /// An empty batch.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Number of commands.
+    pub fn len(&self) -> usize {
+        self.queued.len()
+    }
+
+    /// Whether there is no command.
+    pub fn is_empty(&self) -> bool {
+        self.queued.is_empty()
+    }
+
+    /// Takes all commands out; the buffers stay.
+    pub fn clear(&mut self) {
+        self.writer.truncate(0);
+        self.queued.clear();
+        self.stepped = false;
+    }
+
+    /// Changes a variable of an object; `value` writes the typed value.
+    pub fn set(&mut self, domain: Domain, variable: u8, object: &str, value: impl FnOnce(&mut Writer)) {
+        self.push(domain.set, Answer::Nothing, 1, |w| {
+            w.u8(variable).str(object);
+            value(w);
+        });
+    }
+
+    /// Reads a variable of an object, as it is when the command's turn comes: before the step.
+    pub fn get(&mut self, domain: Domain, variable: u8, object: &str) {
+        self.push(domain.get, Answer::Variable, 1, |w| {
+            w.u8(variable).str(object);
+        });
+    }
+
+    /// Has the variables of an object reported now and after each step from now on; replaces an earlier
+    /// subscription of the object. No variables: ends the subscription.
+    pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[u8]) {
+        let answer = if variables.is_empty() {
+            Answer::Nothing
+        } else {
+            Answer::Subscription { context: false }
+        };
+        self.push(domain.subscribe, answer, 16, |w| {
+            w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
+            write_variables(w, variables);
+        });
+    }
+
+    /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object. SUMO 1.15
+    /// dies if the object is a vehicle that TraCI removes while the subscription lasts: end it first.
+    pub fn subscribe_context(&mut self, domain: Domain, object: &str, around: Domain, range: f64, variables: &[u8]) {
+        let answer = if variables.is_empty() {
+            Answer::Nothing
+        } else {
+            Answer::Subscription { context: true }
+        };
+        self.push(domain.context, answer, 16, |w| {
+            w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
+            w.u8(around.get).f64(range);
+            write_variables(w, variables);
+        });
+    }
+
+    /// Puts a vehicle on the road at the next step, on the first lane that its type may use.
+    pub fn vehicle_add(&mut self, vehicle: &str, departure: Departure<'_>) {
+        use std::fmt::Write as _;
+        let mut text = std::mem::take(&mut self.text);
+        self.set(Domain::VEHICLE, c::ADD_FULL, vehicle, |w| {
+            w.compound(14)
+                .string(departure.route)
+                .string(departure.vehicle_type)
+                .string("now")
+                .string("first");
+            for number in [departure.position, departure.speed] {
+                text.clear();
+                // Writing to a `String` cannot fail.
+                let _ = write!(text, "{number}");
+                w.string(&text);
+            }
+            // Arrival on any lane, at the end of the route, at any speed; no zones, no line.
+            w.string("current")
+                .string("max")
+                .string("current")
+                .string("")
+                .string("")
+                .string("");
+            // No person capacity, no persons.
+            w.integer(0).integer(0);
+        });
+        self.text = text;
+    }
+
+    /// Takes a vehicle out of the simulation, also one that has not departed yet.
+    pub fn vehicle_remove(&mut self, vehicle: &str) {
+        self.set(Domain::VEHICLE, c::REMOVE, vehicle, |w| {
+            w.u8(c::TYPE_BYTE).u8(c::REMOVE_VAPORIZED);
+        });
+    }
+
+    /// Speed from the next step on \[m/s\]; a negative value gives the speed back to SUMO's driver.
+    pub fn vehicle_set_speed(&mut self, vehicle: &str, speed: f64) {
+        self.set(Domain::VEHICLE, c::VAR_SPEED, vehicle, |w| {
+            w.double(speed);
+        });
+    }
+
+    /// Which checks SUMO's driver applies to the set speed (32: none, 31: all).
+    pub fn vehicle_set_speed_mode(&mut self, vehicle: &str, mode: i32) {
+        self.set(Domain::VEHICLE, c::VAR_SPEEDSETMODE, vehicle, |w| {
+            w.integer(mode);
+        });
+    }
+
+    /// Makes a new vehicle type, a copy of `original` (`DEFAULT_VEHTYPE` always exists).
+    pub fn vehicle_type_copy(&mut self, original: &str, copy: &str) {
+        self.set(Domain::VEHICLE_TYPE, c::COPY, original, |w| {
+            w.string(copy);
+        });
+    }
+
+    /// Changes an attribute of a vehicle type that is a floating point number, such as [`c::VAR_LENGTH`].
+    pub fn vehicle_type_set(&mut self, vehicle_type: &str, variable: u8, value: f64) {
+        self.set(Domain::VEHICLE_TYPE, variable, vehicle_type, |w| {
+            w.double(value);
+        });
+    }
+
+    /// Adds a route: edge identifiers in driving order.
+    pub fn route_add<S: AsRef<str>>(&mut self, route: &str, edges: &[S]) {
+        self.set(Domain::ROUTE, c::ADD, route, |w| {
+            w.string_list(edges);
+        });
+    }
+
+    /// Reads the simulation time \[s\] before the step.
+    pub fn simulation_time(&mut self) {
+        self.get(Domain::SIMULATION, c::VAR_TIME, "");
+    }
+
+    pub(super) fn version(&mut self) {
+        self.push(c::CMD_GETVERSION, Answer::Version, 0, |_| {});
+    }
+
+    pub(super) fn close(&mut self) {
+        self.push(c::CMD_CLOSE, Answer::Nothing, 0, |_| {});
+    }
+
+    /// Closes the message, with the step of the simulation to `until` \[s\] as its last command (0: one
+    /// step length). May be called again, and commands may follow: the step is replaced then.
+    pub(super) fn seal(&mut self, until: Option<f64>) -> Result<&[u8], Error> {
+        self.unseal();
+        if let Some(until) = until {
+            self.stepped = true;
+            self.push_raw(c::CMD_SIMSTEP, Answer::Nothing, 0, |w| {
+                w.f64(until);
+            });
+        }
+        self.writer.finish()
+    }
+
+    fn unseal(&mut self) {
+        if self.stepped {
+            self.stepped = false;
+            self.queued.pop();
+            // A step takes ten bytes: length, identifier, time.
+            self.writer.truncate(self.writer.len() - 10);
+        }
+    }
+
+    /// All commands of the sealed message, the step included, and whether there is a step.
+    pub(super) fn sealed(&self) -> (&[Queued], bool) {
+        (&self.queued, self.stepped)
+    }
+
+    /// The object that a command is for.
+    fn object(&self, queued: &Queued) -> &str {
+        let bytes = self.writer.bytes().get(queued.object.clone()).unwrap_or_default();
+        Reader::new(bytes, 0).str().unwrap_or_default()
+    }
+
+    /// The error for a command that SUMO refused.
+    pub(super) fn refusal(&self, index: usize, message: &str) -> Error {
+        let (command, id) = self
+            .queued
+            .get(index)
+            .map_or((0, ""), |queued| (queued.command, self.object(queued)));
+        Error::Refused {
+            command,
+            id: id.to_owned(),
+            message: message.to_owned(),
+        }
+    }
+
+    fn push(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
+        self.unseal();
+        self.push_raw(command, answer, before_object, content);
+    }
+
+    fn push_raw(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
+        let range = self.writer.command(command, content);
+        self.queued.push(Queued {
+            command,
+            answer,
+            object: range.start + before_object..range.end,
+        });
+    }
+}
+
+fn write_variables(w: &mut Writer, variables: &[u8]) {
+    // A domain has fewer than 256 variables.
+    w.u8(variables.len() as u8);
+    for variable in variables {
+        w.u8(*variable);
+    }
+}
+
+/// What SUMO said to one command of a batch: the value that a `get` asked for, nothing for other
+/// commands, or [`Error::Refused`].
+pub type Outcome = Result<Option<Value>, Error>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_step_is_always_the_last_command() {
+        let mut batch = Batch::new();
+        batch.vehicle_set_speed("a", 1.0);
+        let once = batch.seal(Some(0.0)).unwrap().to_vec();
+        assert_eq!(batch.seal(Some(0.0)).unwrap(), once);
+        batch.vehicle_set_speed("b", 2.0);
+        batch.seal(Some(0.0)).unwrap();
+        let (queued, stepped) = batch.sealed();
+        assert!(stepped);
+        assert_eq!(
+            queued.iter().map(|q| q.command).collect::<Vec<_>>(),
+            [0xc4, 0xc4, c::CMD_SIMSTEP]
+        );
+        assert_eq!(
+            queued.iter().map(|q| batch.object(q)).collect::<Vec<_>>(),
+            ["a", "b", ""]
+        );
+        batch.seal(None).unwrap();
+        assert_eq!(batch.sealed().0.len(), 2);
+        batch.clear();
+        assert_eq!(batch.seal(None).unwrap(), [0, 0, 0, 4]);
+    }
+
+    #[test]
+    fn a_long_command_keeps_the_name_of_its_object() {
+        let mut batch = Batch::new();
+        batch.route_add("route", &vec!["a_rather_long_edge_name"; 50]);
+        batch.subscribe(Domain::VEHICLE, "v", &[c::VAR_SPEED]);
+        let names: Vec<_> = batch.sealed().0.iter().map(|q| batch.object(q)).collect();
+        assert_eq!(names, ["route", "v"]);
+    }
+
+    #[test]
+    fn bytes_of_a_set_speed_are_those_of_the_protocol() {
+        let mut batch = Batch::new();
+        batch.vehicle_set_speed("v0", 3.0);
+        let expected = [
+            0, 0, 0, 31, // message length
+            17, 0xc4, 0x40, 0, 0, 0, 2, b'v', b'0', 0x0b, 0x40, 0x08, 0, 0, 0, 0, 0, 0, // set speed
+            10, 0x02, 0, 0, 0, 0, 0, 0, 0, 0, // step
+        ];
+        let mut expected = expected.to_vec();
+        expected[3] = expected.len() as u8;
+        expected[4] = (expected.len() - 14) as u8;
+        assert_eq!(batch.seal(Some(0.0)).unwrap(), expected);
+    }
+}

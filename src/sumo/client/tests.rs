@@ -1,0 +1,175 @@
+//! Replies, whole, cut, damaged and hostile, and peers that misbehave.
+
+use super::*;
+use crate::sumo::{codec::Writer, constants::Domain};
+use proptest::{collection::vec, prelude::*};
+
+/// A batch with every kind of answer, and a reply to it as SUMO 1.15 lays it out.
+fn dialogue() -> (Batch, Vec<u8>) {
+    let mut batch = Batch::new();
+    batch.vehicle_set_speed("a", 1.0);
+    batch.simulation_time();
+    batch.subscribe(Domain::VEHICLE, "a", &[c::VAR_SPEED]);
+    batch.subscribe_context(Domain::JUNCTION, "j", Domain::VEHICLE, 9.0, &[c::VAR_SPEED]);
+    batch.vehicle_remove("b");
+    batch.seal(Some(0.0)).unwrap();
+    let mut w = Writer::default();
+    let status = |w: &mut Writer, id, result, text: &str| {
+        w.command(id, |w| {
+            w.u8(result).str(text);
+        });
+    };
+    let variable = |w: &mut Writer| {
+        w.command(0xe4, |w| {
+            w.str("a").u8(1).u8(c::VAR_SPEED).u8(0).double(2.5);
+        });
+    };
+    let context = |w: &mut Writer| {
+        w.command(0x99, |w| {
+            w.str("j")
+                .u8(0xa4)
+                .u8(1)
+                .i32(1)
+                .str("a")
+                .u8(c::VAR_SPEED)
+                .u8(0)
+                .double(2.5);
+        });
+    };
+    status(&mut w, 0xc4, 0, "");
+    status(&mut w, 0xab, 0, "");
+    w.command(0xbb, |w| {
+        w.u8(c::VAR_TIME).str("").double(7.0);
+    });
+    status(&mut w, 0xd4, 0, "");
+    variable(&mut w);
+    status(&mut w, 0x89, 0, "");
+    context(&mut w);
+    status(&mut w, 0xc4, 0xff, "Vehicle 'b' is not known");
+    status(&mut w, 0x02, 0, "");
+    w.i32(3);
+    variable(&mut w);
+    context(&mut w);
+    w.command(0xe4, |w| {
+        w.str("b").u8(1).u8(c::VAR_SPEED).u8(0xff).string("gone");
+    });
+    (batch, w.finish().unwrap().to_vec())
+}
+
+fn collect(message: &[u8], batch: &Batch) -> Result<StepReply, Error> {
+    let mut sink = Collector {
+        batch,
+        reply: StepReply::default(),
+    };
+    sink.reply.outcomes.extend(batch.sealed().0.iter().map(|_| Ok(None)));
+    parse_reply(message, batch, &mut sink)?;
+    Ok(sink.reply)
+}
+
+#[test]
+fn each_command_gets_its_own_result() {
+    let (batch, message) = dialogue();
+    let reply = collect(&message, &batch).unwrap();
+    assert!(matches!(reply.outcomes[0], Ok(None)));
+    assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
+    let Err(Error::Refused { command, id, message }) = &reply.outcomes[4] else {
+        panic!("{:?}", reply.outcomes)
+    };
+    assert_eq!(
+        (*command, id.as_str(), message.as_str()),
+        (0xc4, "b", "Vehicle 'b' is not known")
+    );
+    let values: Vec<_> = reply
+        .subscriptions
+        .iter()
+        .map(|o| (o.object.as_str(), o.around.as_deref(), &o.value))
+        .collect();
+    let speed = Ok(Value::Double(2.5));
+    assert_eq!(
+        values,
+        [
+            ("a", None, &speed),
+            ("a", Some("j"), &speed),
+            ("b", None, &Err("gone".to_owned()))
+        ]
+    );
+}
+
+#[test]
+fn every_truncation_of_a_reply_is_an_error() {
+    let (batch, message) = dialogue();
+    for cut in 0..message.len() {
+        assert!(
+            matches!(collect(&message[..cut], &batch), Err(Error::Protocol { .. })),
+            "cut at {cut}"
+        );
+    }
+    let longer: Vec<u8> = message.iter().copied().chain([0]).collect();
+    assert!(collect(&longer, &batch).is_err());
+}
+
+#[test]
+fn the_status_of_another_command_is_an_error() {
+    let (batch, mut message) = dialogue();
+    message[5] = 0xc5;
+    assert!(matches!(collect(&message, &batch), Err(Error::Protocol { .. })));
+}
+
+proptest! {
+    #[test]
+    fn hostile_replies_never_panic(bytes in vec(any::<u8>(), 0..300)) {
+        let (batch, _) = dialogue();
+        let _ = collect(&bytes, &batch);
+    }
+
+    #[test]
+    fn damaged_replies_never_panic(at in any::<prop::sample::Index>(), to in any::<u8>()) {
+        let (batch, mut message) = dialogue();
+        let at = at.index(message.len());
+        message[at] = to;
+        let _ = collect(&message, &batch);
+    }
+}
+
+/// A client whose peer sends `bytes` and then closes, or holds the connection open.
+fn client_of(bytes: &'static [u8], hold: Option<Duration>) -> (Client, std::thread::JoinHandle<()>) {
+    let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let address = listener.local_addr().unwrap();
+    let peer = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let _ = stream.read(&mut [0; 64]);
+        let _ = stream.write_all(bytes);
+        std::thread::sleep(hold.unwrap_or_default());
+    });
+    (Client::connect(address, Duration::from_millis(200)).unwrap(), peer)
+}
+
+#[test]
+fn a_huge_claimed_length_is_refused_without_memory_for_it() {
+    for bytes in [&[0x7f, 0xff, 0xff, 0xff][..], &[0xff, 0xff, 0xff, 0xff], &[0, 0, 0, 3]] {
+        let (mut client, peer) = client_of(bytes, None);
+        assert!(matches!(client.handshake(), Err(Error::Protocol { at_byte: 0, .. })));
+        assert!(client.input.capacity() < 1 << 20);
+        peer.join().unwrap();
+    }
+}
+
+#[test]
+fn a_large_claim_that_is_not_kept_costs_no_memory() {
+    let (mut client, peer) = client_of(&[3, 0, 0, 0, 1, 2, 3], None);
+    assert!(matches!(client.handshake(), Err(Error::Closed { .. })));
+    assert!(client.input.capacity() < 1 << 20);
+    peer.join().unwrap();
+}
+
+#[test]
+fn silence_is_a_timeout_and_an_end_is_closed() {
+    let (mut client, peer) = client_of(&[0, 0], Some(Duration::from_millis(600)));
+    assert!(matches!(client.handshake(), Err(Error::Timeout { .. })));
+    // What comes later is not taken for an answer.
+    assert!(matches!(client.handshake(), Err(Error::Closed { .. })));
+    peer.join().unwrap();
+    let (mut client, peer) = client_of(&[0, 0], None);
+    assert!(matches!(client.handshake(), Err(Error::Closed { .. })));
+    peer.join().unwrap();
+}

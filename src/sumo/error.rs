@@ -1,0 +1,187 @@
+//! What can go wrong between this program and SUMO. SUMO itself knows two kinds of failure: a refused
+//! command, after which the connection goes on, and everything else, after which it does not;
+//! [`Error::is_fatal`] tells them apart.
+
+use std::{io, path::PathBuf};
+
+/// A failure of the SUMO side.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A SUMO program is neither in `SUMO_HOME` nor in `PATH`.
+    #[error("{binary} was not found; looked in {}", list(looked_in))]
+    NotFound {
+        /// Name of the program.
+        binary: String,
+        /// Folders that were searched, in order.
+        looked_in: Vec<PathBuf>,
+    },
+    /// The operating system could not start the program.
+    #[error("could not start `{}`", binary.display())]
+    Spawn {
+        /// The program.
+        binary: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// SUMO ended by itself or was killed.
+    #[error("sumo ended ({status}); {}", last_words(stderr_tail))]
+    Exited {
+        /// Exit status or signal, in words.
+        status: String,
+        /// The last lines that SUMO wrote to its standard error.
+        stderr_tail: String,
+    },
+    /// The port belongs to a program that is not the SUMO that was started.
+    #[error("port {port} belongs to another program")]
+    PortTaken {
+        /// The TCP port.
+        port: u16,
+    },
+    /// SUMO did not open its port in time.
+    #[error("could not connect to sumo on port {port} ({attempts} attempts)")]
+    Connect {
+        /// The TCP port.
+        port: u16,
+        /// Number of attempts.
+        attempts: u32,
+        /// Reason of the last refusal.
+        source: io::Error,
+    },
+    /// The peer speaks a TraCI version that this client does not know.
+    #[error("the peer (`{peer}`) speaks TraCI version {found}; at least {minimum} is needed")]
+    Version {
+        /// Version number of the peer.
+        found: i32,
+        /// Lowest version number that is accepted.
+        minimum: i32,
+        /// How the peer names itself.
+        peer: String,
+    },
+    /// SUMO refused one command. The connection is intact.
+    #[error("sumo refused command {command:#04x} for `{id}`: {message}")]
+    Refused {
+        /// TraCI command identifier.
+        command: u8,
+        /// The object that the command was for; empty if it is for none.
+        id: String,
+        /// SUMO's reason.
+        message: String,
+    },
+    /// The peer closed the connection.
+    #[error("sumo closed the connection during `{command}` at simulation time {sim_time_s} s")]
+    Closed {
+        /// What was under way.
+        command: &'static str,
+        /// Simulation time known last \[s\].
+        sim_time_s: f64,
+    },
+    /// The peer did not answer in time.
+    #[error("no answer to `{command}` within {seconds} s at simulation time {sim_time_s} s")]
+    Timeout {
+        /// What was under way.
+        command: &'static str,
+        /// How long was waited \[s\].
+        seconds: f64,
+        /// Simulation time known last \[s\].
+        sim_time_s: f64,
+    },
+    /// The peer sent bytes that are not TraCI.
+    #[error("not a TraCI answer: expected {expected}, found {found} at byte {at_byte}")]
+    Protocol {
+        /// What should have stood there.
+        expected: &'static str,
+        /// What stood there.
+        found: String,
+        /// Position in the message \[bytes\].
+        at_byte: usize,
+    },
+    /// The caller asked for something that cannot be sent; nothing was sent. The connection is intact.
+    #[error("{what}")]
+    Invalid {
+        /// What is wrong and which values are allowed.
+        what: String,
+    },
+    /// The operating system reported a failure.
+    #[error("could not {doing}")]
+    Io {
+        /// What was being done.
+        doing: &'static str,
+        /// The system's reason.
+        source: io::Error,
+    },
+}
+
+impl Error {
+    /// `false`: the connection is intact and the simulation goes on; `true`: this SUMO instance is gone.
+    #[must_use]
+    pub fn is_fatal(&self) -> bool {
+        !matches!(self, Error::Refused { .. } | Error::Invalid { .. })
+    }
+
+    /// What the user can do about it, if anything is known.
+    #[must_use]
+    pub fn hint(&self) -> Option<String> {
+        match self {
+            Error::NotFound { binary, .. } => Some(format!(
+                "run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"
+            )),
+            Error::Version { .. } => Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned()),
+            Error::PortTaken { port } => Some(format!("choose a port other than {port}, or name none")),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn invalid(what: impl Into<String>) -> Self {
+        Error::Invalid { what: what.into() }
+    }
+}
+
+fn list(folders: &[PathBuf]) -> String {
+    if folders.is_empty() {
+        return "no folder: neither `SUMO_HOME` nor `PATH` is set".to_owned();
+    }
+    let names: Vec<String> = folders.iter().map(|f| format!("`{}`", f.display())).collect();
+    names.join(", ")
+}
+
+fn last_words(stderr_tail: &str) -> String {
+    if stderr_tail.is_empty() {
+        return "it printed no message".to_owned();
+    }
+    format!("its last words: {stderr_tail}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_refusals_and_bad_requests_leave_the_connection_intact() {
+        let refused = Error::Refused {
+            command: 0xc4,
+            id: "v".into(),
+            message: "no".into(),
+        };
+        assert!(!refused.is_fatal());
+        assert!(!Error::invalid("slot 9 of 8").is_fatal());
+        assert!(
+            Error::Closed {
+                command: "step",
+                sim_time_s: 1.0
+            }
+            .is_fatal()
+        );
+        assert!(Error::PortTaken { port: 1 }.is_fatal());
+    }
+
+    #[test]
+    fn a_missing_sumo_names_the_folders_and_the_way_out() {
+        let error = Error::NotFound {
+            binary: "sumo".into(),
+            looked_in: vec!["/a".into(), "/b".into()],
+        };
+        assert_eq!(error.to_string(), "sumo was not found; looked in `/a`, `/b`");
+        assert!(error.hint().is_some_and(|h| h.contains("scripts/bootstrap")));
+    }
+}

@@ -1,0 +1,524 @@
+//! Reader of SUMO's `.net.xml`: lanes, edges, junctions and connections, and the centre lines of routes.
+//!
+//! A net file comes from outside and is not trusted: whatever it holds, [`Net::load`] ends with a net whose
+//! references all resolve, or with an error that names file, line and column. Elements this program has no use for
+//! (traffic lights, roundabouts) are passed over. Compressed nets (`.net.xml.gz`) are not read.
+//!
+//! Units are SI, coordinates are the net's own, angles are radians counter-clockwise from +x.
+
+mod error;
+mod path;
+
+use std::{
+    collections::{HashMap, HashSet},
+    fs::File,
+    io::Read,
+    ops::Range,
+    path::{Path as FilePath, PathBuf},
+};
+
+use roxmltree::{Document, Node};
+
+pub use error::NetError;
+pub(crate) use error::{did_you_mean, nearest, shorten};
+pub use path::Path;
+
+/// Width of a lane for which the file gives none \[m\].
+pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
+
+/// Largest file that is read \[bytes\].
+const MAX_BYTES: u64 = 256 << 20;
+
+/// Largest magnitude of any number in a net; keeps sums and products finite.
+const MAX_NUMBER: f64 = 1e9;
+
+/// A road network.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Net {
+    /// Where it was read from.
+    pub path: PathBuf,
+    /// All lanes, those of one edge next to each other in order of [`Lane::index`].
+    pub lanes: Vec<Lane>,
+    /// All edges, internal ones too.
+    pub edges: Vec<Edge>,
+    /// All junctions.
+    pub junctions: Vec<Junction>,
+    /// All lane-to-lane connections.
+    pub connections: Vec<Connection>,
+    /// Lower left and upper right corner of the net \[m\].
+    pub boundary: [[f64; 2]; 2],
+    edge_by_id: HashMap<String, usize>,
+    /// Indices into `connections` by the lane that they start from.
+    leaving: Vec<Vec<usize>>,
+}
+
+/// A lane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lane {
+    /// SUMO id.
+    pub id: String,
+    /// Index into [`Net::edges`].
+    pub edge: usize,
+    /// Number on its edge, from the right, starting at 0.
+    pub index: u32,
+    /// Speed limit \[m/s\].
+    pub speed: f64,
+    /// Length as SUMO counts it \[m\]; a net may give another one than that of the shape.
+    pub length: f64,
+    /// Width \[m\].
+    pub width: f64,
+    /// Centre line in driving direction, two points or more \[m\].
+    pub shape: Vec<[f64; 2]>,
+}
+
+/// What an edge is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EdgeFunction {
+    /// A road.
+    Normal,
+    /// A way over a junction.
+    Internal,
+    /// Anything else: connector, crossing, walking area.
+    Other,
+}
+
+/// An edge: lanes of one direction between two junctions.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Edge {
+    /// SUMO id.
+    pub id: String,
+    /// Junction it starts at; none for internal edges.
+    pub from: Option<String>,
+    /// Junction it leads to; none for internal edges.
+    pub to: Option<String>,
+    /// What it is for.
+    pub function: EdgeFunction,
+    /// Its lanes in [`Net::lanes`]; never empty.
+    pub lanes: Range<usize>,
+}
+
+/// A junction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Junction {
+    /// SUMO id.
+    pub id: String,
+    /// SUMO type, as `right_before_left` or `priority`.
+    pub kind: String,
+    /// Position, x \[m\].
+    pub x: f64,
+    /// Position, y \[m\].
+    pub y: f64,
+    /// Outline \[m\]; empty where the file gives none.
+    pub shape: Vec<[f64; 2]>,
+}
+
+/// A way from one lane to the next.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Connection {
+    /// Lane that it leaves, index into [`Net::lanes`].
+    pub from: usize,
+    /// Lane that it reaches, index into [`Net::lanes`].
+    pub to: usize,
+    /// Internal lane over the junction, index into [`Net::lanes`]; none where the net was built without them.
+    pub via: Option<usize>,
+    /// Direction as SUMO writes it: `s` straight, `l` left, `r` right, `t` turn, ...; empty if not given.
+    pub dir: String,
+}
+
+impl Net {
+    /// Reads a net.
+    ///
+    /// # Errors
+    /// [`NetError`] if the file cannot be read, is no net, or refers to edges and lanes that it does not have.
+    pub fn load(path: &FilePath) -> Result<Self, NetError> {
+        let read = |source| NetError::Read {
+            path: path.into(),
+            source,
+        };
+        let mut text = String::new();
+        let file = File::open(path).map_err(read)?;
+        let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
+        if bytes as u64 > MAX_BYTES {
+            return Err(NetError::TooLarge {
+                path: path.into(),
+                limit: MAX_BYTES,
+            });
+        }
+        Self::parse(&text, path)
+    }
+
+    /// Reads a net from its text; `path` is for messages only.
+    ///
+    /// # Errors
+    /// As [`Net::load`].
+    pub fn parse(text: &str, path: &FilePath) -> Result<Self, NetError> {
+        let document = Document::parse(text).map_err(|source| {
+            let at = source.pos();
+            NetError::Xml {
+                path: path.into(),
+                line: at.row,
+                column: at.col,
+                source,
+            }
+        })?;
+        Reader {
+            path,
+            document: &document,
+        }
+        .net()
+    }
+
+    /// Index of an edge in [`Net::edges`].
+    pub fn edge_index(&self, id: &str) -> Option<usize> {
+        self.edge_by_id.get(id).copied()
+    }
+
+    /// Connections that leave a lane, given by its index in [`Net::lanes`].
+    pub fn connections_from(&self, lane: usize) -> impl Iterator<Item = &Connection> + '_ {
+        self.leaving
+            .get(lane)
+            .into_iter()
+            .flatten()
+            .map(|&c| &self.connections[c])
+    }
+
+    /// The centre line of a route: from each edge to the next along a connection, internal lanes included.
+    ///
+    /// Of the lanes from which the rest of the route can be driven without changing lanes, the rightmost is taken.
+    ///
+    /// # Errors
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotConnected`] or [`NetError::LaneChange`].
+    pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
+        let lanes = self.route_lanes(edges)?;
+        Path::through(self, &lanes).ok_or_else(|| NetError::EmptyRoute {
+            path: self.path.clone(),
+        })
+    }
+
+    /// The lanes of a route in driving order, internal ones between those of the route's edges.
+    fn route_lanes(&self, edges: &[String]) -> Result<Vec<usize>, NetError> {
+        let Some(last) = edges.len().checked_sub(1) else {
+            return Err(NetError::EmptyRoute {
+                path: self.path.clone(),
+            });
+        };
+        let route: Vec<&Edge> = edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
+        // Backwards: for each lane of an edge the best connection from which the route's end can be reached.
+        let mut ways: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
+        let mut good: Vec<usize> = route[last].lanes.clone().collect();
+        for i in (0..last).rev() {
+            let next = &route[i + 1].lanes;
+            let mut connected = false;
+            for lane in route[i].lanes.clone() {
+                let onward = self.connections_from(lane).filter(|c| next.contains(&c.to));
+                let onward = onward.inspect(|_| connected = true).filter(|c| good.contains(&c.to));
+                if let Some(best) = onward.min_by_key(|c| c.to) {
+                    ways[i].insert(lane, best);
+                }
+            }
+            good = route[i]
+                .lanes
+                .clone()
+                .filter(|lane| ways[i].contains_key(lane))
+                .collect();
+            if !connected {
+                let (from, to) = (edges[i].clone(), edges[i + 1].clone());
+                return Err(NetError::NotConnected {
+                    path: self.path.clone(),
+                    from,
+                    to,
+                });
+            }
+        }
+        let lane_change = || NetError::LaneChange {
+            path: self.path.clone(),
+            route: edges.join(" "),
+        };
+        let mut lane = good.first().copied().ok_or_else(lane_change)?;
+        let mut lanes = vec![lane];
+        for way in &ways {
+            let connection = way.get(&lane).ok_or_else(lane_change)?;
+            self.follow_internal(connection, &mut lanes);
+            lane = connection.to;
+            lanes.push(lane);
+        }
+        Ok(lanes)
+    }
+
+    /// Appends the internal lanes of a connection; there are several where vehicles may wait within the junction.
+    fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
+        let mut via = connection.via;
+        let start = lanes.len();
+        while let Some(lane) = via {
+            if lanes[start..].contains(&lane) {
+                break; // a circle, which only a broken net has
+            }
+            lanes.push(lane);
+            via = self
+                .connections_from(lane)
+                .find(|c| c.to == connection.to)
+                .and_then(|c| c.via);
+        }
+    }
+
+    fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
+        self.edge_index(id)
+            .map(|i| &self.edges[i])
+            .ok_or_else(|| NetError::NoEdge {
+                path: self.path.clone(),
+                edge: shorten(id),
+                nearest: nearest(id, self.roads().map(|e| e.id.as_str())).map(Into::into),
+            })
+    }
+
+    fn roads(&self) -> impl Iterator<Item = &Edge> {
+        self.edges.iter().filter(|e| e.function == EdgeFunction::Normal)
+    }
+}
+
+/// Turns the elements of a net file into a [`Net`].
+struct Reader<'a, 'input> {
+    path: &'a FilePath,
+    document: &'a Document<'input>,
+}
+
+impl Reader<'_, '_> {
+    fn net(&self) -> Result<Net, NetError> {
+        let root = self.document.root_element();
+        if root.tag_name().name() != "net" {
+            let (line, column) = self.position(root.range().start);
+            let found = shorten(root.tag_name().name());
+            return Err(NetError::NotNet {
+                path: self.path.into(),
+                line,
+                column,
+                found,
+            });
+        }
+        let mut net = Net {
+            path: self.path.into(),
+            lanes: Vec::new(),
+            edges: Vec::new(),
+            junctions: Vec::new(),
+            connections: Vec::new(),
+            boundary: self.boundary(root)?,
+            edge_by_id: HashMap::new(),
+            leaving: Vec::new(),
+        };
+        let mut lane_by_id = HashMap::new();
+        for node in elements(root, "edge") {
+            self.edge(node, &mut net, &mut lane_by_id)?;
+        }
+        let mut junction_ids = HashSet::new();
+        for node in elements(root, "junction") {
+            let junction = Junction {
+                id: self.text(node, "id")?.into(),
+                kind: node.attribute("type").unwrap_or_default().into(),
+                x: self.number(node, "x", f64::NEG_INFINITY)?,
+                y: self.number(node, "y", f64::NEG_INFINITY)?,
+                shape: self.points(node, 0)?,
+            };
+            if !junction_ids.insert(junction.id.clone()) {
+                return Err(self.duplicate(node, "junction", &junction.id));
+            }
+            net.junctions.push(junction);
+        }
+        net.leaving = vec![Vec::new(); net.lanes.len()];
+        for node in elements(root, "connection") {
+            let via = match node.attribute("via") {
+                None => None,
+                Some(id) => match lane_by_id.get(id) {
+                    Some(&lane) => Some(lane),
+                    None => return Err(self.reference(node, "via", id, lane_by_id.keys().map(String::as_str))),
+                },
+            };
+            let from = self.lane_end(node, &net, "from", "fromLane")?;
+            let to = self.lane_end(node, &net, "to", "toLane")?;
+            let dir = node.attribute("dir").unwrap_or_default().to_owned();
+            net.leaving[from].push(net.connections.len());
+            net.connections.push(Connection { from, to, via, dir });
+        }
+        Ok(net)
+    }
+
+    fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
+        let location = elements(root, "location")
+            .next()
+            .ok_or_else(|| self.missing(root, "the element <location>"))?;
+        let text = self.text(location, "convBoundary")?;
+        let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
+        match numbers.as_deref() {
+            Some(&[x0, y0, x1, y1]) if x0 <= x1 && y0 <= y1 => Ok([[x0, y0], [x1, y1]]),
+            _ => Err(self.value(location, "convBoundary", "left,bottom,right,top")),
+        }
+    }
+
+    fn edge(&self, node: Node, net: &mut Net, lane_by_id: &mut HashMap<String, usize>) -> Result<(), NetError> {
+        let id = self.text(node, "id")?.to_owned();
+        let edge = net.edges.len();
+        let start = net.lanes.len();
+        for lane_node in elements(node, "lane") {
+            let lane = self.lane(lane_node, edge)?;
+            if lane.index as usize != net.lanes.len() - start {
+                return Err(self.value(lane_node, "index", "lanes numbered 0, 1, 2, ... in this order"));
+            }
+            if lane_by_id.insert(lane.id.clone(), net.lanes.len()).is_some() {
+                return Err(self.duplicate(lane_node, "lane", &lane.id));
+            }
+            net.lanes.push(lane);
+        }
+        if net.lanes.len() == start {
+            return Err(self.missing(node, "the element <lane>"));
+        }
+        if net.edge_by_id.insert(id.clone(), edge).is_some() {
+            return Err(self.duplicate(node, "edge", &id));
+        }
+        net.edges.push(Edge {
+            id,
+            from: node.attribute("from").map(Into::into),
+            to: node.attribute("to").map(Into::into),
+            function: match node.attribute("function") {
+                None | Some("normal") => EdgeFunction::Normal,
+                Some("internal") => EdgeFunction::Internal,
+                Some(_) => EdgeFunction::Other,
+            },
+            lanes: start..net.lanes.len(),
+        });
+        Ok(())
+    }
+
+    fn lane(&self, node: Node, edge: usize) -> Result<Lane, NetError> {
+        Ok(Lane {
+            id: self.text(node, "id")?.into(),
+            edge,
+            index: self.integer(node, "index")?,
+            speed: self.number(node, "speed", 0.0)?,
+            length: self.number(node, "length", f64::MIN_POSITIVE)?,
+            width: match node.attribute("width") {
+                None => DEFAULT_LANE_WIDTH,
+                Some(_) => self.number(node, "width", 0.0)?,
+            },
+            shape: self.points(node, 2)?,
+        })
+    }
+
+    /// The lane that a connection's edge id and lane number mean.
+    fn lane_end(&self, node: Node, net: &Net, edge_key: &str, lane_key: &str) -> Result<usize, NetError> {
+        let id = self.text(node, edge_key)?;
+        let Some(edge) = net.edge_index(id) else {
+            return Err(self.reference(node, edge_key, id, net.edges.iter().map(|e| e.id.as_str())));
+        };
+        let index = self.integer(node, lane_key)?;
+        let lane = net.edges[edge].lanes.clone().nth(index as usize);
+        lane.ok_or_else(|| self.reference(node, lane_key, &index.to_string(), std::iter::empty()))
+    }
+
+    fn text<'n>(&self, node: Node<'n, '_>, key: &str) -> Result<&'n str, NetError> {
+        node.attribute(key)
+            .ok_or_else(|| self.missing(node, &format!("the attribute `{key}`")))
+    }
+
+    fn number(&self, node: Node, key: &str, least: f64) -> Result<f64, NetError> {
+        let number = finite(self.text(node, key)?).filter(|&n| n >= least);
+        let allowed = match least {
+            0.0 => "a number of at least 0",
+            f64::NEG_INFINITY => "a number",
+            _ => "a number greater than 0",
+        };
+        number.ok_or_else(|| self.value(node, key, allowed))
+    }
+
+    fn integer(&self, node: Node, key: &str) -> Result<u32, NetError> {
+        self.text(node, key)?
+            .parse()
+            .map_err(|_| self.value(node, key, "a whole number of at least 0"))
+    }
+
+    /// The attribute `shape`: `x,y` or `x,y,z` separated by spaces.
+    fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
+        let text = if least == 0 {
+            node.attribute("shape").unwrap_or_default()
+        } else {
+            self.text(node, "shape")?
+        };
+        let point = |text: &str| {
+            let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
+            matches!(numbers.len(), 2 | 3).then(|| [numbers[0], numbers[1]])
+        };
+        let points: Option<Vec<_>> = text.split_whitespace().map(point).collect();
+        let points = points.filter(|points| points.len() >= least);
+        points.ok_or_else(|| self.value(node, "shape", "points x,y separated by spaces, two or more for a lane"))
+    }
+
+    fn position(&self, offset: usize) -> (u32, u32) {
+        let at = self.document.text_pos_at(offset);
+        (at.row, at.col)
+    }
+
+    fn attribute_position(&self, node: Node, key: &str) -> (u32, u32) {
+        let attribute = node.attribute_node(key);
+        self.position(attribute.map_or(node.range().start, |a| a.range().start))
+    }
+
+    fn missing(&self, node: Node, what: &str) -> NetError {
+        let (line, column) = self.position(node.range().start);
+        let element = node.tag_name().name().to_owned();
+        NetError::Missing {
+            path: self.path.into(),
+            line,
+            column,
+            element,
+            what: what.into(),
+        }
+    }
+
+    fn value(&self, node: Node, key: &str, allowed: &'static str) -> NetError {
+        let (line, column) = self.attribute_position(node, key);
+        NetError::Value {
+            path: self.path.into(),
+            line,
+            column,
+            element: node.tag_name().name().into(),
+            key: key.into(),
+            value: shorten(node.attribute(key).unwrap_or_default()),
+            allowed,
+        }
+    }
+
+    fn reference<'v>(&self, node: Node, key: &str, value: &str, valid: impl Iterator<Item = &'v str>) -> NetError {
+        let (line, column) = self.attribute_position(node, key);
+        NetError::Reference {
+            path: self.path.into(),
+            line,
+            column,
+            key: key.into(),
+            value: shorten(value),
+            nearest: nearest(value, valid).map(Into::into),
+        }
+    }
+
+    fn duplicate(&self, node: Node, kind: &'static str, id: &str) -> NetError {
+        let (line, column) = self.attribute_position(node, "id");
+        NetError::Duplicate {
+            path: self.path.into(),
+            line,
+            column,
+            kind,
+            id: shorten(id),
+        }
+    }
+}
+
+fn elements<'a, 'i>(parent: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+    parent
+        .children()
+        .filter(move |n| n.is_element() && n.tag_name().name() == name)
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.trim().parse::<f64>().ok().filter(|n| n.abs() <= MAX_NUMBER)
+}
+
+#[cfg(test)]
+mod tests;

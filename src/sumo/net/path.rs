@@ -1,0 +1,176 @@
+//! The centre line of a route as a polyline, with arc length along it.
+//!
+//! `s` is the arc length \[m\] from the start of the route's first edge; the lateral offset is the distance from the
+//! centre line \[m\], positive to the LEFT. Beyond both ends the first and last segment go on straight, so that
+//! positions and projections stay inverse to each other there.
+
+use super::Net;
+
+/// Points closer to each other than this are one point \[m\].
+const SAME_POINT: f64 = 1e-6;
+
+/// The centre line of a route. Made by [`Net::route_path`] or [`Path::from_points`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Path {
+    /// Points in driving order, two or more, no two consecutive ones equal \[m\].
+    pub points: Vec<[f64; 2]>,
+    /// `s` of each point \[m\]; ascending from 0, as many as points.
+    pub cumulative: Vec<f64>,
+    /// Width of the lane at each segment \[m\]; one fewer than points.
+    pub widths: Vec<f64>,
+    /// Ids of the route's edges; empty if made from points.
+    pub edges: Vec<String>,
+    /// `s` at which each of [`Path::edges`] begins \[m\].
+    pub edge_start: Vec<f64>,
+    /// Length of each of [`Path::edges`] along the centre line \[m\].
+    pub edge_length: Vec<f64>,
+    /// All lanes passed, internal ones too: indices into [`Net::lanes`]; empty if made from points.
+    pub lanes: Vec<usize>,
+    /// Metres of centre line per metre of SUMO's lane position, for each of [`Path::edges`]; 1 in most nets.
+    scale: Vec<f64>,
+}
+
+impl Path {
+    /// A path along the given points \[m\] on a lane of the given width \[m\]; `None` if all points are one.
+    pub fn from_points(points: impl IntoIterator<Item = [f64; 2]>, width: f64) -> Option<Self> {
+        let mut path = Self::empty();
+        points.into_iter().for_each(|point| path.push(point, width));
+        (path.points.len() >= 2).then_some(path)
+    }
+
+    /// The path along lanes of a net; `None` if it has no extent.
+    pub(super) fn through(net: &Net, lanes: &[usize]) -> Option<Self> {
+        let mut path = Self::empty();
+        for &index in lanes {
+            let lane = &net.lanes[index];
+            let edge = &net.edges[lane.edge];
+            // Without internal lanes there is a gap at the junction: the way over it belongs to neither edge.
+            if let Some(&first) = lane.shape.first() {
+                path.push(first, lane.width);
+            }
+            let start = path.length();
+            lane.shape.iter().for_each(|&point| path.push(point, lane.width));
+            if edge.function == super::EdgeFunction::Normal {
+                path.edges.push(edge.id.clone());
+                path.edge_start.push(start);
+                path.edge_length.push(path.length() - start);
+                path.scale.push((path.length() - start) / lane.length);
+            }
+        }
+        path.lanes = lanes.to_vec();
+        (path.points.len() >= 2).then_some(path)
+    }
+
+    fn empty() -> Self {
+        Self {
+            points: Vec::new(),
+            cumulative: Vec::new(),
+            widths: Vec::new(),
+            edges: Vec::new(),
+            edge_start: Vec::new(),
+            edge_length: Vec::new(),
+            lanes: Vec::new(),
+            scale: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, point: [f64; 2], width: f64) {
+        match self.points.last() {
+            None => self.cumulative.push(0.0),
+            Some(&[x, y]) => {
+                let distance = (point[0] - x).hypot(point[1] - y);
+                if distance < SAME_POINT {
+                    return;
+                }
+                self.cumulative.push(self.length() + distance);
+                self.widths.push(width);
+            }
+        }
+        self.points.push(point);
+    }
+
+    /// Length of the whole path \[m\].
+    pub fn length(&self) -> f64 {
+        self.cumulative.last().copied().unwrap_or(0.0)
+    }
+
+    /// `s` of a SUMO lane position \[m\] on one of [`Path::edges`]; a negative position counts from the edge's end.
+    /// `None` if there is no such edge.
+    pub fn arc(&self, edge: usize, pos: f64) -> Option<f64> {
+        let (start, length, scale) = (
+            self.edge_start.get(edge)?,
+            self.edge_length.get(edge)?,
+            self.scale.get(edge)?,
+        );
+        Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
+    }
+
+    /// Point \[m\] and heading \[rad, counter-clockwise from +x\] at `s`.
+    pub fn at(&self, s: f64) -> ([f64; 2], f64) {
+        let after = self.cumulative.partition_point(|&c| c <= s);
+        let segment = after.saturating_sub(1).min(self.last_segment());
+        let ([x, y], [dx, dy]) = (self.points[segment], self.direction(segment));
+        let along = s - self.cumulative[segment];
+        ([x + along * dx, y + along * dy], dy.atan2(dx))
+    }
+
+    /// `s`, lateral offset (positive to the left) and segment of the place on the path next to a point.
+    ///
+    /// The search starts at the segment `hint` and goes on to neighbouring segments as long as they are nearer: give
+    /// the segment of the last call for a vehicle that has moved on a little, or see [`Path::nearest`].
+    pub fn project(&self, point: [f64; 2], hint: usize) -> (f64, f64, usize) {
+        let mut segment = hint.min(self.last_segment());
+        let mut best = self.project_on(point, segment);
+        loop {
+            let neighbours = [segment + 1, segment.wrapping_sub(1)];
+            let nearer = neighbours
+                .into_iter()
+                .filter(|&i| i <= self.last_segment())
+                .find_map(|i| {
+                    let projected = self.project_on(point, i);
+                    (projected.1.abs() < best.1.abs()).then_some((i, projected))
+                });
+            match nearer {
+                Some((i, projected)) => (segment, best) = (i, projected),
+                None => return (best.0, best.1, segment),
+            }
+        }
+    }
+
+    /// As [`Path::project`], over all segments.
+    pub fn nearest(&self, point: [f64; 2]) -> (f64, f64, usize) {
+        let all = (0..=self.last_segment()).map(|i| {
+            let (s, lateral) = self.project_on(point, i);
+            (s, lateral, i)
+        });
+        all.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).unwrap_or_default()
+    }
+
+    fn last_segment(&self) -> usize {
+        self.points.len().saturating_sub(2)
+    }
+
+    /// Unit vector of a segment.
+    fn direction(&self, segment: usize) -> [f64; 2] {
+        let ([x0, y0], [x1, y1]) = (self.points[segment], self.points[segment + 1]);
+        let length = self.cumulative[segment + 1] - self.cumulative[segment];
+        [(x1 - x0) / length, (y1 - y0) / length]
+    }
+
+    /// `s` and signed distance of the point of one segment next to `point`.
+    fn project_on(&self, point: [f64; 2], segment: usize) -> (f64, f64) {
+        let ([x, y], [dx, dy]) = (self.points[segment], self.direction(segment));
+        let length = self.cumulative[segment + 1] - self.cumulative[segment];
+        let (px, py) = (point[0] - x, point[1] - y);
+        let (along, left) = (px * dx + py * dy, dx * py - dy * px);
+        let least = if segment == 0 { f64::NEG_INFINITY } else { 0.0 };
+        let most = if segment == self.last_segment() {
+            f64::INFINITY
+        } else {
+            length
+        };
+        let clamped = along.max(least).min(most);
+        let lateral = (along - clamped).hypot(left).copysign(left);
+        (self.cumulative[segment] + clamped, lateral)
+    }
+}

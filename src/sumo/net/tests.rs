@@ -1,0 +1,230 @@
+//! Tests of the net reader and of paths.
+
+use std::{f64::consts::FRAC_PI_2, path::Path as FilePath};
+
+use proptest::prelude::*;
+
+use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, nearest};
+
+/// Two lanes into a bend; only lane 1 of `a` leads to `c`, through two chained internal lanes.
+const NET: &str = r#"<net version="1.9">
+    <location convBoundary="0,0,30,30"/>
+    <edge id=":j_0" function="internal"><lane id=":j_0_0" index="0" speed="5" length="5" shape="10,0 15,0"/></edge>
+    <edge id=":j_1" function="internal"><lane id=":j_1_0" index="0" speed="5" length="5" shape="15,0 20,0 20,10"/></edge>
+    <edge id="a" from="w" to="j">
+        <lane id="a_0" index="0" speed="10" length="10" shape="0,-3.2 10,-3.2"/>
+        <lane id="a_1" index="1" speed="10" length="10" width="3.5" shape="0,0,1 10,0,1"/>
+    </edge>
+    <edge id="b" from="j" to="e"><lane id="b_0" index="0" speed="10" length="10" shape="20,-3.2 30,-3.2"/></edge>
+    <edge id="c" from="j" to="n"><lane id="c_0" index="0" speed="10" length="40" shape="20,10 20,30"/></edge>
+    <edge id="d" from="n" to="x"><lane id="d_0" index="0" speed="10" length="5" shape="20,30 20,35"/></edge>
+    <junction id="j" type="priority" x="15" y="0" shape="10,-5 20,-5 20,5"/>
+    <connection from="a" to="b" fromLane="0" toLane="0" dir="s" state="M"/>
+    <connection from="a" to="c" fromLane="1" toLane="0" via=":j_0_0" dir="l" state="M"/>
+    <connection from=":j_0" to="c" fromLane="0" toLane="0" via=":j_1_0" dir="l" state="m"/>
+    <connection from=":j_1" to="c" fromLane="0" toLane="0" dir="l" state="m"/>
+</net>"#;
+
+fn parse(text: &str) -> Result<Net, NetError> {
+    Net::parse(text, FilePath::new("x.net.xml"))
+}
+
+fn route(edges: &[&str]) -> Result<Path, NetError> {
+    let edges: Vec<String> = edges.iter().map(|&e| e.to_owned()).collect();
+    parse(NET).unwrap().route_path(&edges)
+}
+
+/// The message of the error that the net gives when `from` is replaced by `to`.
+fn broken(from: &str, to: &str) -> String {
+    assert!(NET.contains(from));
+    parse(&NET.replacen(from, to, 1)).unwrap_err().to_string()
+}
+
+#[test]
+fn reads_every_part() {
+    let net = parse(NET).unwrap();
+    assert_eq!(
+        (
+            net.lanes.len(),
+            net.edges.len(),
+            net.junctions.len(),
+            net.connections.len()
+        ),
+        (7, 6, 1, 4)
+    );
+    assert_eq!(net.boundary, [[0.0, 0.0], [30.0, 30.0]]);
+    let a = &net.edges[net.edge_index("a").unwrap()];
+    assert_eq!(
+        (a.from.as_deref(), a.to.as_deref(), a.function),
+        (Some("w"), Some("j"), EdgeFunction::Normal)
+    );
+    let [first, second] = &net.lanes[a.lanes.clone()] else {
+        panic!("two lanes")
+    };
+    assert_eq!((first.width, second.width, second.index), (DEFAULT_LANE_WIDTH, 3.5, 1));
+    assert_eq!(second.shape, [[0.0, 0.0], [10.0, 0.0]], "heights are dropped");
+    let over = net.connections_from(a.lanes.start + 1).next().unwrap();
+    assert_eq!(
+        (net.lanes[over.via.unwrap()].id.as_str(), over.dir.as_str()),
+        (":j_0_0", "l")
+    );
+    assert_eq!(net.junctions[0].kind, "priority");
+}
+
+#[test]
+fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
+    let path = route(&["a", "c"]).unwrap();
+    assert_eq!(
+        path.points,
+        [
+            [0.0, 0.0],
+            [10.0, 0.0],
+            [15.0, 0.0],
+            [20.0, 0.0],
+            [20.0, 10.0],
+            [20.0, 30.0]
+        ]
+    );
+    assert_eq!(path.cumulative, [0.0, 10.0, 15.0, 20.0, 30.0, 50.0]);
+    assert_eq!(path.widths, [3.5, 3.2, 3.2, 3.2, 3.2]);
+    assert_eq!(
+        (path.edge_start.as_slice(), path.edge_length.as_slice()),
+        ([0.0, 30.0].as_slice(), [10.0, 20.0].as_slice())
+    );
+    assert_eq!(path.at(5.0), ([5.0, 0.0], 0.0));
+    assert_eq!(path.at(40.0), ([20.0, 20.0], FRAC_PI_2));
+    assert_eq!(path.arc(0, 4.0), Some(4.0));
+    // `c` is 40 m long for SUMO and 20 m in its shape.
+    assert_eq!(
+        (path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)),
+        (Some(35.0), Some(45.0), None)
+    );
+}
+
+#[test]
+fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
+    let path = route(&["a", "b"]).unwrap();
+    assert_eq!(
+        (path.edge_start.as_slice(), path.edge_length.as_slice()),
+        ([0.0, 20.0].as_slice(), [10.0, 10.0].as_slice())
+    );
+    assert_eq!(path.length(), 30.0);
+}
+
+#[test]
+fn routes_that_cannot_be_driven_are_refused() {
+    assert!(matches!(route(&[]), Err(NetError::EmptyRoute { .. })));
+    assert_eq!(
+        route(&["a", "cc"]).unwrap_err().to_string(),
+        "x.net.xml: the net has no edge `cc`; did you mean `c`?"
+    );
+    assert_eq!(
+        route(&["b", "c"]).unwrap_err().to_string(),
+        "x.net.xml: the edge `b` does not lead to `c`"
+    );
+    // `a` leads to `c` from lane 1 only, and lane 1 cannot be reached from a lane of `z`.
+    let z = r#"<edge id="z"><lane id="z_0" index="0" speed="1" length="1" shape="0,0 1,0"/></edge>
+        <connection from="z" to="a" fromLane="0" toLane="0"/></net>"#;
+    let net = parse(&NET.replace("</net>", z)).unwrap();
+    let error = net.route_path(&["z".into(), "a".into(), "c".into()]).unwrap_err();
+    assert_eq!(error.to_string(), "x.net.xml: the route `z a c` needs a lane change");
+}
+
+#[test]
+fn broken_nets_are_refused_with_their_place() {
+    insta::assert_snapshot!(broken(r#"speed="5""#, r#"speed="fast""#), @"x.net.xml:3:69: `fast` is not a valid speed of <lane>, allowed: a number of at least 0");
+    insta::assert_snapshot!(broken(r#" length="5""#, ""), @"x.net.xml:3:41: <lane> lacks the attribute `length`");
+    insta::assert_snapshot!(broken("0,-3.2 10,-3.2", "0,-3.2 nan,0"), @"x.net.xml:6:57: `0,-3.2 nan,0` is not a valid shape of <lane>, allowed: points x,y separated by spaces, two or more for a lane");
+    insta::assert_snapshot!(broken("0,-3.2 10,-3.2", "0,-3.2"), @"x.net.xml:6:57: `0,-3.2` is not a valid shape of <lane>, allowed: points x,y separated by spaces, two or more for a lane");
+    insta::assert_snapshot!(broken(r#"via=":j_0_0""#, r#"via=":j_0_9""#), @"x.net.xml:14:57: via=`:j_0_9` names nothing in this net; did you mean `:j_0_0`?");
+    insta::assert_snapshot!(broken(r#"fromLane="1""#, r#"fromLane="2""#), @"x.net.xml:14:33: fromLane=`2` names nothing in this net");
+    insta::assert_snapshot!(broken(r#"id="b""#, r#"id="a""#), @"x.net.xml:9:11: a second edge with the id `a`");
+    insta::assert_snapshot!(broken(r#"convBoundary="0,0,30,30""#, r#"convBoundary="0,0,30""#), @"x.net.xml:2:15: `0,0,30` is not a valid convBoundary of <location>, allowed: left,bottom,right,top");
+    insta::assert_snapshot!(parse("<nodes/>").unwrap_err(), @"x.net.xml:1:1: expected the element <net>, found <nodes>");
+    insta::assert_snapshot!(parse("<net>\n<edge></net>").unwrap_err(), @"x.net.xml:2:7: not well-formed XML");
+    insta::assert_snapshot!(Net::load(FilePath::new("none.net.xml")).unwrap_err(), @"none.net.xml: cannot read the net");
+}
+
+#[test]
+fn entities_and_deep_nesting_are_harmless() {
+    let bomb = "<!DOCTYPE net [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;'>]><net>&b;</net>";
+    assert!(matches!(parse(bomb), Err(NetError::Xml { .. })));
+    assert!(parse(&"<net>".repeat(200_000)).is_err());
+}
+
+#[test]
+fn a_circle_of_internal_lanes_ends() {
+    let circle = r#"from=":j_1" to="c" fromLane="0" toLane="0" via=":j_0_0" dir="l""#;
+    let text = NET.replace(r#"from=":j_1" to="c" fromLane="0" toLane="0" dir="l""#, circle);
+    assert_ne!(text, NET);
+    assert!(parse(&text).unwrap().route_path(&["a".into(), "c".into()]).is_ok());
+}
+
+#[test]
+fn nearest_is_near() {
+    let valid = ["west_in", "west_out", "east_in"];
+    assert_eq!(nearest("wset_in", valid.into_iter()), Some("west_in"));
+    assert_eq!(nearest("junction", valid.into_iter()), None);
+    assert_eq!(nearest(&"x".repeat(1000), valid.into_iter()), None);
+}
+
+/// Polylines of segments 5 to 40 m long with bends of up to 60 degrees.
+fn polyline() -> impl Strategy<Value = Path> {
+    prop::collection::vec((5.0..40.0, -1.04..1.04), 1..8).prop_map(|segments| {
+        let (mut x, mut y, mut heading) = (3.0, -7.0, 0.5_f64);
+        let mut points = vec![[x, y]];
+        for (length, bend) in segments {
+            heading += bend;
+            x += length * heading.cos();
+            y += length * heading.sin();
+            points.push([x, y]);
+        }
+        Path::from_points(points, 3.5).unwrap()
+    })
+}
+
+proptest! {
+    #[test]
+    fn projection_inverts_at(path in polyline(), segment in 0_usize..8, share in 0.2..0.8, lateral in -0.5..0.5_f64) {
+        let segment = segment % path.widths.len();
+        let (start, end) = (path.cumulative[segment], path.cumulative[segment + 1]);
+        let s = start + share * (end - start);
+        let ([x, y], heading) = path.at(s);
+        let point = [x - lateral * heading.sin(), y + lateral * heading.cos()];
+        for hint in [segment.saturating_sub(1), segment, segment + 1] {
+            let (found, offset, found_segment) = path.project(point, hint);
+            prop_assert_eq!(found_segment, segment);
+            prop_assert!((found - s).abs() < 1e-9, "s {} found {}", s, found);
+            prop_assert!((offset - lateral).abs() < 1e-9, "lateral {} found {}", lateral, offset);
+        }
+    }
+
+    #[test]
+    fn projection_inverts_at_beyond_both_ends(path in polyline(), beyond in 0.0..20.0_f64, lateral in -2.0..2.0_f64) {
+        for (s, hint) in [(-beyond, 0), (path.length() + beyond, path.widths.len())] {
+            let ([x, y], heading) = path.at(s);
+            let (found, offset, _) = path.project([x - lateral * heading.sin(), y + lateral * heading.cos()], hint);
+            prop_assert!((found - s).abs() < 1e-9 && (offset - lateral).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn nearest_finds_no_worse_a_place_than_project(path in polyline(), x in -50.0..150.0, y in -50.0..150.0, hint in 0_usize..9) {
+        prop_assert!(path.nearest([x, y]).1.abs() <= path.project([x, y], hint).1.abs());
+    }
+
+    #[test]
+    fn any_text_is_read_or_refused(text in ".{0,200}") {
+        prop_assert!(parse(&text).is_err());
+    }
+
+    #[test]
+    fn a_damaged_net_never_panics(at in 0..NET.len(), length in 0_usize..40, filler in "[ -~]{0,6}") {
+        let end = (at + length).min(NET.len());
+        let text = format!("{}{filler}{}", &NET[..at], &NET[end..]);
+        if let Ok(net) = parse(&text) {
+            // Whatever is accepted can be driven or is refused.
+            let _ = net.route_path(&["a".into(), "c".into()]).map(|path| path.at(1.0));
+        }
+    }
+}

@@ -1,0 +1,456 @@
+//! The SUMO process: found, started, connected to, and never left behind.
+//!
+//! SUMO's port is open to everyone until its one client has connected, and between choosing a free port
+//! and SUMO's opening it another program may take it. So the client connects as soon as it can, then
+//! checks in the system's connection table that the other end belongs to the very process that was
+//! started; a port that was lost is replaced by another.
+//!
+//! SUMO dies with this program, however this program ends: [`Process`] kills it when dropped (which a
+//! panic does too), and the kernel kills it when the thread that started it ends
+//! (`PR_SET_PDEATHSIG`). Because of that rule every SUMO is started by one thread that lives as long as
+//! the program. SUMO has a process group of its own, so that Ctrl-C reaches this program alone, which
+//! then decides when SUMO ends.
+
+use std::{
+    collections::VecDeque,
+    ffi::{OsStr, OsString},
+    fs, io,
+    io::{Read as _, Write as _},
+    net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
+    os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
+    path::{Path, PathBuf},
+    process::{Child, ChildStderr, Command, ExitStatus, Stdio},
+    sync::{Arc, Mutex, PoisonError, mpsc},
+    thread,
+    time::{Duration, Instant},
+};
+
+use super::{
+    Error,
+    client::{Client, Version},
+};
+
+/// Ports that are tried before giving up.
+const PORT_ATTEMPTS: u32 = 8;
+/// Pause between two attempts to connect.
+const POLL: Duration = Duration::from_millis(1);
+/// How long an ended connection may be ahead of the end of its process.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+/// How much of SUMO's standard error is kept \[bytes, lines\].
+const TAIL_BYTES: usize = 4096;
+const TAIL_LINES: usize = 10;
+
+/// How SUMO is started.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Options {
+    /// The program; `None`: what [`find_sumo`] finds.
+    pub binary: Option<PathBuf>,
+    /// Arguments, without `--remote-port`.
+    pub arguments: Vec<OsString>,
+    /// TCP port; `None`: a free one, replaced by another if it is lost before SUMO opens it.
+    pub port: Option<u16>,
+    /// How long SUMO may take to load and open its port.
+    pub connect_timeout: Duration,
+    /// How long SUMO may take to answer one message.
+    pub reply_timeout: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options {
+            binary: None,
+            arguments: Vec::new(),
+            port: None,
+            connect_timeout: Duration::from_secs(60),
+            reply_timeout: Duration::from_secs(60),
+        }
+    }
+}
+
+/// A running SUMO. It is killed when this value is dropped.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    port: u16,
+    stderr: Arc<Mutex<VecDeque<u8>>>,
+    reader: Option<thread::JoinHandle<()>>,
+}
+
+impl Process {
+    /// Starts SUMO, connects to it, and makes sure that it is SUMO and no other program that answers.
+    ///
+    /// # Errors
+    /// [`Error::NotFound`], [`Error::Spawn`]; [`Error::Exited`] if SUMO ends while it loads;
+    /// [`Error::PortTaken`] if the wanted port, or one port after the other, belongs to another program;
+    /// [`Error::Connect`]; what [`Client::handshake`] returns.
+    pub fn start(options: &Options) -> Result<(Process, Client, Version), Error> {
+        Self::start_on(options, free_port)
+    }
+
+    fn start_on(
+        options: &Options,
+        mut choose: impl FnMut() -> Result<u16, Error>,
+    ) -> Result<(Process, Client, Version), Error> {
+        let binary = match &options.binary {
+            Some(binary) => binary.clone(),
+            None => find_sumo()?,
+        };
+        let mut attempt = 0;
+        loop {
+            attempt += 1;
+            let port = match options.port {
+                Some(port) => port,
+                None => choose()?,
+            };
+            match Self::try_start(&binary, options, port) {
+                Err(Error::PortTaken { port }) if options.port.is_none() && attempt < PORT_ATTEMPTS => {
+                    tracing::debug!(port, "another program was faster; trying another port");
+                }
+                result => return result,
+            }
+        }
+    }
+
+    fn try_start(binary: &Path, options: &Options, port: u16) -> Result<(Process, Client, Version), Error> {
+        // SUMO would see this itself, but only after it has loaded its net.
+        if let Err(e) = TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)) {
+            return Err(match e.kind() {
+                io::ErrorKind::AddrInUse => Error::PortTaken { port },
+                _ => Error::Io {
+                    doing: "open a port for sumo",
+                    source: e,
+                },
+            });
+        }
+        let mut process = Self::spawn(binary, &options.arguments, port)?;
+        match process.connect(options) {
+            Ok((client, version)) => Ok((process, client, version)),
+            Err(error) => Err(process.port_lost().unwrap_or(error)),
+        }
+    }
+
+    fn spawn(binary: &Path, arguments: &[OsString], port: u16) -> Result<Process, Error> {
+        let mut command = Command::new(binary);
+        command.args(arguments).arg("--remote-port").arg(port.to_string());
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        let spawn_error = |source| Error::Spawn {
+            binary: binary.to_owned(),
+            source,
+        };
+        let mut child = spawn_from_lasting_thread(command).map_err(spawn_error)?;
+        let stderr = Arc::new(Mutex::new(VecDeque::new()));
+        let pipe = child.stderr.take();
+        let mut process = Process {
+            child,
+            port,
+            stderr: Arc::clone(&stderr),
+            reader: None,
+        };
+        if let Some(pipe) = pipe {
+            let reader = thread::Builder::new().name("sumo-stderr".to_owned());
+            process.reader = Some(reader.spawn(move || keep_tail(pipe, &stderr)).map_err(spawn_error)?);
+        }
+        Ok(process)
+    }
+
+    fn connect(&mut self, options: &Options) -> Result<(Client, Version), Error> {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
+        let start = Instant::now();
+        let mut attempts = 0;
+        let stream = loop {
+            attempts += 1;
+            let source = match TcpStream::connect(address) {
+                // A connection attempt to a free port can, by chance, get that port and meet itself.
+                Ok(stream) if stream.local_addr().ok() == Some(address) => io::ErrorKind::ConnectionRefused.into(),
+                Ok(stream) => break stream,
+                Err(e) => e,
+            };
+            if let Some(exited) = self.exited(Duration::ZERO) {
+                return Err(exited);
+            }
+            if start.elapsed() > options.connect_timeout {
+                return Err(Error::Connect {
+                    port: self.port,
+                    attempts,
+                    source,
+                });
+            }
+            thread::sleep(POLL);
+        };
+        let mut client = Client::new(stream, options.reply_timeout)?;
+        // SUMO is known to have accepted the connection, and so to own its end of it, once it has answered.
+        let answer = client.handshake();
+        let owned = self.owns_other_end(client.stream());
+        match (answer, owned) {
+            (Ok(version), Ok(true)) => Ok((client, version)),
+            (Ok(_), Err(source)) => Err(Error::Io {
+                doing: "find out whose port it is that answers",
+                source,
+            }),
+            (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
+            (Err(error), _) => Err(self.explain(error)),
+        }
+    }
+
+    /// Whether the other end of the connection belongs to the process that was started.
+    fn owns_other_end(&self, stream: &TcpStream) -> io::Result<bool> {
+        let (SocketAddr::V4(ours), SocketAddr::V4(theirs)) = (stream.local_addr()?, stream.peer_addr()?) else {
+            return Ok(false);
+        };
+        // As the table writes addresses: the four bytes read as a number of this machine, then the port.
+        let cell = |a: std::net::SocketAddrV4| format!("{:08X}:{:04X}", u32::from_ne_bytes(a.ip().octets()), a.port());
+        let (local, remote) = (cell(theirs), cell(ours));
+        let table = fs::read_to_string("/proc/net/tcp")?;
+        let inode = table.lines().find_map(|line| {
+            let cells: Vec<&str> = line.split_whitespace().collect();
+            (cells.len() > 9 && cells[1] == local && cells[2] == remote).then(|| cells[9].to_owned())
+        });
+        let Some(socket) = inode.map(|inode| format!("socket:[{inode}]")) else {
+            return Ok(false);
+        };
+        match fs::read_dir(format!("/proc/{}/fd", self.child.id())) {
+            Ok(entries) => Ok(entries
+                .flatten()
+                .any(|e| fs::read_link(e.path()).is_ok_and(|t| t.as_os_str() == OsStr::new(&socket)))),
+            // The process is gone.
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// Process identifier.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The TCP port that SUMO opened.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Replaces an error of the connection by [`Error::Exited`] if it comes from the end of the process.
+    #[must_use]
+    pub fn explain(&mut self, error: Error) -> Error {
+        match error {
+            Error::Closed { .. } => self.exited(LAST_WORDS).unwrap_or(error),
+            Error::Timeout { .. } | Error::Protocol { .. } => self.exited(Duration::ZERO).unwrap_or(error),
+            other => other,
+        }
+    }
+
+    /// The error of a process that has ended, or that ends within `patience`.
+    fn exited(&mut self, patience: Duration) -> Option<Error> {
+        let status = wait(&mut self.child, patience)?;
+        // The pipe ends with the process; the bound is for a stranger that inherited it.
+        let start = Instant::now();
+        while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && start.elapsed() < LAST_WORDS {
+            thread::sleep(POLL);
+        }
+        Some(Error::Exited {
+            status: status.to_string(),
+            stderr_tail: self.stderr_tail(),
+        })
+    }
+
+    /// Whether SUMO ended because its port was taken.
+    fn port_lost(&mut self) -> Option<Error> {
+        match self.exited(Duration::ZERO) {
+            Some(Error::Exited { stderr_tail, .. }) if stderr_tail.contains("listening socket") => {
+                Some(Error::PortTaken { port: self.port })
+            }
+            _ => None,
+        }
+    }
+
+    /// The last lines that SUMO wrote to its standard error.
+    pub fn stderr_tail(&self) -> String {
+        let bytes: Vec<u8> = self
+            .stderr
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .iter()
+            .copied()
+            .collect();
+        let text = String::from_utf8_lossy(&bytes);
+        let lines: Vec<&str> = text.lines().map(str::trim_end).filter(|l| !l.is_empty()).collect();
+        lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only if the process is gone already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn wait(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
+    let start = Instant::now();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Some(status),
+            _ if start.elapsed() >= patience => return None,
+            _ => thread::sleep(POLL),
+        }
+    }
+}
+
+fn keep_tail(mut pipe: ChildStderr, tail: &Mutex<VecDeque<u8>>) {
+    let mut chunk = [0; 1024];
+    while let Ok(n) = pipe.read(&mut chunk) {
+        if n == 0 {
+            break;
+        }
+        tracing::debug!(stderr = %String::from_utf8_lossy(&chunk[..n]).trim_end(), "sumo");
+        let mut tail = tail.lock().unwrap_or_else(PoisonError::into_inner);
+        tail.extend(&chunk[..n]);
+        let excess = tail.len().saturating_sub(TAIL_BYTES);
+        tail.drain(..excess);
+    }
+}
+
+fn free_port() -> Result<u16, Error> {
+    let bound = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|listener| listener.local_addr());
+    bound.map(|address| address.port()).map_err(|source| Error::Io {
+        doing: "find a free port",
+        source,
+    })
+}
+
+type Job = (Command, mpsc::Sender<io::Result<Child>>);
+
+/// Starts a command that dies with this program, from the one thread that lives as long as the program.
+fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
+    static JOBS: Mutex<Option<mpsc::Sender<Job>>> = Mutex::new(None);
+    let mut jobs = JOBS.lock().unwrap_or_else(PoisonError::into_inner);
+    let sender = if let Some(sender) = &*jobs {
+        sender.clone()
+    } else {
+        let (sender, receiver) = mpsc::channel::<Job>();
+        let work = move || {
+            while let Ok((command, answer)) = receiver.recv() {
+                // The asker waits for the answer, so it cannot be gone.
+                let _ = answer.send(spawn_bound(command));
+            }
+        };
+        thread::Builder::new().name("sumo-spawner".to_owned()).spawn(work)?;
+        jobs.insert(sender).clone()
+    };
+    drop(jobs);
+    let (answer, result) = mpsc::channel();
+    let gone = |_| io::Error::other("the thread that starts sumo is gone");
+    sender.send((command, answer)).map_err(|_| gone(mpsc::RecvError))?;
+    result.recv().map_err(gone)?
+}
+
+#[allow(
+    unsafe_code,
+    reason = "the kernel's tie between parent and child can be made in the child only"
+)]
+fn spawn_bound(mut command: Command) -> io::Result<Child> {
+    let parent = std::process::id();
+    command.process_group(0);
+    // SAFETY: between fork and exec only async-signal-safe calls are allowed. The closure makes two system
+    // calls and, on failure, an error from a number; it allocates nothing and takes no lock.
+    unsafe {
+        command.pre_exec(move || {
+            if libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) != 0 {
+                return Err(io::Error::last_os_error());
+            }
+            // The parent may have ended before the tie was made.
+            if u32::try_from(libc::getppid()) != Ok(parent) {
+                return Err(io::Error::from_raw_os_error(libc::ESRCH));
+            }
+            Ok(())
+        });
+    }
+    command.spawn()
+}
+
+/// Finds the program `sumo` in `$SUMO_HOME/bin`, then in `PATH`.
+///
+/// # Errors
+/// [`Error::NotFound`], with the folders that were searched.
+pub fn find_sumo() -> Result<PathBuf, Error> {
+    find_in(
+        "sumo",
+        std::env::var_os("SUMO_HOME").as_deref(),
+        std::env::var_os("PATH").as_deref(),
+    )
+}
+
+fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<PathBuf, Error> {
+    let home = home.filter(|h| !h.is_empty()).map(|h| Path::new(h).join("bin"));
+    let path = path
+        .map(|p| std::env::split_paths(p).collect::<Vec<_>>())
+        .unwrap_or_default();
+    let looked_in: Vec<PathBuf> = home
+        .into_iter()
+        .chain(path)
+        .filter(|f| !f.as_os_str().is_empty())
+        .collect();
+    let found = looked_in
+        .iter()
+        .map(|folder| folder.join(binary))
+        .find(|file| fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0));
+    found.ok_or(Error::NotFound {
+        binary: binary.to_owned(),
+        looked_in,
+    })
+}
+
+/// Version of a SUMO program, for example `1.15.0`, as it says itself.
+///
+/// # Errors
+/// [`Error::Spawn`] if it cannot be run; [`Error::Exited`] if it names no version.
+pub fn sumo_version(binary: &Path) -> Result<String, Error> {
+    let run = Command::new(binary).arg("--version").stdin(Stdio::null()).output();
+    let output = run.map_err(|source| Error::Spawn {
+        binary: binary.to_owned(),
+        source,
+    })?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let version = text
+        .lines()
+        .next()
+        .and_then(|line| line.split_once("Version "))
+        .map(|(_, v)| v.trim().to_owned());
+    version.filter(|v| !v.is_empty()).ok_or_else(|| Error::Exited {
+        status: output.status.to_string(),
+        stderr_tail: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
+    })
+}
+
+/// Starts a SUMO on an empty net, shakes hands with it and ends it.
+///
+/// # Errors
+/// As [`Process::start`].
+pub fn traci_version() -> Result<Version, Error> {
+    let (_net, options) = empty_net()?;
+    Process::start(&options).map(|(_, _, version)| version)
+}
+
+/// A net without roads, which lives as long as the file handle, and options to start SUMO with it: SUMO
+/// answers no handshake without a net.
+fn empty_net() -> Result<(tempfile::NamedTempFile, Options), Error> {
+    let doing = "write a net to a temporary file";
+    let mut file = tempfile::NamedTempFile::with_suffix(".net.xml").map_err(|source| Error::Io { doing, source })?;
+    file.write_all(b"<net version=\"1.0\"/>\n")
+        .map_err(|source| Error::Io { doing, source })?;
+    let words = ["--xml-validation", "never", "--no-step-log", "--net-file"].map(OsString::from);
+    let arguments = words.into_iter().chain([file.path().into()]).collect();
+    Ok((
+        file,
+        Options {
+            arguments,
+            ..Options::default()
+        },
+    ))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,187 @@
+//! A reply, read in place. SUMO answers the commands of a message one by one, in order, and after a step
+//! tells what the subscriptions report; all of it is handed to a [`Sink`] while it is read.
+
+use super::{
+    Error,
+    batch::{Answer, Batch},
+    codec::{Reader, Value},
+    constants::{self as c, Domain},
+};
+
+/// One variable that a subscription reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Report<'a> {
+    /// Identifier of the answer: the subscription's command + 0x10.
+    pub response: u8,
+    /// The object at the centre, for a context subscription.
+    pub around: Option<&'a str>,
+    /// The object that the value belongs to.
+    pub object: &'a str,
+    /// The variable.
+    pub variable: u8,
+    /// `false`: the value is SUMO's message why there is no value (the object is gone).
+    pub known: bool,
+    /// Whether the value is that after the step of the message; else it is the first answer to the
+    /// subscription, of the time before the step.
+    pub after_step: bool,
+}
+
+/// Takes in a reply as it is read. Each method gets what its name says; those for values must read the
+/// one typed value that the reader stands at. The provided ones let everything pass.
+pub trait Sink {
+    /// The command of this index in the batch was refused.
+    fn refused(&mut self, index: usize, message: &str) {
+        let _ = (index, message);
+    }
+
+    /// The value of a variable that the `get` command of this index asked for; `response` is as in [`Report`].
+    ///
+    /// # Errors
+    /// [`Error::Protocol`] if the bytes are not what they should be.
+    fn answer(&mut self, index: usize, response: u8, variable: u8, value: &mut Reader<'_>) -> Result<(), Error> {
+        let _ = index;
+        read_value(response, variable, value).map(drop)
+    }
+
+    /// A variable of a subscription.
+    ///
+    /// # Errors
+    /// [`Error::Protocol`] if the bytes are not what they should be.
+    fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
+        read_value(report.response, report.variable, value).map(drop)
+    }
+}
+
+/// Reads the reply to a sealed batch.
+pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
+    let mut reader = Reader::new(message, 0);
+    reader.i32()?;
+    let (queued, stepped) = batch.sealed();
+    let mut carried_out = true;
+    for (index, queued) in queued.iter().enumerate() {
+        let (id, mut status) = reader.command()?;
+        if id != queued.command {
+            let found = format!("that of command {id:#04x}");
+            return Err(Error::Protocol {
+                expected: "the status of the next command",
+                found,
+                at_byte: status.position(),
+            });
+        }
+        let result = status.u8()?;
+        let text = status.str()?;
+        status.end("the end of a status")?;
+        carried_out = result == c::RTYPE_OK;
+        if !carried_out {
+            sink.refused(index, text);
+            continue;
+        }
+        if queued.answer == Answer::Nothing {
+            continue;
+        }
+        let (id, mut answer) = reader.command()?;
+        let expected = if queued.answer == Answer::Version {
+            c::CMD_GETVERSION
+        } else {
+            queued.command.wrapping_add(0x10)
+        };
+        if id != expected {
+            return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
+        }
+        match queued.answer {
+            Answer::Nothing => {}
+            Answer::Version | Answer::Variable => {
+                let mut variable = 0;
+                if queued.answer == Answer::Variable {
+                    variable = answer.u8()?;
+                    answer.str()?;
+                }
+                sink.answer(index, id, variable, &mut answer)?;
+            }
+            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink)?,
+        }
+        answer.end("the end of an answer")?;
+    }
+    // The step is the last command.
+    if stepped && carried_out {
+        let count = reader.count(2, "the number of subscriptions")?;
+        for _ in 0..count {
+            let (id, mut answer) = reader.command()?;
+            parse_reports(id, is_context(id), true, &mut answer, sink)?;
+            answer.end("the end of a subscription's answer")?;
+        }
+    }
+    reader.end("the end of the message")
+}
+
+/// Reads the value of a variable. Differs from [`Reader::value`] where SUMO's count of a compound's items
+/// is wrong: for collisions, 1.15 counts four items for each and writes nine.
+pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
+    let of_simulation = [Domain::SIMULATION.get + 0x10, Domain::SIMULATION.subscribe + 0x10].contains(&response);
+    if !(of_simulation && variable == c::VAR_COLLISIONS) || reader.peek() != Some(c::TYPE_COMPOUND) {
+        return reader.value();
+    }
+    let count = read_collision_count(reader)?;
+    let mut items = vec![Value::Integer(count as i32)];
+    for _ in 0..count * COLLISION_VALUES {
+        items.push(reader.value()?);
+    }
+    Ok(Value::Compound(items))
+}
+
+/// Values that describe one collision: collider, victim, their types, their speeds, kind, lane, position.
+const COLLISION_VALUES: usize = 9;
+
+/// Reads the head of the compound of collisions up to their number.
+pub(super) fn read_collision_count(reader: &mut Reader<'_>) -> Result<usize, Error> {
+    reader.kind(c::TYPE_COMPOUND, "the collisions")?;
+    reader.i32()?;
+    reader.kind(c::TYPE_INTEGER, "the number of collisions")?;
+    // Six strings of at least five bytes and three doubles of nine.
+    reader.count(6 * 5 + 3 * 9, "the number of collisions")
+}
+
+/// Whether an answer is that of a context subscription.
+fn is_context(response: u8) -> bool {
+    matches!(response, 0x10..=0x1f | 0x90..=0x9f)
+}
+
+fn parse_reports(
+    response: u8,
+    context: bool,
+    after_step: bool,
+    reader: &mut Reader<'_>,
+    sink: &mut impl Sink,
+) -> Result<(), Error> {
+    let centre = reader.str()?;
+    if context {
+        // The domain of the objects: known from the subscription.
+        reader.u8()?;
+    }
+    let variables = reader.u8()?;
+    let objects = if context {
+        reader.count(4, "the number of objects")?
+    } else {
+        1
+    };
+    for _ in 0..objects {
+        let object = if context { reader.str()? } else { centre };
+        for _ in 0..variables {
+            let variable = reader.u8()?;
+            let known = reader.u8()? == c::RTYPE_OK;
+            let around = context.then_some(centre);
+            sink.report(
+                Report {
+                    response,
+                    around,
+                    object,
+                    variable,
+                    known,
+                    after_step,
+                },
+                reader,
+            )?;
+        }
+    }
+    Ok(())
+}

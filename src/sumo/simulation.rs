@@ -1,0 +1,174 @@
+//! The boundary between the environments and SUMO: worlds, commands out, a snapshot back.
+//!
+//! A *world* is one episode's traffic: `slots` vehicle slots on one copy of the net, in coordinates of
+//! its own. How worlds are hosted (a process each, tiles of one net, libsumo) is the host's business;
+//! the environments see world and slot numbers only. One decision is ONE exchange, split in two halves
+//! ([`Simulation::send`], [`Simulation::receive`]) so that many hosts can be set going before the first
+//! answer is awaited.
+
+use super::Error;
+
+/// State of one vehicle after a step, in SI units and mathematical angles.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct VehicleState {
+    /// Centre of the front bumper, x in the world's coordinates \[m\].
+    pub x: f64,
+    /// Centre of the front bumper, y in the world's coordinates \[m\].
+    pub y: f64,
+    /// Heading \[rad\], counter-clockwise from +x.
+    pub heading: f64,
+    /// Speed along the heading \[m/s\].
+    pub speed: f64,
+}
+
+/// One instruction of a decision. Commands of one [`Simulation::send`] are carried out in order, before the step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Command {
+    /// Puts a vehicle into a slot that is empty (or was emptied by [`Command::Remove`] in the same batch).
+    Add {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// Index into [`SimulationConfig::routes`].
+        route: u32,
+        /// Index into [`SimulationConfig::vehicle_types`].
+        vehicle_type: u32,
+        /// Position of the front bumper on the route's first edge \[m\].
+        depart_pos: f64,
+        /// Speed at departure \[m/s\].
+        depart_speed: f64,
+    },
+    /// Takes the vehicle of a slot out of the simulation; nothing happens if the slot is empty.
+    Remove {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+    },
+    /// Speed that the vehicle has after the step \[m/s\]; a negative value gives the speed back to SUMO's driver.
+    SetSpeed {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// Speed \[m/s\].
+        speed: f64,
+    },
+    /// SUMO's speed mode bits (32: no check at all, 31: SUMO's own driver and right of way).
+    SpeedMode {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// The bits.
+        mode: i32,
+    },
+}
+
+/// A kind of vehicle, made known to SUMO when the simulation starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VehicleType {
+    /// SUMO id of the type.
+    pub id: String,
+    /// Length \[m\].
+    pub length: f64,
+    /// Width \[m\].
+    pub width: f64,
+    /// Highest speed \[m/s\].
+    pub max_speed: f64,
+    /// Acceleration ability of SUMO's driver \[m/s²\].
+    pub accel: f64,
+    /// Comfortable deceleration of SUMO's driver \[m/s²\].
+    pub decel: f64,
+    /// Strongest deceleration of SUMO's driver \[m/s²\].
+    pub emergency_decel: f64,
+    /// Gap to the leader when standing \[m\].
+    pub min_gap: f64,
+    /// Desired time headway of SUMO's driver \[s\].
+    pub tau: f64,
+}
+
+/// A route, made known to SUMO when the simulation starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    /// SUMO id of the route.
+    pub id: String,
+    /// Edge ids in driving order.
+    pub edges: Vec<String>,
+}
+
+/// What a host needs to start.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulationConfig {
+    /// The `.net.xml`.
+    pub net: std::path::PathBuf,
+    /// Length of a simulation step \[s\].
+    pub step_length: f64,
+    /// SUMO's own seed.
+    pub seed: u64,
+    /// Vehicle slots per world.
+    pub slots: u32,
+    /// Vehicle types, addressed by index.
+    pub vehicle_types: Vec<VehicleType>,
+    /// Routes, addressed by index.
+    pub routes: Vec<Route>,
+}
+
+/// A collision as SUMO reports it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Collision {
+    /// World number.
+    pub world: u32,
+    /// Slot of the vehicle that ran into the other.
+    pub collider: u32,
+    /// Slot of the other vehicle.
+    pub victim: u32,
+}
+
+/// What came back from one step. Reused from step to step.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Snapshot {
+    /// Simulation time after the step \[s\].
+    pub time: f64,
+    /// `[worlds * slots]`, world-major; `None`: no vehicle of that slot is on the road.
+    pub vehicles: Vec<Option<VehicleState>>,
+    /// Collisions that SUMO reports for this step (a lasting overlap is reported in each step).
+    pub collisions: Vec<Collision>,
+}
+
+/// One SUMO instance, hosting one or more worlds.
+pub trait Simulation: Send {
+    /// Worlds hosted here.
+    fn worlds(&self) -> u32;
+
+    /// Vehicle slots per world.
+    fn slots(&self) -> u32;
+
+    /// Sends the commands of one decision together with the step of one step length.
+    ///
+    /// # Errors
+    /// [`Error`]; fatal ones mean that this instance is gone.
+    fn send(&mut self, commands: &[Command]) -> Result<(), Error>;
+
+    /// Waits for the answer to the last [`Simulation::send`].
+    ///
+    /// # Errors
+    /// [`Error`]; fatal ones mean that this instance is gone.
+    fn receive(&mut self) -> Result<&Snapshot, Error>;
+
+    /// Replaces the SUMO instance by a fresh, empty one with the same configuration.
+    ///
+    /// # Errors
+    /// [`Error`] when no new instance can be started.
+    fn restart(&mut self) -> Result<(), Error>;
+
+    /// [`Simulation::send`] and [`Simulation::receive`] in one: ONE exchange for all worlds.
+    ///
+    /// # Errors
+    /// As those two.
+    fn step(&mut self, commands: &[Command]) -> Result<&Snapshot, Error> {
+        self.send(commands)?;
+        self.receive()
+    }
+}

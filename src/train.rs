@@ -1,0 +1,518 @@
+//! The training loop: rollout, update, now and then a validation and a checkpoint.
+//!
+//! All randomness comes from the seed tree by iteration number, and a checkpoint is taken between iterations with the
+//! worlds' action histories, so that stopping and resuming changes nothing.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use tch::Tensor;
+
+use crate::algo::{self, ActMode, Algorithm, Losses, Observation};
+use crate::checkpoint::{self, Checkpoint, Progress};
+use crate::config::Config;
+use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions};
+use crate::evaluate::{Evaluation, Policy, evaluate};
+use crate::record::{self, JsonLines, TensorBoard};
+use crate::rng::{self, Seed};
+use crate::rollout::{Rollout, Sizes};
+use crate::scenario::Scenario;
+
+/// Files of a run.
+#[derive(Debug, Clone)]
+pub struct RunDir(PathBuf);
+
+impl RunDir {
+    /// A run folder; nothing is created.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self(path.into())
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    /// The resolved configuration.
+    pub fn config(&self) -> PathBuf {
+        self.0.join("config.toml")
+    }
+
+    /// A line per iteration, and one per validation.
+    pub fn metrics(&self) -> PathBuf {
+        self.0.join("metrics.jsonl")
+    }
+
+    /// A line per validation episode.
+    pub fn episodes(&self) -> PathBuf {
+        self.0.join("eval.jsonl")
+    }
+
+    /// The newest checkpoint.
+    pub fn last(&self) -> PathBuf {
+        self.0.join("checkpoints/last.safetensors")
+    }
+
+    /// The checkpoint with the best validation.
+    pub fn best(&self) -> PathBuf {
+        self.0.join("checkpoints/best.safetensors")
+    }
+}
+
+/// How training ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// All steps were done.
+    Finished,
+    /// The stop mark was reached.
+    Solved,
+    /// Someone asked to stop.
+    Interrupted,
+}
+
+/// Told to whoever watches, after each iteration.
+#[derive(Debug, Clone, Copy)]
+pub struct Report {
+    /// Environment steps so far.
+    pub step: u64,
+    /// Environment steps per second of the last iteration.
+    pub steps_per_second: f64,
+    /// Success of the episodes that the last iteration finished (with exploration noise).
+    pub training_success: Option<f64>,
+    /// Success of the last validation.
+    pub validation_success: Option<f64>,
+}
+
+/// Seconds per part of the loop since the last report.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+struct Timers {
+    #[serde(rename = "time/simulate_s")]
+    simulate: f64,
+    #[serde(rename = "time/act_s")]
+    act: f64,
+    #[serde(rename = "time/copy_s")]
+    copy: f64,
+    #[serde(rename = "time/update_s")]
+    update: f64,
+}
+
+/// A learner and its worlds.
+pub struct Trainer {
+    config: Config,
+    scenario: Scenario,
+    task: Arc<Task>,
+    env: VecEnv,
+    learner: Box<dyn Algorithm>,
+    rollout: Rollout,
+    /// Memory of the policy before the coming decision, `[E, N, M]`.
+    memory: Tensor,
+    progress: Progress,
+    seed: Seed,
+    /// Episodes of training that ended in the last iteration.
+    finished: Vec<EpisodeRecord>,
+    timers: Timers,
+}
+
+impl Trainer {
+    /// Starts a run.
+    ///
+    /// # Errors
+    /// When the task cannot be set up.
+    pub fn new(config: Config, scenario: Scenario) -> Result<Self, Error> {
+        Self::build(config, scenario, None)
+    }
+
+    /// Goes on from a checkpoint. The configuration may ask for more steps than the checkpoint's did; anything else that
+    /// differs is the caller's responsibility.
+    ///
+    /// # Errors
+    /// When the checkpoint does not fit or the task cannot be set up.
+    pub fn resume(config: Config, scenario: Scenario, checkpoint: &Checkpoint) -> Result<Self, Error> {
+        Self::build(config, scenario, Some(checkpoint))
+    }
+
+    fn build(config: Config, scenario: Scenario, checkpoint: Option<&Checkpoint>) -> Result<Self, Error> {
+        let seed = Seed::new(config.seed);
+        let task = Arc::new(Task::new(&scenario, config.agents)?);
+        let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"))?;
+        let worlds = config.train.envs;
+        let options =
+            VecOptions { worlds, driver: Driver::Agents, seed: seed.child("episodes"), episodes: 0..u64::MAX };
+        let sizes = Sizes {
+            steps: config.train.segment,
+            envs: worlds,
+            agents: task.agents,
+            observation: task.spec.observation.len(),
+            state: task.spec.state.len(),
+            actions: task.spec.actions,
+            memory: learner.memory(),
+            graph_noise: learner.samples_graph(),
+        };
+        let shape = [worlds as i64, task.agents as i64, learner.memory() as i64];
+        let count = worlds * task.agents * learner.memory();
+        let (env, memory, progress) = match checkpoint {
+            None => {
+                let first = Progress { next_validation: config.train.validate_every, ..Progress::default() };
+                (VecEnv::new(&task, &options)?, vec![0.0; count], first)
+            }
+            Some(stored) => {
+                let width = task.agents * task.spec.actions;
+                let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
+                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole {
+                    return Err(Error::OtherWorlds { found: stored.worlds.len(), expected: worlds });
+                }
+                learner.load(&stored.learner)?;
+                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
+            }
+        };
+        Ok(Self {
+            rollout: Rollout::new(sizes),
+            memory: Tensor::from_slice(&memory).view(shape),
+            config,
+            scenario,
+            task,
+            env,
+            learner,
+            progress,
+            seed,
+            finished: Vec::new(),
+            timers: Timers::default(),
+        })
+    }
+
+    /// The learner.
+    pub fn learner(&self) -> &dyn Algorithm {
+        &*self.learner
+    }
+
+    /// Where training stands.
+    pub fn progress(&self) -> &Progress {
+        &self.progress
+    }
+
+    /// The scenario as this run sees it.
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
+    }
+
+    /// One iteration: a rollout and an update.
+    ///
+    /// # Errors
+    /// When SUMO fails twice in a row or training diverges.
+    pub fn iterate(&mut self) -> Result<Losses, Error> {
+        let begin = Instant::now();
+        let seed = self.seed.child("iteration").index(self.progress.iteration);
+        self.collect(seed.child("noise"))?;
+        let rows = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
+        let share = (self.progress.step + rows) as f64 / self.config.steps as f64;
+        let losses = timed(&mut self.timers.update, || {
+            self.learner.update(&self.rollout, share.min(1.0), seed.child("update"))
+        })?;
+        self.progress.iteration += 1;
+        self.progress.step += rows;
+        self.progress.seconds += begin.elapsed().as_secs_f64();
+        Ok(losses)
+    }
+
+    fn collect(&mut self, seed: Seed) -> Result<(), Error> {
+        let s = self.rollout.sizes;
+        let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
+        let mut noise = vec![0.0; s.envs * s.agents * s.actions];
+        for t in 0..s.steps {
+            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            let decision = timed(&mut self.timers.act, || {
+                let mut rng = seed.index(t as u64).rng();
+                rng::fill_normal(&mut rng, &mut noise);
+                let cell = self.rollout.at(t, s.agents);
+                let graph = if s.graph_noise {
+                    rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
+                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, n])
+                } else {
+                    Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
+                };
+                let action = Tensor::from_slice(&noise).view([e, n, a]);
+                let observation = Observation {
+                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)]).view([e, n, -1]),
+                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)]).view([e, n, n]),
+                    start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
+                    memory: self.memory.shallow_clone(),
+                };
+                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph })
+            });
+            timed(&mut self.timers.copy, || {
+                copy_out(&decision.action, &mut self.rollout.action, t);
+                copy_out(&decision.log_prob, &mut self.rollout.log_prob, t);
+            });
+            self.memory = decision.memory;
+            let actions = self.rollout.at(t, s.actions);
+            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
+            self.finished.extend(self.env.take_finished());
+            timed(&mut self.timers.copy, || {
+                for (e, world) in self.env.worlds().enumerate() {
+                    let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
+                    self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
+                    self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
+                    self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
+                }
+            });
+        }
+        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
+        Ok(())
+    }
+
+    /// Deterministic evaluation on the validation seeds, which are the same in every call.
+    ///
+    /// # Errors
+    /// When SUMO fails twice in a row.
+    pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
+        let policy = Policy::Learned(&*self.learner);
+        let episodes = self.config.train.validation_episodes;
+        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), stop, &mut |_| {})?)
+    }
+
+    /// Everything needed to go on from here.
+    pub fn checkpoint(&self) -> Checkpoint {
+        Checkpoint {
+            progress: self.progress.clone(),
+            config: self.config.to_toml(),
+            algorithm: self.config.algorithm.clone(),
+            learner: self.learner.state(),
+            worlds: self.env.states(),
+            memory: Vec::try_from(self.memory.reshape([-1])).expect("memory is of floats"),
+        }
+    }
+
+    /// Trains until the end, the stop mark or `stop`, writing the run's files.
+    ///
+    /// # Errors
+    /// [`Error`]; the last checkpoint stays usable.
+    pub fn run(&mut self, dir: &RunDir, stop: &AtomicBool, report: &mut dyn FnMut(&Report)) -> Result<Outcome, Error> {
+        let mut files = Files::open(dir, &self.config, self.progress.step)?;
+        let mut validation_success = None;
+        let mut outcome = Outcome::Finished;
+        while self.progress.step < self.config.steps {
+            if stop.load(Ordering::Relaxed) {
+                outcome = Outcome::Interrupted;
+                break;
+            }
+            let before = (self.progress.step, self.progress.seconds);
+            self.timers = Timers::default();
+            self.finished.clear();
+            let losses = self.iterate()?;
+            let seconds = self.progress.seconds - before.1;
+            let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
+            let training_success = files.iteration(self, &losses, steps_per_second)?;
+            if self.progress.step >= self.progress.next_validation || self.progress.step >= self.config.steps {
+                let evaluation = self.validate(stop)?;
+                if stop.load(Ordering::Relaxed) {
+                    continue;
+                }
+                let success = self.judge(&evaluation, dir, &mut files)?;
+                validation_success = Some(success);
+            }
+            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
+            let train = &self.config.train;
+            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
+                outcome = Outcome::Solved;
+                break;
+            }
+        }
+        self.checkpoint().save(&dir.last())?;
+        if !dir.best().exists() {
+            self.checkpoint().save(&dir.best())?;
+        }
+        Ok(outcome)
+    }
+
+    /// Takes a validation into account: records, best checkpoint, last checkpoint.
+    fn judge(&mut self, evaluation: &Evaluation, dir: &RunDir, files: &mut Files) -> Result<f64, Error> {
+        let mean = |of: fn(&EpisodeRecord) -> f64| {
+            evaluation.episodes.iter().map(of).sum::<f64>() / evaluation.episodes.len().max(1) as f64
+        };
+        let success = mean(|r| r.success);
+        let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
+        files.validation(self.progress.step, evaluation, success, mean(|r| r.safety), window)?;
+        let train = &self.config.train;
+        self.progress.solved = if success >= train.stop_success { self.progress.solved + 1 } else { 0 };
+        while self.progress.next_validation <= self.progress.step {
+            self.progress.next_validation += train.validate_every;
+        }
+        if self.progress.best.is_none_or(|best| (success, window) > best) {
+            self.progress.best = Some((success, window));
+            self.checkpoint().save(&dir.best())?;
+        }
+        self.checkpoint().save(&dir.last())?;
+        Ok(success)
+    }
+}
+
+/// The open files of a run.
+struct Files {
+    metrics: JsonLines,
+    episodes: JsonLines,
+    board: TensorBoard,
+}
+
+#[derive(Serialize)]
+struct EpisodeLine<'a> {
+    step: u64,
+    #[serde(flatten)]
+    record: &'a EpisodeRecord,
+}
+
+impl Files {
+    /// Opens or creates them; lines beyond `step` are from a future that is played again.
+    fn open(dir: &RunDir, config: &Config, step: u64) -> Result<Self, Error> {
+        std::fs::create_dir_all(dir.path().join("checkpoints")).map_err(|source| Error::Folder { path: dir.0.clone(), source })?;
+        record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
+        let resumed = step > 0;
+        let open = |path: PathBuf| -> Result<JsonLines, record::Error> {
+            if !resumed {
+                return JsonLines::create(&path);
+            }
+            let mut lines = JsonLines::resume(&path)?;
+            lines.truncate_after(step)?;
+            Ok(lines)
+        };
+        Ok(Self {
+            metrics: open(dir.metrics())?,
+            episodes: open(dir.episodes())?,
+            board: TensorBoard::create(dir.path(), resumed.then_some(step))?,
+        })
+    }
+
+    fn write(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), Error> {
+        let mut line = serde_json::Map::new();
+        line.insert("step".to_owned(), step.into());
+        for (key, value) in values {
+            line.insert((*key).to_owned(), (*value).into());
+        }
+        self.metrics.append(&line)?;
+        self.board.write(step, values.iter().copied())?;
+        Ok(())
+    }
+
+    /// Gives the success of the episodes that the iteration finished.
+    fn iteration(&mut self, trainer: &Trainer, losses: &Losses, steps_per_second: f64) -> Result<Option<f64>, Error> {
+        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted).collect();
+        let mean = |of: fn(&EpisodeRecord) -> f64| {
+            episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
+        };
+        let mut values: Vec<(&str, f64)> = losses.clone();
+        if !episodes.is_empty() {
+            values.extend([
+                ("episode/success", mean(|r| r.success)),
+                ("episode/safety", mean(|r| r.safety)),
+                ("episode/reward", mean(|r| r.reward)),
+                ("episode/length", mean(|r| f64::from(r.episode_length))),
+                ("episode/sumo_collisions", mean(|r| f64::from(r.sumo_collisions))),
+                ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
+            ]);
+        }
+        let timers = &trainer.timers;
+        values.extend([
+            ("iteration", trainer.progress.iteration as f64),
+            ("steps_per_second", steps_per_second),
+            ("sumo_restarts", trainer.env.restarts() as f64),
+            ("time/total_s", trainer.progress.seconds),
+            ("time/simulate_s", timers.simulate),
+            ("time/act_s", timers.act),
+            ("time/copy_s", timers.copy),
+            ("time/update_s", timers.update),
+        ]);
+        self.write(trainer.progress.step, &values)?;
+        Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
+    }
+
+    fn validation(&mut self, step: u64, evaluation: &Evaluation, success: f64, safety: f64, window: f64) -> Result<(), Error> {
+        for record in &evaluation.episodes {
+            self.episodes.append(&EpisodeLine { step, record })?;
+        }
+        let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
+            / evaluation.episodes.len().max(1) as f64;
+        self.write(
+            step,
+            &[
+                ("validation/success", success),
+                ("validation/safety", safety),
+                ("validation/window_reward", window),
+                ("validation/episode_length", length),
+            ],
+        )
+    }
+}
+
+/// Row `t` of the rollout: what the worlds show before decision `t`, and the memory that comes with it.
+fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
+    let s = rollout.sizes;
+    for (e, world) in env.worlds().enumerate() {
+        let frame = world.frame();
+        let cell = |width| rollout.cell(t, e, width);
+        let (observation, state, comm, active) = (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
+        rollout.observation[observation].copy_from_slice(&frame.observation);
+        rollout.state[state].copy_from_slice(&frame.state);
+        rollout.comm[comm].copy_from_slice(&frame.comm);
+        rollout.active[active].copy_from_slice(&frame.active);
+        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
+    }
+    if s.memory > 0 {
+        let range = rollout.at(t, s.memory);
+        let count = range.len();
+        memory.reshape([-1]).copy_data(&mut rollout.memory[range], count);
+    }
+}
+
+fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
+    let count = tensor.numel();
+    tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
+}
+
+fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
+    let begin = Instant::now();
+    let result = work();
+    *total += begin.elapsed().as_secs_f64();
+    result
+}
+
+/// Seconds as people say them.
+pub fn human_duration(duration: Duration) -> String {
+    let s = duration.as_secs();
+    if s < 60 { format!("{:.1} s", duration.as_secs_f64()) } else { format!("{} min {:02} s", s / 60, s % 60) }
+}
+
+/// What can go wrong in training.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The environments failed.
+    #[error(transparent)]
+    Env(#[from] env::Error),
+    /// The learner failed.
+    #[error(transparent)]
+    Algorithm(#[from] algo::Error),
+    /// A file of the run cannot be written.
+    #[error(transparent)]
+    Record(#[from] record::Error),
+    /// A checkpoint cannot be written.
+    #[error(transparent)]
+    Checkpoint(#[from] checkpoint::Error),
+    /// The run folder cannot be made.
+    #[error("cannot make the run folder `{}`", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A checkpoint is of other worlds.
+    #[error("the checkpoint holds {found} worlds of another shape than this run's {expected}; resume with the configuration it was made with")]
+    OtherWorlds {
+        /// In the checkpoint.
+        found: usize,
+        /// In the configuration.
+        expected: usize,
+    },
+}

@@ -1,0 +1,286 @@
+//! Networks, losses, value normalisation and optimiser against values that PyTorch computed.
+//!
+//! `golden/generate.py` writes the inputs, weights, outputs and gradients of each case to `golden/golden.safetensors`;
+//! here the same weights go into our layers. Tolerances are a few rounding errors of `f32`: absolute and relative 2e-5
+//! for outputs of networks and for gradients, tighter where stated.
+
+use iwol_sumo::algo::ppo;
+use iwol_sumo::nn::{
+    Adam, CommGraph, Entity, GraphTransformer, Gru, MaskMode, Mlp, Params, Path, TokenGroup, ValueNorm,
+    gaussian_entropy, gaussian_log_prob,
+};
+use iwol_sumo::rng::Seed;
+use tch::{Device, Kind, Tensor};
+
+const TOLERANCE: f64 = 2e-5;
+
+/// The arrays of one case.
+struct Case {
+    name: &'static str,
+    arrays: Vec<(String, Tensor)>,
+}
+
+impl Case {
+    fn new(name: &'static str) -> Self {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/golden.safetensors");
+        let all = Tensor::read_safetensors(file).expect("the committed arrays can be read");
+        let own = |(key, array): (String, Tensor)| key.strip_prefix(&format!("{name}/")).map(|k| (k.to_owned(), array));
+        let arrays: Vec<_> = all.into_iter().filter_map(own).collect();
+        assert!(!arrays.is_empty(), "no arrays of the case {name}");
+        Case { name, arrays }
+    }
+
+    fn get(&self, key: &str) -> Tensor {
+        let found = self.arrays.iter().find(|(k, _)| k == key);
+        found
+            .unwrap_or_else(|| panic!("{}/{key} is not among the arrays", self.name))
+            .1
+            .shallow_clone()
+    }
+
+    /// An input whose gradient is compared.
+    fn input(&self, key: &str) -> Tensor {
+        self.get(key).set_requires_grad(true)
+    }
+
+    /// Builds a network and gives it the reference's weights.
+    fn network<T>(&self, build: impl FnOnce(Path<'_>) -> T) -> (Params, T) {
+        let mut params = Params::new(Device::Cpu);
+        let network = build(params.root(&mut Seed::new(0).rng()));
+        let weight = |(key, array): &(String, Tensor)| {
+            key.strip_prefix("param/")
+                .map(|k| (k.to_owned(), array.shallow_clone()))
+        };
+        let weights: Vec<_> = self.arrays.iter().filter_map(weight).collect();
+        params
+            .copy_from(&weights)
+            .expect("the weights have our names and shapes");
+        (params, network)
+    }
+
+    fn check(&self, key: &str, found: &Tensor) {
+        self.check_within(key, found, TOLERANCE);
+    }
+
+    fn check_within(&self, key: &str, found: &Tensor, tolerance: f64) {
+        let expected = self.get(key);
+        assert_eq!(found.size(), expected.size(), "{}/{key}", self.name);
+        let worst = (found - &expected).abs().max().double_value(&[]);
+        let close = found.allclose(&expected, tolerance, tolerance, false);
+        assert!(
+            close,
+            "{}/{key} is off by {worst}: expected {expected}, found {found}",
+            self.name
+        );
+    }
+
+    /// Compares gradients of a scalar in which each element of `out` has another weight, as in the generator.
+    fn check_gradients(&self, out: &Tensor, of: &[(&str, &Tensor)]) {
+        let weights = (Tensor::arange(out.numel() as i64, (Kind::Float, Device::Cpu)) * 0.37 + 0.5).sin();
+        let inputs: Vec<&Tensor> = of.iter().map(|(_, t)| *t).collect();
+        let scalar = (out.reshape([-1]) * weights).sum(Kind::Float);
+        let gradients = Tensor::run_backward(&[scalar], &inputs, true, false);
+        for ((key, _), gradient) in of.iter().zip(&gradients) {
+            self.check(key, gradient);
+        }
+    }
+}
+
+fn parameter(params: &Params, name: &str) -> Tensor {
+    params
+        .named()
+        .iter()
+        .find(|(n, _)| n == name)
+        .expect("the parameter exists")
+        .1
+        .shallow_clone()
+}
+
+#[test]
+fn mlp() {
+    let case = Case::new("mlp");
+    let (params, mlp) = case.network(|path| Mlp::new(path, 7, 8, 1));
+    let x = case.input("x");
+    let out = mlp.forward(&x);
+    case.check("out", &out);
+    let (weight, norm) = (
+        parameter(&params, "layers.0.linear.weight"),
+        parameter(&params, "norm.weight"),
+    );
+    case.check_gradients(&out, &[("grad_x", &x), ("grad_weight", &weight), ("grad_norm", &norm)]);
+}
+
+#[test]
+fn gru_with_resets() {
+    let case = Case::new("gru");
+    let (params, gru) = case.network(|path| Gru::new(path, 5, 4));
+    let (x, h0, mask) = (case.input("x"), case.input("h0"), case.get("mask"));
+    let out = gru.sequence(&x, &h0, &mask);
+    case.check("out", &out);
+    let (weight, bias) = (parameter(&params, "weight_hh"), parameter(&params, "bias_hh"));
+    let of = [
+        ("grad_x", &x),
+        ("grad_h0", &h0),
+        ("grad_weight_hh", &weight),
+        ("grad_bias_hh", &bias),
+    ];
+    case.check_gradients(&out, &of);
+}
+
+#[test]
+fn entity_encoder_with_absent_tokens() {
+    let case = Case::new("entity");
+    let groups = [
+        TokenGroup {
+            offset: 0,
+            width: 3,
+            count: 1,
+            presence: None,
+        },
+        TokenGroup {
+            offset: 3,
+            width: 2,
+            count: 2,
+            presence: None,
+        },
+        TokenGroup {
+            offset: 7,
+            width: 4,
+            count: 3,
+            presence: Some(1),
+        },
+    ];
+    let (params, entity) = case.network(|path| Entity::new(path, &groups, 8, 2, 6));
+    let obs = case.input("obs");
+    let out = entity.forward(&obs);
+    case.check("out", &out);
+    let (qkv, embed) = (
+        parameter(&params, "attention.qkv.weight"),
+        parameter(&params, "embed.2.weight"),
+    );
+    case.check_gradients(&out, &[("grad_obs", &obs), ("grad_qkv", &qkv), ("grad_embed", &embed)]);
+}
+
+#[test]
+fn graph_is_a_straight_through_gumbel_softmax() {
+    let case = Case::new("graph");
+    for slope in [0.2, 1.2] {
+        let (_, graph) = case.network(|path| CommGraph::new(path, 6, slope, 0.7));
+        let f = case.input("f");
+        case.check(&format!("scores_{slope}"), &graph.scores(&f));
+        let g = graph.forward(&f, &case.get("physical"), Some(&case.get("noise")));
+        case.check_within(&format!("graph_{slope}"), &g, 0.0);
+        case.check_gradients(&g, &[(&format!("grad_f_{slope}"), &f)]);
+    }
+}
+
+#[test]
+fn transformer_in_both_mask_modes() {
+    let case = Case::new("transformer");
+    for (mode, name) in [(MaskMode::Hard, "hard"), (MaskMode::LogitMul, "logit_mul")] {
+        let (params, transformer) = case.network(|path| GraphTransformer::new(path, 8, 2, 2, mode));
+        let (f, graph) = (case.input("f"), case.input("graph"));
+        let out = transformer.forward(&f, &graph);
+        case.check(&format!("out_{name}"), &out);
+        let qkv = parameter(&params, "rounds.0.attention.qkv.weight");
+        let (of_f, of_graph, of_qkv) = (
+            format!("grad_f_{name}"),
+            format!("grad_graph_{name}"),
+            format!("grad_qkv_{name}"),
+        );
+        case.check_gradients(&out, &[(&of_f, &f), (&of_graph, &graph), (&of_qkv, &qkv)]);
+    }
+}
+
+#[test]
+fn gaussian() {
+    let case = Case::new("gaussian");
+    let (mean, log_std) = (case.input("mean"), case.input("log_std"));
+    let log_prob = gaussian_log_prob(&mean, &log_std, &case.get("action"));
+    let entropy = gaussian_entropy(&log_std);
+    case.check("log_prob", &log_prob);
+    case.check("entropy", &entropy.expand([6], false));
+    case.check_gradients(
+        &(log_prob + entropy),
+        &[("grad_mean", &mean), ("grad_log_std", &log_std)],
+    );
+}
+
+/// The state is `f64`; it agrees to 1e-12.
+#[test]
+fn value_norm() {
+    let case = Case::new("value_norm");
+    let (batches, states, probe) = (case.get("batches"), case.get("states"), case.get("probe"));
+    let mut norm = ValueNorm::new(0.99999);
+    let (mut normalized, mut denormalized) = (Vec::new(), Vec::new());
+    for i in 0..batches.size()[0] {
+        norm.update(&batches.get(i));
+        for (j, value) in norm.state().into_iter().enumerate() {
+            let expected = states.double_value(&[i, j as i64]);
+            assert!(
+                (value - expected).abs() <= 1e-12 * expected.abs(),
+                "state {j} after batch {i}: {value}, {expected}"
+            );
+        }
+        normalized.push(norm.normalize(&probe));
+        denormalized.push(norm.denormalize(&probe));
+    }
+    case.check("normalized", &Tensor::stack(&normalized, 0));
+    case.check("denormalized", &Tensor::stack(&denormalized, 0));
+}
+
+/// Five clipped steps with a falling learning rate.
+#[test]
+fn adam_with_clipping() {
+    let case = Case::new("adam");
+    let (mut params, mlp) = case.network(|path| Mlp::new(path, 4, 12, 1));
+    let mut adam = Adam::new(&mut params);
+    let (x, y, norms) = (case.get("x"), case.get("y"), case.get("norms"));
+    // The reference has the order of its modules, which is ours: input norm, then linear and norm of each layer.
+    let flat =
+        |tensors: Vec<Tensor>| Tensor::cat(&tensors.iter().map(|t| t.detach().reshape([-1])).collect::<Vec<_>>(), 0);
+    for step in 0..5 {
+        (mlp.forward(&x) - &y).square().mean(Kind::Float).backward();
+        let norm = adam.clip_grad_norm(1.2);
+        assert!(
+            (norm - norms.double_value(&[step])).abs() < 1e-5,
+            "norm before clipping at step {step}: {norm}"
+        );
+        adam.step(0.02 / (step + 1) as f64);
+        let weights = flat(params.named().iter().map(|(_, t)| t.shallow_clone()).collect());
+        case.check(&format!("flat_{step}"), &weights);
+    }
+    let state = adam.state();
+    for (suffix, key) in [(".m", "first"), (".v", "second")] {
+        let moments = state
+            .iter()
+            .filter(|(name, _)| name.ends_with(suffix))
+            .map(|(_, t)| t.shallow_clone())
+            .collect();
+        case.check_within(key, &flat(moments), 1e-6);
+    }
+}
+
+#[test]
+fn ppo_losses() {
+    let case = Case::new("ppo");
+    let active = case.get("active");
+    let log_prob = case.input("log_prob");
+    let policy = ppo::policy_loss(
+        &log_prob,
+        &case.get("old_log_prob"),
+        &case.get("advantage"),
+        &active,
+        0.2,
+    );
+    case.check("policy_loss", &policy);
+    case.check(
+        "grad_log_prob",
+        &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0],
+    );
+
+    let value = case.input("value");
+    let loss = ppo::value_loss(&value, &case.get("old_value"), &case.get("target"), &active, 0.2, 10.0);
+    case.check("value_loss", &loss);
+    case.check("grad_value", &Tensor::run_backward(&[loss], &[&value], false, false)[0]);
+}

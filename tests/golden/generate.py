@@ -1,0 +1,313 @@
+"""Computes the reference values of tests/golden.rs with PyTorch and writes them to golden.safetensors.
+
+Run it as `python tests/golden/generate.py` where torch 2.13 is installed (the committed file was made with 2.13.0 on a
+CPU). Everything is made from torch.nn modules, torch.distributions, torch.optim and the formulas as they are published,
+not from the Rust code. Sizes are the smallest that tell the axes of a case apart.
+
+Names in the file: `<case>/<array>` for inputs, outputs and gradients, `<case>/param/<name>` for weights under the names
+of the Rust layers.
+"""
+
+import json
+import math
+import pathlib
+import struct
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+torch.manual_seed(20240607)
+torch.set_num_threads(1)
+ARRAYS = {}
+
+
+def put(case, **arrays):
+    for name, value in arrays.items():
+        key = f"{case}/{name}"
+        assert key not in ARRAYS, key
+        ARRAYS[key] = value.detach().clone().contiguous()
+
+
+def put_params(case, modules):
+    """`modules` maps the Rust path of a layer to a torch module or a tensor."""
+    for path, module in modules.items():
+        if isinstance(module, torch.Tensor):
+            put(case, **{f"param/{path}": module})
+        else:
+            for name, value in module.named_parameters():
+                put(case, **{f"param/{path}.{name}": value})
+
+
+def shaken(module):
+    """Gives weights that are zero or one by default (biases, norms) values that matter."""
+    with torch.no_grad():
+        for value in module.parameters():
+            if value.dim() == 1:
+                value.add_(0.3 * torch.randn_like(value))
+    return module
+
+
+def linear(inputs, outputs):
+    return shaken(nn.Linear(inputs, outputs))
+
+
+def norm(width):
+    return shaken(nn.LayerNorm(width))
+
+
+def weighted(out):
+    """A scalar in which every element of `out` has another weight; golden.rs does the same."""
+    flat = out.reshape(-1)
+    return (flat * torch.sin(torch.arange(flat.numel(), dtype=torch.float32) * 0.37 + 0.5)).sum()
+
+
+def grad(out, *inputs):
+    return torch.autograd.grad(weighted(out), inputs)
+
+
+def mlp_modules(inputs, hidden):
+    return {
+        "norm": norm(inputs),
+        "layers.0.linear": linear(inputs, hidden),
+        "layers.0.norm": norm(hidden),
+        "layers.1.linear": linear(hidden, hidden),
+        "layers.1.norm": norm(hidden),
+    }
+
+
+def mlp_forward(m, x):
+    x = m["norm"](x)
+    for i in range(2):
+        x = m[f"layers.{i}.norm"](F.relu(m[f"layers.{i}.linear"](x)))
+    return x
+
+
+def mlp():
+    m = mlp_modules(7, 8)
+    x = (torch.randn(5, 7) * 3 + 1).requires_grad_()
+    out = mlp_forward(m, x)
+    gx, gw, gn = grad(out, x, m["layers.0.linear"].weight, m["norm"].weight)
+    put_params("mlp", m)
+    put("mlp", x=x, out=out, grad_x=gx, grad_weight=gw, grad_norm=gn)
+
+
+def gru():
+    cell = nn.GRUCell(5, 4)
+    x = torch.randn(6, 3, 5, requires_grad=True)
+    h0 = torch.randn(3, 4, requires_grad=True)
+    mask = torch.ones(6, 3, 1)
+    mask[0, 1] = mask[2, 0] = mask[4, 2] = mask[5, 2] = 0
+    h, outs = h0, []
+    for t in range(6):
+        h = cell(x[t], h * mask[t])
+        outs.append(h)
+    out = torch.stack(outs)
+    gx, gh, gw, gb = grad(out, x, h0, cell.weight_hh, cell.bias_hh)
+    put_params("gru", dict(cell.named_parameters()))
+    put("gru", x=x, h0=h0, mask=mask, out=out, grad_x=gx, grad_h0=gh, grad_weight_hh=gw, grad_bias_hh=gb)
+
+
+def multihead(width, heads):
+    return shaken(nn.MultiheadAttention(width, heads, batch_first=True))
+
+
+def multihead_params(path, attention):
+    return {
+        f"{path}.qkv.weight": attention.in_proj_weight,
+        f"{path}.qkv.bias": attention.in_proj_bias,
+        f"{path}.out": attention.out_proj,
+    }
+
+
+def entity():
+    # one ego token of 3, two of navigation of 2, three neighbours of 4 whose feature 1 is the presence flag
+    embed = [linear(3, 8), linear(2, 8), linear(4, 8)]
+    embed_norm, attention, attention_norm = norm(8), multihead(8, 2), norm(8)
+    out_layer, out_norm = linear(16, 6), norm(6)
+    obs = torch.randn(4, 19)
+    flags = torch.tensor([[1, 1, 1], [0, 1, 0], [0, 0, 0], [1, 0, 1]]).float()
+    for j in range(3):
+        obs[:, 7 + 4 * j + 1] = flags[:, j]
+    obs.requires_grad_()
+    tokens = torch.cat(
+        [
+            embed[0](obs[:, 0:3].reshape(4, 1, 3)),
+            embed[1](obs[:, 3:7].reshape(4, 2, 2)),
+            embed[2](obs[:, 7:19].reshape(4, 3, 4)),
+        ],
+        dim=1,
+    )
+    present = torch.cat([torch.ones(4, 3), flags], dim=1)
+    x = embed_norm(tokens)
+    mixed, _ = attention(x, x, x, key_padding_mask=present < 0.5, need_weights=False)
+    x = attention_norm(x + mixed)
+    mean = (x * present.unsqueeze(-1)).sum(1) / present.sum(1, keepdim=True)
+    out = out_norm(F.relu(out_layer(torch.cat([mean, x[:, 0]], dim=-1))))
+    gobs, gqkv, gembed = grad(out, obs, attention.in_proj_weight, embed[2].weight)
+    modules = {f"embed.{i}": layer for i, layer in enumerate(embed)}
+    modules |= {"embed_norm": embed_norm, "attention_norm": attention_norm, "out": out_layer, "out_norm": out_norm}
+    put_params("entity", modules | multihead_params("attention", attention))
+    put("entity", obs=obs, out=out, grad_obs=gobs, grad_qkv=gqkv, grad_embed=gembed)
+
+
+def graph():
+    batch, agents = 3, 4
+    m = mlp_modules(6, 6)
+    a_i, a_j = torch.randn(1, 6), torch.randn(1, 6)
+    f = torch.randn(batch, agents, 6, requires_grad=True)
+    physical = (torch.rand(batch, agents, agents) > 0.25).float()
+    physical[1, 2, :] = physical[1, :, 2] = 0  # agent 2 of world 1 is dead
+    gumbel = -torch.empty(batch, agents, agents, 2).exponential_().log()
+    tau = 0.7
+    for slope in (0.2, 1.2):
+        h = mlp_forward(m, f)
+        e = F.leaky_relu((h @ a_i.T) + (h @ a_j.T).transpose(1, 2), negative_slope=slope)
+        logits = torch.stack([e, torch.zeros_like(e)], dim=-1)
+        soft = ((logits + gumbel) / tau).softmax(-1)
+        hard = F.one_hot(soft.argmax(-1), 2).float()
+        edge = (hard - soft.detach() + soft)[..., 0]
+        eye = torch.eye(agents)
+        g = edge * physical * (1 - eye) + eye
+        (gf,) = grad(g, f)
+        put("graph", **{f"scores_{slope}": e, f"graph_{slope}": g.round(), f"grad_f_{slope}": gf})
+    put_params("graph", {f"base.{k}": v for k, v in m.items()} | {"receiver": a_i, "sender": a_j})
+    put("graph", f=f, physical=physical, noise=gumbel[..., 0] - gumbel[..., 1])
+
+
+def transformer():
+    batch, agents, width, heads = 3, 5, 8, 2
+    in_norm, input_layer, embed_norm = norm(width), linear(width, width), norm(width)
+    rounds = [(multihead(width, heads), norm(width), linear(width, width), linear(width, width), norm(width)) for _ in "ab"]
+    head, head_norm, out_layer = linear(width, width), norm(width), linear(width, width)
+    modules = {"in_norm": in_norm, "input": input_layer, "embed_norm": embed_norm}
+    for i, (attention, norm1, up, down, norm2) in enumerate(rounds):
+        modules |= multihead_params(f"rounds.{i}.attention", attention)
+        parts = {"attention_norm": norm1, "up": up, "down": down, "mlp_norm": norm2}
+        modules |= {f"rounds.{i}.{name}": layer for name, layer in parts.items()}
+    modules |= {"head": head, "head_norm": head_norm, "out": out_layer}
+
+    f = torch.randn(batch, agents, width, requires_grad=True)
+    g = ((torch.rand(batch, agents, agents) > 0.5).float()).maximum(torch.eye(agents)).requires_grad_()
+
+    def explicit(attention, x, hard):
+        """Attention of one round, written out, with the graph's gradient."""
+        q, k, v = F.linear(x, attention.in_proj_weight, attention.in_proj_bias).chunk(3, -1)
+        q, k, v = (t.view(batch, agents, heads, -1).transpose(1, 2) for t in (q, k, v))
+        logits = q @ k.transpose(-2, -1) / math.sqrt(width / heads)
+        g_heads = g.unsqueeze(1)
+        if hard:
+            weights = logits.masked_fill(g_heads < 0.5, -torch.inf).softmax(-1) * g_heads
+            weights = weights / weights.sum(-1, keepdim=True)
+        else:
+            weights = (logits * g_heads).softmax(-1)
+        return attention.out_proj((weights @ v).transpose(1, 2).reshape(batch, agents, width))
+
+    def builtin(attention, x):
+        """The same for the hard mask by torch's own module, which knows no gradient of the graph."""
+        closed = (g.detach() < 0.5).repeat_interleave(heads, 0)
+        return attention(x, x, x, attn_mask=closed, need_weights=False)[0]
+
+    def run(attend):
+        x = embed_norm(F.gelu(input_layer(in_norm(f))))
+        for attention, norm1, up, down, norm2 in rounds:
+            x = norm1(x + attend(attention, x))
+            x = norm2(x + down(F.gelu(up(x))))
+        return out_layer(head_norm(F.gelu(head(x))))
+
+    put_params("transformer", modules)
+    put("transformer", f=f, graph=g)
+    for name, hard in (("hard", True), ("logit_mul", False)):
+        out = run(lambda attention, x: explicit(attention, x, hard))
+        if hard:
+            torch.testing.assert_close(out, run(builtin))
+        gf, gg, gw = grad(out, f, g, rounds[0][0].in_proj_weight)
+        put("transformer", **{f"out_{name}": out, f"grad_f_{name}": gf, f"grad_graph_{name}": gg, f"grad_qkv_{name}": gw})
+
+
+def gaussian():
+    mean, log_std = torch.randn(6, 3, requires_grad=True), torch.randn(3, requires_grad=True)
+    action = torch.randn(6, 3)
+    normal = torch.distributions.Normal(mean, log_std.exp())
+    log_prob, entropy = normal.log_prob(action).sum(-1), normal.entropy().sum(-1)
+    gm, gs = grad(log_prob + entropy, mean, log_std)
+    put("gaussian", mean=mean, log_std=log_std, action=action, log_prob=log_prob, entropy=entropy, grad_mean=gm, grad_log_std=gs)
+
+
+def value_norm():
+    batches = torch.randn(4, 9) * torch.tensor([0.01, 5.0, 30.0, 2.0])[:, None] + torch.tensor([0.0, 3.0, -8.0, 1.0])[:, None]
+    probe = torch.linspace(-20, 20, 11)
+    beta, m, q, w = 0.99999, *(torch.zeros((), dtype=torch.float64) for _ in range(3))
+    states, normal, back = [], [], []
+    for x in batches.double():
+        m = beta * m + (1 - beta) * x.mean()
+        q = beta * q + (1 - beta) * x.square().mean()
+        w = beta * w + (1 - beta)
+        mu = m / w.clamp(min=1e-5)
+        std = (q / w.clamp(min=1e-5) - mu**2).clamp(min=1e-2).sqrt()
+        states.append(torch.stack([m, q, w]))
+        normal.append(((probe - mu) / std).float())
+        back.append((probe * std + mu).float())
+    put("value_norm", batches=batches, probe=probe, states=torch.stack(states), normalized=torch.stack(normal), denormalized=torch.stack(back))
+
+
+def adam():
+    m = mlp_modules(4, 12)
+    params = [p for module in m.values() for p in module.parameters()]
+    put_params("adam", m)
+    x, y = torch.randn(8, 4), torch.randn(8, 12)
+    optimiser = torch.optim.Adam(params, lr=0.02, eps=1e-5, foreach=False)
+    norms = []
+    for step in range(5):
+        optimiser.zero_grad()
+        (mlp_forward(m, x) - y).square().mean().backward()
+        # some steps exceed the bound, others do not
+        norms.append(nn.utils.clip_grad_norm_(params, 1.2, foreach=False))
+        for group in optimiser.param_groups:
+            group["lr"] = 0.02 / (step + 1)
+        optimiser.step()
+        put("adam", **{f"flat_{step}": torch.cat([p.reshape(-1) for p in params])})
+    assert max(norms) > 1.2 > min(norms), norms
+    moments = [torch.cat([optimiser.state[p][key].reshape(-1) for p in params]) for key in ("exp_avg", "exp_avg_sq")]
+    put("adam", x=x, y=y, norms=torch.stack(norms), first=moments[0], second=moments[1])
+
+
+def ppo():
+    n, clip, delta = 40, 0.2, 10.0
+    active = (torch.rand(n) > 0.3).float()
+    old = torch.randn(n)
+    log_prob = (old + 0.4 * torch.randn(n)).requires_grad_()
+    advantage = torch.randn(n)
+    ratio = (log_prob - old).exp()
+    surrogate = torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage)
+    policy = -(surrogate * active).sum() / active.sum()
+    put("ppo", active=active, log_prob=log_prob, old_log_prob=old, advantage=advantage, policy_loss=policy)
+    put("ppo", grad_log_prob=torch.autograd.grad(policy, log_prob)[0])
+
+    old_value, target = torch.randn(n), torch.randn(n) * 12
+    value = (old_value + 0.3 * torch.randn(n)).requires_grad_()
+    clipped = old_value + (value - old_value).clamp(-clip, clip)
+    huber = [F.huber_loss(v, target, reduction="none", delta=delta) for v in (value, clipped)]
+    assert ((target - value).abs() > delta).any()
+    loss = (torch.maximum(*huber) * active).sum() / active.sum()
+    put("ppo", value=value, old_value=old_value, target=target, value_loss=loss)
+    put("ppo", grad_value=torch.autograd.grad(loss, value)[0])
+
+
+def write(path):
+    kinds = {torch.float32: "F32", torch.float64: "F64"}
+    header, data = {}, b""
+    for name, value in sorted(ARRAYS.items()):
+        raw = value.numpy().tobytes()
+        header[name] = {"dtype": kinds[value.dtype], "shape": list(value.shape), "data_offsets": [len(data), len(data) + len(raw)]}
+        data += raw
+    header["__metadata__"] = {"torch": torch.__version__.split("+")[0]}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
+    print(f"{path}: {len(ARRAYS)} arrays, {8 + len(text) + len(data)} bytes")
+
+
+for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo):
+    case()
+write(pathlib.Path(__file__).parent / "golden.safetensors")
