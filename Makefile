@@ -1,6 +1,6 @@
 # The ways into this project; each target sets up what it needs. `make help` lists them.
 #
-# Two cargo profiles, each with its own build of the dependencies (about three minutes of C++ on two cores):
+# Two cargo profiles, each with its own build of the dependencies (about two minutes of C++ on two cores):
 #   dev      `lint` and `test`: debug assertions and overflow checks are on, and the profile in Cargo.toml optimises the
 #            dependencies in full, so that tests which train are quick. Both targets share one build of libtorch's shim.
 #   release  `build`, `demo` and `bench`: what is measured and used.

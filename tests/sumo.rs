@@ -3,7 +3,7 @@
 
 use std::{
     f64::consts::FRAC_PI_2,
-    io::{BufRead as _, BufReader, Read as _, Write as _},
+    io::{Read as _, Write as _},
     net::{Ipv4Addr, SocketAddr, TcpListener},
     path::{Path, PathBuf},
     process::{Command as Program, Stdio},
@@ -141,14 +141,9 @@ fn ends(pid: u32) -> bool {
     !lives(pid)
 }
 
-fn kill(pid: u32) {
-    assert!(
-        Program::new("kill")
-            .args(["-KILL", &pid.to_string()])
-            .status()
-            .unwrap()
-            .success()
-    );
+fn signal(name: &str, pid: u32) {
+    let status = Program::new("kill").args([name, &pid.to_string()]).status().unwrap();
+    assert!(status.success());
 }
 
 #[test]
@@ -168,7 +163,7 @@ fn the_handshake_names_the_version_and_connecting_is_quick() {
 }
 
 #[test]
-fn vehicles_move_by_the_law_of_constant_acceleration_within_a_step() {
+fn a_commanded_speed_is_the_speed_of_the_whole_step() {
     let mut simulation = start(2);
     let snapshot = simulation
         .step(&[add(0, EAST, 50.0), add(1, NORTH, 50.0)].concat())
@@ -185,8 +180,8 @@ fn vehicles_move_by_the_law_of_constant_acceleration_within_a_step() {
             f64::max(old - 0.83, 0.0)
         };
         let snapshot = simulation.step(&[speed(0, new), speed(1, new)]).unwrap();
-        x += f64::midpoint(old, new) * 0.1;
-        y += f64::midpoint(old, new) * 0.1;
+        x += new * 0.1;
+        y += new * 0.1;
         old = new;
         let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
         assert!(
@@ -202,20 +197,19 @@ fn vehicles_move_by_the_law_of_constant_acceleration_within_a_step() {
 
 #[test]
 fn a_queue_departs_complete_and_exact_in_any_order() {
-    let places: Vec<f64> = (0..14).map(|i| 60.0 + 6.0 * f64::from(i)).collect();
     let mut simulation = start(14);
+    // SUMO tries vehicles in the order of their names: from the back of the queue, then from its front.
     for backwards in [false, true] {
-        let order: Vec<u32> = if backwards {
-            (0..14).rev().collect()
-        } else {
-            (0..14).collect()
-        };
+        let place = |slot: u32| 60.0 + 6.0 * f64::from(if backwards { 13 - slot } else { slot });
         let mut commands: Vec<Command> = (0..14).map(remove).collect();
-        commands.extend(order.iter().flat_map(|slot| add(*slot, EAST, places[*slot as usize])));
+        commands.extend((0..14).flat_map(|slot| add(slot, EAST, place(slot))));
         let snapshot = simulation.step(&commands).unwrap();
-        for (vehicle, place) in snapshot.vehicles.iter().zip(&places) {
-            let vehicle = vehicle.expect("a vehicle in each slot");
-            assert!((vehicle.x - (place - 150.0)).abs() < 1e-9, "{vehicle:?} at {place}");
+        for (slot, vehicle) in (0..).zip(&snapshot.vehicles) {
+            let vehicle = vehicle.unwrap_or_else(|| panic!("slot {slot} is empty, backwards: {backwards}"));
+            assert!(
+                (vehicle.x - (place(slot) - 150.0)).abs() < 1e-9,
+                "{vehicle:?} in slot {slot}"
+            );
         }
         assert_eq!(snapshot.collisions, []);
     }
@@ -255,12 +249,18 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
 }
 
 #[test]
-fn a_vehicle_that_finds_no_room_is_absent_until_there_is_some() {
-    let mut simulation = start(2);
+fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
+    let mut simulation = start(3);
     simulation
         .step(&[add(0, EAST, 50.0).as_slice(), &[speed(0, 0.0)]].concat())
         .unwrap();
-    assert!(simulation.step(&add(1, EAST, 49.0)).unwrap().vehicles[1].is_none());
+    let snapshot = simulation
+        .step(&[add(1, EAST, 49.0), add(2, EAST, 20.0)].concat())
+        .unwrap();
+    assert_eq!(
+        snapshot.vehicles.iter().map(Option::is_some).collect::<Vec<_>>(),
+        [true, false, true]
+    );
     assert!(simulation.step(&[]).unwrap().vehicles[1].is_none());
     // Waiting, it can be replaced by one that has room.
     let batch: Vec<Command> = [remove(1)].into_iter().chain(add(1, EAST, 30.0)).collect();
@@ -402,7 +402,7 @@ fn a_killed_sumo_is_a_fatal_error_and_a_restart_begins_anew() {
     let mut simulation = start(1);
     simulation.step(&add(0, EAST, 50.0)).unwrap();
     let old = simulation.pid();
-    kill(old);
+    signal("-KILL", old);
     let error = (0..3)
         .find_map(|_| simulation.step(&[speed(0, 1.0)]).err())
         .expect("an error");
@@ -675,33 +675,63 @@ fn sumo_outlives_the_thread_that_asked_for_it() {
     simulation.step(&[]).unwrap();
 }
 
-/// Not a test of its own: with this variable set it is the victim of the test below.
+/// With this variable set, a test is the victim of its own second run: it starts SUMO and waits to be killed.
+/// The value is the file to leave SUMO's process identifier in.
 const VICTIM: &str = "IWOL_TEST_VICTIM";
 
-#[test]
-fn no_sumo_is_left_after_its_owner_is_killed() {
-    if std::env::var_os(VICTIM).is_some() {
-        let simulation = start(1);
-        println!("victim {}", simulation.pid());
-        std::io::stdout().flush().unwrap();
-        thread::sleep(Duration::from_secs(60));
-        return;
-    }
+/// Runs the test of this name as a victim, kills it, and expects its SUMO to end.
+fn kill_owner(test: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("pid");
     let mut victim = Program::new(std::env::current_exe().unwrap())
-        .args(["--exact", "no_sumo_is_left_after_its_owner_is_killed", "--nocapture"])
-        .env(VICTIM, "1")
-        .stdout(Stdio::piped())
+        .args(["--exact", test])
+        .env(VICTIM, &file)
+        .stdout(Stdio::null())
         .spawn()
         .unwrap();
-    let lines = BufReader::new(victim.stdout.take().unwrap()).lines();
-    let pid = lines
-        .map_while(Result::ok)
-        .find_map(|l| l.split_once("victim ").and_then(|(_, pid)| pid.trim().parse().ok()));
-    let pid: u32 = pid.expect("the victim's SUMO");
+    let begin = Instant::now();
+    let pid: u32 = loop {
+        let text = std::fs::read_to_string(&file).unwrap_or_default();
+        match text.strip_suffix('\n').map(str::parse) {
+            Some(pid) => break pid.unwrap(),
+            None => assert!(begin.elapsed() < Duration::from_secs(20), "the victim starts no SUMO"),
+        }
+        thread::sleep(Duration::from_millis(2));
+    };
     assert!(lives(pid));
     victim.kill().unwrap();
     victim.wait().unwrap();
-    assert!(ends(pid), "SUMO {pid} is an orphan");
+    let ended = ends(pid);
+    if !ended {
+        signal("-KILL", pid);
+    }
+    assert!(ended, "SUMO {pid} was an orphan");
+}
+
+#[test]
+fn no_sumo_is_left_after_its_owner_is_killed() {
+    let Some(file) = std::env::var_os(VICTIM) else {
+        return kill_owner("no_sumo_is_left_after_its_owner_is_killed");
+    };
+    let simulation = start(1);
+    std::fs::write(file, format!("{}\n", simulation.pid())).unwrap();
+    thread::sleep(Duration::from_secs(60));
+}
+
+/// While it loads, SUMO has no connection whose end it could notice: here it loads for ever.
+#[test]
+fn no_sumo_that_loads_is_left_after_its_owner_is_killed() {
+    let Some(file) = std::env::var_os(VICTIM) else {
+        return kill_owner("no_sumo_that_loads_is_left_after_its_owner_is_killed");
+    };
+    let script = "echo $$ > \"$0\"; exec sleep 60";
+    let arguments = vec!["-c".into(), script.into(), file];
+    let options = Options {
+        binary: Some("/bin/sh".into()),
+        arguments,
+        ..Options::default()
+    };
+    panic!("{:?}", Process::start(&options));
 }
 
 #[test]

@@ -14,6 +14,9 @@ mod task;
 mod vec;
 mod world;
 
+#[cfg(test)]
+mod tests;
+
 pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
 pub use geometry::{Pose, boxes_overlap};

@@ -61,8 +61,8 @@ impl SelfAttention {
     }
 }
 
-/// Softmax over the last dimension, elementwise. libtorch's own takes five to ten times as long on rows of a dozen keys,
-/// which made it the dearest part of an encoder.
+/// Softmax over the last dimension from elementwise operations. libtorch's own takes several times as long on rows of a
+/// dozen keys, where it was the dearest part of an encoder.
 fn softmax(logits: &Tensor) -> Tensor {
     let top = tch::no_grad(|| logits.amax(-1, true));
     let exponentials = (logits - top).exp();

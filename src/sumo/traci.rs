@@ -387,7 +387,7 @@ fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
 
 /// Options that hold for every simulation.
 const ALWAYS: [&str; 13] = [
-    // Every vehicle is tried at every step, so that two on one lane depart together in any order.
+    // A vehicle that finds no room to depart does not hold up the others of its edge.
     "--eager-insert",
     // "none" would not report collisions; "warn" leaves the vehicles where they are just the same.
     "--collision.action",

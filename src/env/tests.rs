@@ -1,0 +1,346 @@
+//! Properties of a world, against a simulator that does exactly what it is told: vehicles move along their route's centre
+//! line by speed times the step. What SUMO itself does is tested in `tests/`.
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::rng::Seed;
+use crate::scenario::Scenario;
+use crate::sumo::{Command, Snapshot, VehicleState};
+
+/// Vehicles on rails, and a check on every command.
+struct Rails {
+    task: Arc<Task>,
+    vehicles: Vec<Option<(usize, f64, f64)>>,
+}
+
+impl Rails {
+    fn new(task: &Arc<Task>) -> Self {
+        Self { task: Arc::clone(task), vehicles: vec![None; task.agents] }
+    }
+
+    fn step(&mut self, commands: &[Command]) -> Snapshot {
+        for command in commands {
+            match *command {
+                Command::Add { slot, route, depart_pos, depart_speed, .. } => {
+                    let vehicle = &mut self.vehicles[slot as usize];
+                    assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
+                    *vehicle = Some((route as usize, depart_pos, depart_speed));
+                }
+                Command::Remove { slot, .. } => {
+                    assert!(self.vehicles[slot as usize].take().is_some(), "slot {slot} is empty");
+                }
+                Command::SetSpeed { slot, speed, .. } => {
+                    let vehicle = self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
+                    assert!((0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed), "speed {speed}");
+                    vehicle.2 = speed;
+                }
+                Command::SpeedMode { slot, .. } => assert!(self.vehicles[slot as usize].is_some()),
+            }
+        }
+        let step = self.task.scenario.control.interval;
+        let mut snapshot = Snapshot::default();
+        for vehicle in &mut self.vehicles {
+            snapshot.vehicles.push(vehicle.as_mut().map(|(route, s, speed)| {
+                *s += *speed * step;
+                let (point, heading) = self.task.routes[*route].path.at(*s);
+                VehicleState { x: point[0], y: point[1], heading, speed: *speed }
+            }));
+        }
+        snapshot
+    }
+
+    /// Centre of a slot's vehicle on its lane's centre line.
+    fn centre(&self, slot: usize) -> Option<[f64; 2]> {
+        let half = self.task.scenario.vehicle.length / 2.0;
+        self.vehicles[slot].map(|(route, s, _)| self.task.routes[route].path.at(s - half).0)
+    }
+}
+
+fn task(agents: u32, change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+    let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    change(&mut scenario);
+    Arc::new(Task::new(&scenario, agents).expect("a task"))
+}
+
+fn world(task: &Arc<Task>, seed: u64) -> World {
+    World::new(Arc::clone(task), Driver::Agents, Seed::new(seed), 0, 1, u64::MAX)
+}
+
+fn exchange(world: &mut World, rails: &mut Rails, actions: &[f32]) {
+    let mut commands = Vec::new();
+    world.act(0, actions, &mut commands);
+    let snapshot = rails.step(&commands);
+    world.observe(0, &snapshot).expect("nothing vanishes on rails");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Slots, masks, ends and observations over several episodes of erratic driving.
+    #[test]
+    fn invariants_hold_under_any_actions(
+        agents in 4u32..49,
+        seed in any::<u64>(),
+        mean in -0.3f32..1.2,
+        horizon in 5u32..150,
+        range in 0.0f64..120.0,
+    ) {
+        let task = task(agents, |s| {
+            s.termination.horizon = horizon;
+            s.communication.range = range;
+        });
+        let n = agents as usize;
+        let (o, s) = (task.spec.observation.len(), task.spec.state.len());
+        let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
+        world.reset(0);
+        let mut rng = Seed::new(seed).child("actions").rng();
+        let mut actions = vec![0.0; n];
+        let mut dead = HashSet::new();
+        let mut episodes = 0;
+        for _ in 0..400 {
+            crate::rng::fill_normal(&mut rng, &mut actions);
+            actions.iter_mut().for_each(|a| *a = if *a > 2.5 { f32::NAN } else { *a + mean });
+            let before = world.frame().clone();
+            exchange(&mut world, &mut rails, &actions);
+            let finished = world.take_finished();
+            let frame = world.frame();
+            if frame.start {
+                dead.clear();
+                prop_assert!(frame.active.iter().all(|&a| a == 1.0));
+            }
+            for i in 0..n {
+                let (active, was_active) = (frame.active[i] > 0.0, before.active[i] > 0.0);
+                let (terminated, truncated) = (frame.terminated[i] > 0.0, frame.truncated[i] > 0.0);
+                let present = frame.comm[i * n + i] > 0.0;
+                prop_assert!(!(terminated && truncated), "an end is one or the other");
+                if frame.start {
+                    prop_assert!(!terminated && !truncated);
+                } else {
+                    prop_assert_eq!(terminated || truncated, was_active && !active, "an end is where activity ends");
+                    prop_assert!(!dead.contains(&i) || !active, "slot {} revived", i);
+                }
+                prop_assert_eq!(present, active || truncated, "seen while active, and once more when cut short");
+                if !active {
+                    dead.insert(i);
+                }
+                let seen = &frame.observation[i * o..(i + 1) * o];
+                let known = &frame.state[i * s..(i + 1) * s];
+                if present {
+                    for (value, feature) in seen.iter().zip(&task.spec.observation.list)
+                        .chain(known.iter().zip(&task.spec.state.list))
+                    {
+                        prop_assert!((feature.low..=feature.high).contains(value), "{} = {}", feature.name, value);
+                    }
+                } else {
+                    prop_assert!(seen.iter().chain(known).all(|&v| v == 0.0), "a dead agent sees nothing");
+                }
+                for j in 0..n {
+                    let both = present && frame.comm[j * n + j] > 0.0;
+                    let linked = frame.comm[i * n + j] > 0.0;
+                    prop_assert!(both || !linked, "the absent are cut off");
+                    if let (true, Some(a), Some(b)) = (both && i != j, rails.centre(i), rails.centre(j)) {
+                        // Lateral jitter moves centres by up to 0.25 m each.
+                        let d = (a[0] - b[0]).hypot(a[1] - b[1]);
+                        prop_assert!(linked || d > range - 0.6, "{} {}", d, range);
+                        prop_assert!(!linked || d < range + 0.6, "{} {}", d, range);
+                    }
+                }
+            }
+            if let Some(record) = finished {
+                episodes += 1;
+                prop_assert!(frame.active.iter().all(|&a| a == 0.0));
+                prop_assert!(record.episode_length <= horizon);
+                prop_assert_eq!(record.step_rewards.len(), record.episode_length as usize);
+                prop_assert!(record.success + record.safety <= 2.0 && record.crash + record.safety <= 1.0 + 1e-9);
+                let sum: f64 = record.step_rewards.iter().map(|&r| f64::from(r)).sum();
+                prop_assert!((sum - record.reward).abs() < 1e-3);
+            }
+        }
+        prop_assert!(episodes >= 2, "400 steps of at most 150 each");
+    }
+
+    /// An episode is a function of the seed and its number, whatever was played before.
+    #[test]
+    fn episodes_do_not_depend_on_the_past(seed in any::<u64>(), episode in 1u64..1000) {
+        let task = task(8, |_| {});
+        let play = |world: &mut World, rails: &mut Rails| {
+            world.reset(episode);
+            (0..60).map(|_| { exchange(world, rails, &[0.7; 8]); world.frame().clone() }).collect::<Vec<_>>()
+        };
+        let (mut fresh, mut rails) = (world(&task, seed), Rails::new(&task));
+        let expected = play(&mut fresh, &mut rails);
+        let (mut used, mut rails) = (world(&task, seed), Rails::new(&task));
+        used.reset(0);
+        for _ in 0..90 {
+            exchange(&mut used, &mut rails, &[1.0; 8]);
+        }
+        prop_assert_eq!(play(&mut used, &mut rails), expected);
+    }
+}
+
+/// A world and what it gave at every step when slot 0 alone drives at full throttle and the others stand.
+fn lone_driver(cooperation: f64) -> (Arc<Task>, Vec<Frame>, f64, EpisodeRecord) {
+    let task = task(4, |s| {
+        s.reward.cooperation = cooperation;
+        s.termination.horizon = 120;
+    });
+    // An episode whose first agent has a free lane.
+    for episode in 0.. {
+        let (mut world, mut rails) = (world(&task, 3), Rails::new(&task));
+        world.reset(episode);
+        exchange(&mut world, &mut rails, &[0.0; 4]);
+        let begin = rails.vehicles[0].expect("spawned").1;
+        let mut frames = vec![world.frame().clone()];
+        while world.frame().active[1] > 0.0 {
+            exchange(&mut world, &mut rails, &[1.0, 0.0, 0.0, 0.0]);
+            frames.push(world.frame().clone());
+        }
+        let record = world.take_finished().expect("the horizon ends it");
+        if record.success == 0.25 {
+            return (task, frames, begin, record);
+        }
+    }
+    unreachable!()
+}
+
+#[test]
+fn the_reward_is_way_and_speed_and_then_the_arrival() {
+    let (task, frames, _, record) = lone_driver(0.0);
+    let scenario = &task.scenario;
+    let end = frames.iter().position(|f| f.terminated[0] > 0.0).expect("it arrives");
+    // By the definition, from the law of motion.
+    let (mut v, mut total) = (0.0, 0.0);
+    for frame in &frames[1..end] {
+        let (way, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
+        v = speed;
+        let expected = way + 0.1 * v / (80.0 / 3.6);
+        assert!((f64::from(frame.reward[0]) - expected).abs() < 1e-5, "{} {expected}", frame.reward[0]);
+        total += expected;
+    }
+    assert_eq!(frames[end].reward[0], 10.0);
+    assert!((record.reward - (total + 10.0) / 4.0).abs() < 1e-4);
+    assert_eq!((record.safety, record.crash, record.episode_length), (1.0, 0.0, 120));
+    assert!((record.efficiency - 0.25 * 4.0 / 120.0).abs() < 1e-12);
+}
+
+#[test]
+fn the_cooperative_mix_shares_among_those_in_range() {
+    let (_, own, _, _) = lone_driver(0.0);
+    let (_, mixed, _, _) = lone_driver(0.5);
+    // All four are within 100 m of each other; only the first earns anything.
+    for (own, mixed) in own.iter().zip(&mixed) {
+        let earned = own.reward[0];
+        assert!((mixed.reward[0] - (0.5 * earned + 0.5 * earned / 4.0)).abs() < 1e-6);
+        for other in &mixed.reward[1..] {
+            assert!((other - 0.5 * earned / 4.0).abs() < 1e-6);
+        }
+    }
+}
+
+#[test]
+fn wrecks_stay_for_their_time_and_others_crash_into_them() {
+    let task = task(8, |s| s.termination.horizon = 1000);
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    exchange(&mut world, &mut rails, &[0.0; 8]);
+    let mut crashed_at: Vec<Option<usize>> = vec![None; 8];
+    let mut wrecks_gone = 0;
+    for step in 1..400 {
+        let on_road: Vec<bool> = rails.vehicles.iter().map(Option::is_some).collect();
+        // Slot 7 stands and keeps the episode going.
+        let mut actions = [1.0; 8];
+        actions[7] = 0.0;
+        exchange(&mut world, &mut rails, &actions);
+        for i in 0..8 {
+            if world.frame().terminated[i] > 0.0 {
+                crashed_at[i] = (world.frame().reward[i] < 0.0).then_some(step);
+            }
+            if let (Some(at), true, false) = (crashed_at[i], on_road[i], rails.vehicles[i].is_some()) {
+                // 2.5 s are 25 further steps; the vehicle goes with the exchange after them.
+                assert_eq!(step - at, 26, "slot {i}");
+                wrecks_gone += 1;
+            }
+        }
+        if world.frame().active[7] == 0.0 {
+            break;
+        }
+    }
+    assert!(wrecks_gone >= 2, "full throttle crashes");
+}
+
+#[test]
+fn idle_worlds_send_nothing() {
+    let task = task(4, |s| s.termination.horizon = 3);
+    let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, 1);
+    let mut rails = Rails::new(&task);
+    let mut commands = Vec::new();
+    world.act(0, &[0.0; 4], &mut commands);
+    assert!(commands.is_empty(), "idle until the first reset");
+    world.reset(0);
+    for _ in 0..6 {
+        exchange(&mut world, &mut rails, &[0.0; 4]);
+    }
+    assert!(world.is_idle(), "there is only one episode");
+    world.act(0, &[0.0; 4], &mut commands);
+    assert!(commands.is_empty());
+}
+
+#[test]
+fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
+    let task = task(4, |_| {});
+    let (mut world, mut rails) = (world(&task, 0), Rails::new(&task));
+    world.reset(0);
+    for _ in 0..10 {
+        exchange(&mut world, &mut rails, &[0.5; 4]);
+    }
+    world.interrupt();
+    assert_eq!(world.frame().truncated, [1.0; 4]);
+    assert_eq!(world.frame().active, [0.0; 4]);
+    assert!(world.take_finished().expect("a record").interrupted);
+    // The fresh simulator is empty: a Remove would fail the check in `Rails`.
+    let mut rails = Rails::new(&task);
+    exchange(&mut world, &mut rails, &[0.0; 4]);
+    assert!(world.frame().start);
+    assert_eq!(world.episode(), 1);
+}
+
+#[test]
+fn features_are_named_once_and_covered_by_their_groups() {
+    for agents in [4, 48] {
+        let task = task(agents, |_| {});
+        for features in [&task.spec.observation, &task.spec.state, &task.spec.observation.join(&task.spec.state)] {
+            let covered: usize = features.groups.iter().map(|g| g.width * g.count).sum();
+            assert_eq!(covered, features.len());
+            assert!(features.groups.windows(2).all(|g| g[0].offset + g[0].width * g[0].count == g[1].offset));
+        }
+        let names: HashSet<_> = task.spec.observation.list.iter().map(|f| &f.name).collect();
+        assert_eq!(names.len(), task.spec.observation.len());
+    }
+    assert_eq!(task(4, |_| {}).spec.state, task(48, |_| {}).spec.state, "the state does not grow with the agents");
+}
+
+#[test]
+fn routes_meet_where_the_lanes_cross() {
+    let task = task(8, |_| {});
+    let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
+    let (east, west, south, north) = (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
+    // Eastbound along y = 0 from x = 0 meets southbound at x = 40, then northbound at x = 43.5; westbound never.
+    let conflicts = &task.routes[east].conflicts;
+    assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
+    assert!((conflicts[0].own - 40.0).abs() < 1e-6 && (conflicts[1].own - 43.5).abs() < 1e-6);
+    // Southbound starts at y = 43.5 and reaches y = 0 after 43.5 m.
+    assert!((conflicts[0].other - 43.5).abs() < 1e-6);
+    assert_eq!(task.routes[east].apart, [west]);
+    for (a, own) in task.routes.iter().enumerate() {
+        for c in &own.conflicts {
+            let back = task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
+            assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
+        }
+    }
+}
