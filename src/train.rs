@@ -139,8 +139,12 @@ impl Trainer {
         let task = Arc::new(Task::new(&scenario, config.agents)?);
         let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"))?;
         let worlds = config.train.envs;
-        let options =
-            VecOptions { worlds, driver: Driver::Agents, seed: seed.child("episodes"), episodes: 0..u64::MAX };
+        let options = VecOptions {
+            worlds,
+            driver: Driver::Agents,
+            seed: seed.child("episodes"),
+            episodes: 0..u64::MAX,
+        };
         let sizes = Sizes {
             steps: config.train.segment,
             envs: worlds,
@@ -155,17 +159,27 @@ impl Trainer {
         let count = worlds * task.agents * learner.memory();
         let (env, memory, progress) = match checkpoint {
             None => {
-                let first = Progress { next_validation: config.train.validate_every, ..Progress::default() };
+                let first = Progress {
+                    next_validation: config.train.validate_every,
+                    ..Progress::default()
+                };
                 (VecEnv::new(&task, &options)?, vec![0.0; count], first)
             }
             Some(stored) => {
                 let width = task.agents * task.spec.actions;
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 if stored.worlds.len() != worlds || stored.memory.len() != count || !whole {
-                    return Err(Error::OtherWorlds { found: stored.worlds.len(), expected: worlds });
+                    return Err(Error::OtherWorlds {
+                        found: stored.worlds.len(),
+                        expected: worlds,
+                    });
                 }
                 learner.load(&stored.learner)?;
-                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
+                (
+                    VecEnv::restore(&task, &options, &stored.worlds)?,
+                    stored.memory.clone(),
+                    stored.progress.clone(),
+                )
             }
         };
         Ok(Self {
@@ -222,7 +236,9 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
         for t in 0..s.steps {
-            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            timed(&mut self.timers.copy, || {
+                store_frames(&self.env, &self.memory, &mut self.rollout, t)
+            });
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 rng::fill_normal(&mut rng, &mut noise);
@@ -235,12 +251,19 @@ impl Trainer {
                 };
                 let action = Tensor::from_slice(&noise).view([e, n, a]);
                 let observation = Observation {
-                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)]).view([e, n, -1]),
+                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)])
+                        .view([e, n, -1]),
                     comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)]).view([e, n, n]),
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
-                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph })
+                self.learner.act(
+                    &observation,
+                    &ActMode::Sample {
+                        action: &action,
+                        graph: &graph,
+                    },
+                )
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut self.rollout.action, t);
@@ -248,7 +271,9 @@ impl Trainer {
             });
             self.memory = decision.memory;
             let actions = self.rollout.at(t, s.actions);
-            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
+            timed(&mut self.timers.simulate, || {
+                self.env.step(&self.rollout.action[actions])
+            })?;
             self.finished.extend(self.env.take_finished());
             timed(&mut self.timers.copy, || {
                 for (e, world) in self.env.worlds().enumerate() {
@@ -259,7 +284,9 @@ impl Trainer {
                 }
             });
         }
-        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
+        timed(&mut self.timers.copy, || {
+            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps)
+        });
         Ok(())
     }
 
@@ -270,7 +297,14 @@ impl Trainer {
     pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         let policy = Policy::Learned(&*self.learner);
         let episodes = self.config.train.validation_episodes;
-        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), stop, &mut |_| {})?)
+        Ok(evaluate(
+            &self.task,
+            &policy,
+            episodes,
+            self.seed.child("validation"),
+            stop,
+            &mut |_| {},
+        )?)
     }
 
     /// Everything needed to go on from here.
@@ -313,7 +347,12 @@ impl Trainer {
                 let success = self.judge(&evaluation, dir, &mut files)?;
                 validation_success = Some(success);
             }
-            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
+            report(&Report {
+                step: self.progress.step,
+                steps_per_second,
+                training_success,
+                validation_success,
+            });
             let train = &self.config.train;
             if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
                 outcome = Outcome::Solved;
@@ -336,7 +375,11 @@ impl Trainer {
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(self.progress.step, evaluation, success, mean(|r| r.safety), window)?;
         let train = &self.config.train;
-        self.progress.solved = if success >= train.stop_success { self.progress.solved + 1 } else { 0 };
+        self.progress.solved = if success >= train.stop_success {
+            self.progress.solved + 1
+        } else {
+            0
+        };
         while self.progress.next_validation <= self.progress.step {
             self.progress.next_validation += train.validate_every;
         }
@@ -366,7 +409,10 @@ struct EpisodeLine<'a> {
 impl Files {
     /// Opens or creates them; lines beyond `step` are from a future that is played again.
     fn open(dir: &RunDir, config: &Config, step: u64) -> Result<Self, Error> {
-        std::fs::create_dir_all(dir.path().join("checkpoints")).map_err(|source| Error::Folder { path: dir.0.clone(), source })?;
+        std::fs::create_dir_all(dir.path().join("checkpoints")).map_err(|source| Error::Folder {
+            path: dir.0.clone(),
+            source,
+        })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
         let resumed = step > 0;
         let open = |path: PathBuf| -> Result<JsonLines, record::Error> {
@@ -398,9 +444,7 @@ impl Files {
     /// Gives the success of the episodes that the iteration finished.
     fn iteration(&mut self, trainer: &Trainer, losses: &Losses, steps_per_second: f64) -> Result<Option<f64>, Error> {
         let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted).collect();
-        let mean = |of: fn(&EpisodeRecord) -> f64| {
-            episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
-        };
+        let mean = |of: fn(&EpisodeRecord) -> f64| episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64;
         let mut values: Vec<(&str, f64)> = losses.clone();
         if !episodes.is_empty() {
             values.extend([
@@ -427,11 +471,22 @@ impl Files {
         Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
     }
 
-    fn validation(&mut self, step: u64, evaluation: &Evaluation, success: f64, safety: f64, window: f64) -> Result<(), Error> {
+    fn validation(
+        &mut self,
+        step: u64,
+        evaluation: &Evaluation,
+        success: f64,
+        safety: f64,
+        window: f64,
+    ) -> Result<(), Error> {
         for record in &evaluation.episodes {
             self.episodes.append(&EpisodeLine { step, record })?;
         }
-        let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
+        let length = evaluation
+            .episodes
+            .iter()
+            .map(|r| f64::from(r.episode_length))
+            .sum::<f64>()
             / evaluation.episodes.len().max(1) as f64;
         self.write(
             step,
@@ -467,7 +522,9 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
 
 fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
     let count = tensor.numel();
-    tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
+    tensor
+        .reshape([-1])
+        .copy_data(&mut to[t * count..(t + 1) * count], count);
 }
 
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
@@ -480,7 +537,11 @@ fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
 /// Seconds as people say them.
 pub fn human_duration(duration: Duration) -> String {
     let s = duration.as_secs();
-    if s < 60 { format!("{:.1} s", duration.as_secs_f64()) } else { format!("{} min {:02} s", s / 60, s % 60) }
+    if s < 60 {
+        format!("{:.1} s", duration.as_secs_f64())
+    } else {
+        format!("{} min {:02} s", s / 60, s % 60)
+    }
 }
 
 /// What can go wrong in training.
@@ -508,7 +569,9 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A checkpoint is of other worlds.
-    #[error("the checkpoint holds {found} worlds of another shape than this run's {expected}; resume with the configuration it was made with")]
+    #[error(
+        "the checkpoint holds {found} worlds of another shape than this run's {expected}; resume with the configuration it was made with"
+    )]
     OtherWorlds {
         /// In the checkpoint.
         found: usize,

@@ -22,7 +22,8 @@ pub struct Settings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    /// Observation encoder: `attention` (paper), `gru` (released code) or `mlp` (fastest).
+    /// Observation encoder: `mlp` (fastest, and enough where observations come in a fixed order), `attention` over entity
+    /// tokens (paper) or `gru` (released code).
     pub encoder: EncoderKind,
     /// Width H of embeddings, policy and value layers.
     pub hidden: i64,
@@ -39,11 +40,11 @@ pub struct Network {
 impl Default for Network {
     fn default() -> Self {
         Self {
-            encoder: EncoderKind::Attention,
+            encoder: EncoderKind::Mlp,
             hidden: 128,
             extra_layers: 1,
             token_width: 32,
-            token_heads: 2,
+            token_heads: 1,
             chunk_length: 8,
         }
     }
@@ -98,7 +99,7 @@ impl Default for Ppo {
             learning_rate_constant: 0.6,
             learning_rate_end: 0.1,
             epochs: 5,
-            minibatch: 4096,
+            minibatch: 2048,
             gamma: 0.99,
             gae_lambda: 0.95,
             clip: 0.2,
@@ -128,7 +129,13 @@ pub struct Exploration {
 
 impl Default for Exploration {
     fn default() -> Self {
-        Self { mode: NoiseMode::Schedule, log_std_start: 0.0, log_std_end: -1.7, log_std_share: 0.75, mean_bias: 0.5 }
+        Self {
+            mode: NoiseMode::Schedule,
+            log_std_start: 0.0,
+            log_std_end: -1.7,
+            log_std_share: 0.75,
+            mean_bias: 0.5,
+        }
     }
 }
 

@@ -51,7 +51,12 @@ pub fn main() -> ExitCode {
         1 => tracing::Level::INFO,
         _ => tracing::Level::DEBUG,
     };
-    tracing_subscriber::fmt().with_max_level(level).with_writer(std::io::stderr).with_target(false).without_time().init();
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .without_time()
+        .init();
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     tch::set_num_threads(cores as i32);
     let result = match &cli.verb {

@@ -58,16 +58,29 @@ mod tests {
                 drag: 0.364,
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
             },
-            Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
+            Vehicle {
+                length: 4.515,
+                width: 1.852,
+                max_speed: 22.222,
+            },
         )
     }
 
     #[test]
     fn follows_the_measured_rows() {
         let (control, vehicle) = law();
-        for (action, expected) in
-            [(1.0, 2.909), (0.5, 1.4545), (0.0, -0.364), (-0.01, -0.364), (-0.3, -8.2), (-0.4, -9.2), (-0.5, -10.2), (-1.0, -14.7), (-3.0, -14.7), (9.0, 2.909)]
-        {
+        for (action, expected) in [
+            (1.0, 2.909),
+            (0.5, 1.4545),
+            (0.0, -0.364),
+            (-0.01, -0.364),
+            (-0.3, -8.2),
+            (-0.4, -9.2),
+            (-0.5, -10.2),
+            (-1.0, -14.7),
+            (-3.0, -14.7),
+            (9.0, 2.909),
+        ] {
             assert!((acceleration(&control, action) - expected).abs() < 1e-9, "{action}");
         }
         let speed = |v, action| advance(&control, &vehicle, v, action).1;
@@ -75,7 +88,10 @@ mod tests {
         assert_eq!(speed(0.5, -1.0), 0.0);
         assert_eq!(speed(0.0, 0.0), 0.0);
         assert_eq!(speed(22.2, 1.0), 22.222);
-        assert_eq!(advance(&control, &vehicle, 5.0, f64::NAN), advance(&control, &vehicle, 5.0, 0.0));
+        assert_eq!(
+            advance(&control, &vehicle, 5.0, f64::NAN),
+            advance(&control, &vehicle, 5.0, 0.0)
+        );
         // From 10 m/s under full throttle: five substeps of 0.02 s, each at its new speed.
         let way: f64 = (1..=5).map(|k| 0.02 * (10.0 + 2.909 * 0.02 * f64::from(k))).sum();
         assert!((advance(&control, &vehicle, 10.0, 1.0).0 - way).abs() < 1e-12);

@@ -111,8 +111,16 @@ mod tests {
 
     #[test]
     fn interpolates_headings_the_short_way() {
-        let a = Pose { x: 0.0, y: 0.0, heading: 3.0 };
-        let b = Pose { x: 2.0, y: 0.0, heading: -3.0 };
+        let a = Pose {
+            x: 0.0,
+            y: 0.0,
+            heading: 3.0,
+        };
+        let b = Pose {
+            x: 2.0,
+            y: 0.0,
+            heading: -3.0,
+        };
         let middle = a.towards(&b, 0.5);
         assert!((middle.heading.rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI).abs() < 1e-9);
         assert_eq!(middle.x, 1.0);

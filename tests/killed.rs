@@ -1,0 +1,184 @@
+//! What is left when processes die: a killed SUMO costs its world's episode, an interrupted run keeps a checkpoint, and no
+//! SUMO outlives the program. One test at a time in this binary: they count child processes.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions};
+use iwol_sumo::rng::Seed;
+use iwol_sumo::scenario::Scenario;
+
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// Processes named `sumo` whose parent is `parent`.
+fn sumo_children(parent: u32) -> Vec<u32> {
+    let mut children = Vec::new();
+    for entry in fs::read_dir("/proc").expect("proc").flatten() {
+        let Ok(pid) = entry.file_name().to_string_lossy().parse::<u32>() else {
+            continue;
+        };
+        let Ok(stat) = fs::read_to_string(entry.path().join("stat")) else {
+            continue;
+        };
+        // pid (name) state ppid …
+        let Some((head, tail)) = stat.rsplit_once(')') else {
+            continue;
+        };
+        let mut fields = tail.split_whitespace();
+        let (state, ppid) = (fields.next(), fields.next());
+        if head.ends_with("(sumo") && state != Some("Z") && ppid == Some(&parent.to_string()) {
+            children.push(pid);
+        }
+    }
+    children
+}
+
+fn signal(pid: u32, name: &str) {
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &pid.to_string()])
+        .status()
+        .expect("kill runs");
+    assert!(status.success());
+}
+
+fn wait_until(what: &str, seconds: u64, mut holds: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(
+            begin.elapsed() < Duration::from_secs(seconds),
+            "waited {seconds} s: {what}"
+        );
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn task() -> Arc<Task> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+    Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task"))
+}
+
+#[test]
+fn a_killed_sumo_costs_its_episode_only() {
+    let _alone = ALONE.lock().expect("no test panicked");
+    let options = VecOptions {
+        worlds: 3,
+        driver: Driver::Agents,
+        seed: Seed::new(1),
+        episodes: 0..u64::MAX,
+    };
+    let mut env = VecEnv::new(&task(), &options).expect("SUMO runs");
+    let mut undisturbed = VecEnv::new(&task(), &options).expect("SUMO runs");
+    let actions = [0.4; 24];
+    for _ in 0..30 {
+        env.step(&actions).expect("a step");
+        undisturbed.step(&actions).expect("a step");
+    }
+    let before: Vec<_> = env.worlds().map(|w| w.frame().clone()).collect();
+    // The first of the six belongs to `env`; which of its worlds it hosts is seen from what happens.
+    signal(sumo_children(std::process::id())[0], "KILL");
+    let mut interrupted = Vec::new();
+    for _ in 0..3 {
+        env.step(&actions).expect("the world is restarted");
+        undisturbed.step(&actions).expect("a step");
+        interrupted.extend(env.take_finished());
+    }
+    assert_eq!(env.restarts() + undisturbed.restarts(), 1);
+    let (hit, spared) = if env.restarts() == 1 {
+        (&env, &undisturbed)
+    } else {
+        (&undisturbed, &env)
+    };
+    assert_eq!(spared.restarts(), 0);
+    let mut fresh = 0;
+    for (world, reference) in hit.worlds().zip(spared.worlds()) {
+        if world.episode() == reference.episode() {
+            assert_eq!(world.frame(), reference.frame(), "the other worlds do not notice");
+        } else {
+            fresh += 1;
+            assert_eq!(world.frame().active, vec![1.0; 8], "the next episode has begun");
+        }
+    }
+    assert_eq!(fresh, 1);
+    assert_eq!(before.len(), 3);
+    drop((env, undisturbed));
+    assert_eq!(sumo_children(std::process::id()), [0_u32; 0], "no process is left");
+}
+
+fn train(run: &Path) -> std::process::Child {
+    Command::new(env!("CARGO_BIN_EXE_iwol"))
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args([
+            "train",
+            "--scenario",
+            "scenarios/intersection.xml",
+            "--agents",
+            "4",
+            "--steps",
+            "1000000",
+        ])
+        .args([
+            "--set",
+            "train.envs=2",
+            "--set",
+            "train.segment=16",
+            "--set",
+            "network.hidden=8",
+            "--set",
+            "iwol.rounds=1",
+            "--out",
+        ])
+        .arg(run)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program runs")
+}
+
+#[test]
+fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
+    let _alone = ALONE.lock().expect("no test panicked");
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, code) in [("INT", 130), ("TERM", 130)] {
+        let run = folder.path().join(name);
+        let mut child = train(&run);
+        wait_until("the first iterations", 60, || {
+            fs::read_to_string(run.join("metrics.jsonl")).is_ok_and(|text| text.lines().count() >= 2)
+        });
+        let workers = sumo_children(child.id());
+        assert_eq!(workers.len(), 2);
+        signal(child.id(), name);
+        let status = child.wait().expect("it ends");
+        assert_eq!(status.code(), Some(code), "SIG{name}");
+        assert!(run.join("checkpoints/last.safetensors").exists());
+        for pid in workers {
+            wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
+        }
+        let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+        assert!(
+            lines
+                .lines()
+                .all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
+            "whole lines"
+        );
+    }
+}
+
+#[test]
+fn even_a_killed_program_leaves_no_process() {
+    let _alone = ALONE.lock().expect("no test panicked");
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = folder.path().join("run");
+    let mut child = train(&run);
+    wait_until("SUMO runs", 60, || {
+        run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2
+    });
+    let workers = sumo_children(child.id());
+    signal(child.id(), "KILL");
+    child.wait().expect("it ends");
+    for pid in workers {
+        wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
+    }
+}

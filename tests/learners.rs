@@ -1,0 +1,401 @@
+//! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
+
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Settings, settings::EncoderKind};
+use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::rollout::{Rollout, Sizes};
+use tch::{Device, Kind, Tensor};
+
+const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
+
+fn features(count: usize) -> Features {
+    let feature = |i: usize| Feature {
+        name: format!("f{i}"),
+        unit: "1".to_owned(),
+        low: -1.0,
+        high: 1.0,
+    };
+    let group = |offset, width, count| Group {
+        name: format!("g{offset}"),
+        offset,
+        width,
+        count,
+        presence: None,
+    };
+    Features {
+        list: (0..count).map(feature).collect(),
+        groups: vec![group(0, 1, 1), group(1, count - 1, 1)],
+    }
+}
+
+fn spec(agents: usize) -> EnvSpec {
+    EnvSpec {
+        agents,
+        actions: 1,
+        observation: features(4),
+        state: features(3),
+    }
+}
+
+fn small(encoder: EncoderKind) -> Settings {
+    let mut settings = Settings::default();
+    settings.network.encoder = encoder;
+    settings.network.hidden = 16;
+    settings.network.token_width = 8;
+    settings.iwol.rounds = 2;
+    settings.iwol.latent = 4;
+    settings.ppo.minibatch = 64;
+    settings.ppo.epochs = 2;
+    settings
+}
+
+fn noise(seed: u64, shape: &[i64]) -> Tensor {
+    let mut values = vec![0.0; shape.iter().product::<i64>() as usize];
+    rng::fill_normal(&mut Seed::new(seed).rng(), &mut values);
+    Tensor::from_slice(&values).view(shape)
+}
+
+fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation {
+    let (e, n, _) = x.size3().expect("[E, N, O]");
+    let memory = noise(5, &[e, n, learner.memory() as i64]);
+    Observation {
+        observation: x,
+        comm,
+        start: Tensor::zeros([e], (Kind::Float, Device::Cpu)),
+        memory,
+    }
+}
+
+/// Actions with every edge of the learned graph switched on.
+fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
+    let (e, n, _) = x.size3().expect("[E, N, O]");
+    let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
+    let open = Tensor::full([e, n, n], 1e4, (Kind::Float, Device::Cpu));
+    let input = observation(learner, x.copy(), comm.copy());
+    let decision = learner.act(
+        &input,
+        &ActMode::Sample {
+            action: &zero,
+            graph: &open,
+        },
+    );
+    Vec::try_from(decision.action.view([n, 1])).expect("actions")
+}
+
+fn all_ones(n: i64) -> Tensor {
+    Tensor::ones([1, n, n], (Kind::Float, Device::Cpu))
+}
+
+#[test]
+fn others_observations_cannot_reach_a_local_policy() {
+    for name in ["mappo", "im-iwol"] {
+        for encoder in ENCODERS {
+            let learner = algo::build(name, &spec(5), &small(encoder), Seed::new(1)).expect("a learner");
+            let x = noise(1, &[1, 5, 4]);
+            let before = act(&*learner, &x, &all_ones(5));
+            for j in 0..5 {
+                let changed = x.copy();
+                let _ = changed.get(0).get(j).fill_(9.0);
+                let after = act(&*learner, &changed, &all_ones(5));
+                for i in 0..5 {
+                    assert_eq!(
+                        before[i] == after[i],
+                        i != j as usize,
+                        "{name} {encoder:?}: {j} against {i}"
+                    );
+                }
+            }
+            let cut = act(&*learner, &x, &Tensor::eye(5, (Kind::Float, Device::Cpu)).unsqueeze(0));
+            assert_eq!(before, cut, "{name}: a local policy has no message path");
+        }
+    }
+}
+
+#[test]
+fn messages_reach_neighbours_and_nobody_else() {
+    for encoder in ENCODERS {
+        let learner = algo::build("ex-iwol", &spec(5), &small(encoder), Seed::new(1)).expect("a learner");
+        let x = noise(1, &[1, 5, 4]);
+        // Agent 4 is dead; agents 0, 1 are in range of each other, and so are 2, 3; nothing links the pairs.
+        let comm = Tensor::zeros([1, 5, 5], (Kind::Float, Device::Cpu));
+        for (i, j) in [(0, 0), (1, 1), (2, 2), (3, 3), (0, 1), (1, 0), (2, 3), (3, 2)] {
+            let _ = comm.get(0).get(i).get(j).fill_(1.0);
+        }
+        let before = act(&*learner, &x, &comm);
+        for j in 0..5 {
+            let changed = x.copy();
+            let _ = changed.get(0).get(j).fill_(9.0);
+            let after = act(&*learner, &changed, &comm);
+            for i in 0..4 {
+                let linked = i as i64 == j || comm.double_value(&[0, i as i64, j]) > 0.0;
+                assert_eq!(before[i] != after[i], linked, "{encoder:?}: {j} against {i}");
+            }
+        }
+    }
+}
+
+/// A rollout of random numbers in which slots die and come back with new trajectories.
+fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout {
+    let sizes = Sizes {
+        steps: 16,
+        envs: 3,
+        agents,
+        observation: 4,
+        state: 3,
+        actions: 1,
+        memory: learner.memory(),
+        graph_noise: learner.samples_graph(),
+    };
+    let mut rollout = Rollout::new(sizes);
+    let mut rng = Seed::new(seed).rng();
+    for array in [
+        &mut rollout.observation,
+        &mut rollout.state,
+        &mut rollout.action,
+        &mut rollout.log_prob,
+        &mut rollout.reward,
+        &mut rollout.memory,
+        &mut rollout.graph_noise,
+    ] {
+        rng::fill_normal(&mut rng, array);
+        array.iter_mut().for_each(|x| *x *= 0.5);
+    }
+    for e in 0..sizes.envs {
+        for i in 0..agents {
+            let mut alive = true;
+            for t in 0..=sizes.steps {
+                // A whole environment starts anew at step 8.
+                if t == 8 {
+                    alive = true;
+                    rollout.start[t * sizes.envs + e] = 1.0;
+                }
+                let at = (t * sizes.envs + e) * agents + i;
+                rollout.active[at] = f32::from(u8::from(alive));
+                if t < sizes.steps && alive && (rng::below(&mut rng, 6) == 0 || t == 7) {
+                    rollout.terminated[at] = 1.0;
+                    alive = false;
+                }
+            }
+        }
+        for t in 0..=sizes.steps {
+            let active = rollout.active[rollout.cell(t, e, 1)].to_vec();
+            let cell = rollout.cell(t, e, agents);
+            for (k, link) in rollout.comm[cell].iter_mut().enumerate() {
+                *link = active[k / agents] * active[k % agents];
+            }
+        }
+    }
+    rollout
+}
+
+fn bits(learner: &dyn Algorithm) -> Vec<(String, Vec<u64>)> {
+    let value = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
+    learner
+        .state()
+        .iter()
+        .map(|(n, t)| (n.clone(), value(t).iter().map(|v| v.to_bits()).collect()))
+        .collect()
+}
+
+fn each(mut check: impl FnMut(&str, EncoderKind)) {
+    for name in algo::NAMES {
+        for encoder in ENCODERS {
+            check(name, encoder);
+        }
+    }
+}
+
+#[test]
+fn updates_are_deterministic_and_move_every_network() {
+    each(|name, encoder| {
+        let run = |seed: u64| {
+            let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2)).expect("a learner");
+            let first = bits(&*learner);
+            let rollout = random_rollout(&*learner, 4, 3);
+            learner.update(&rollout, 0.1, Seed::new(seed)).expect("finite");
+            let last = bits(&*learner);
+            (first, last)
+        };
+        let (first, last) = run(4);
+        assert_eq!(last, run(4).1, "{name} {encoder:?}: same seed, same bits");
+        assert_ne!(last, run(5).1, "{name} {encoder:?}: the seed matters");
+        for (before, after) in first
+            .iter()
+            .zip(&last)
+            .filter(|(b, _)| b.0.ends_with("weight") && !b.0.contains("adam"))
+        {
+            assert_ne!(before.1, after.1, "{name} {encoder:?}: {} was not trained", before.0);
+        }
+    });
+}
+
+#[test]
+fn without_a_learning_rate_nothing_moves() {
+    each(|name, encoder| {
+        let mut settings = small(encoder);
+        settings.ppo.learning_rate = 0.0;
+        let mut learner = algo::build(name, &spec(4), &settings, Seed::new(2)).expect("a learner");
+        let weights = |learner: &dyn Algorithm| {
+            bits(learner)
+                .into_iter()
+                .filter(|(n, _)| n.starts_with("actor/") || n.starts_with("critic/"))
+                .collect::<Vec<_>>()
+        };
+        let before = weights(&*learner);
+        learner
+            .update(&random_rollout(&*learner, 4, 3), 0.0, Seed::new(4))
+            .expect("finite");
+        assert_eq!(before, weights(&*learner), "{name} {encoder:?}");
+    });
+}
+
+#[test]
+fn the_dead_do_not_teach() {
+    each(|name, encoder| {
+        let run = |rubbish: f32| {
+            let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2)).expect("a learner");
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            let s = rollout.sizes;
+            for at in 0..(s.steps + 1) * s.envs * s.agents {
+                if rollout.active[at] > 0.0 {
+                    continue;
+                }
+                rollout.observation[at * 4..(at + 1) * 4].fill(rubbish);
+                rollout.state[at * 3..(at + 1) * 3].fill(rubbish);
+                if at < s.steps * s.envs * s.agents {
+                    rollout.action[at] = rubbish;
+                    rollout.reward[at] = rubbish;
+                    rollout.log_prob[at] = rubbish;
+                }
+            }
+            let losses = learner.update(&rollout, 0.1, Seed::new(4)).expect("finite");
+            (bits(&*learner), losses)
+        };
+        let (calm, losses) = run(0.0);
+        let (loud, same) = run(7.0);
+        assert_eq!(losses, same, "{name} {encoder:?}");
+        // The memory that a recurrent critic carries for a dead slot is cleared before anyone reads it.
+        let weights = |bits: Vec<(String, Vec<u64>)>| {
+            bits.into_iter()
+                .filter(|b| !b.0.starts_with("critic_memory"))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(weights(calm), weights(loud), "{name} {encoder:?}");
+    });
+}
+
+#[test]
+fn a_state_is_taken_over_whole_or_not_at_all() {
+    each(|name, encoder| {
+        let mut trained = algo::build(name, &spec(4), &small(encoder), Seed::new(2)).expect("a learner");
+        trained
+            .update(&random_rollout(&*trained, 4, 3), 0.1, Seed::new(4))
+            .expect("finite");
+        let mut fresh = algo::build(name, &spec(4), &small(encoder), Seed::new(9)).expect("a learner");
+        fresh.load(&trained.state()).expect("the same network");
+        assert_eq!(bits(&*fresh), bits(&*trained), "{name} {encoder:?}");
+        let next = random_rollout(&*trained, 4, 6);
+        trained.update(&next, 0.2, Seed::new(7)).expect("finite");
+        fresh.update(&next, 0.2, Seed::new(7)).expect("finite");
+        assert_eq!(
+            bits(&*fresh),
+            bits(&*trained),
+            "{name} {encoder:?}: the next update too"
+        );
+        let mut state = trained.state();
+        state.remove(0);
+        assert!(fresh.load(&state).is_err());
+    });
+}
+
+/// One-step game: two agents see a number each; the action should be the own number, or the other's.
+fn play(name: &str, others: bool, updates: u64) -> f32 {
+    let mut settings = small(EncoderKind::Mlp);
+    settings.exploration.log_std_start = -0.5;
+    settings.exploration.log_std_end = -1.5;
+    settings.exploration.mean_bias = 0.0;
+    settings.ppo.learning_rate = 3e-3;
+    settings.ppo.minibatch = 256;
+    let mut learner = algo::build(name, &spec(2), &settings, Seed::new(1)).expect("a learner");
+    let sizes = Sizes {
+        steps: 16,
+        envs: 32,
+        agents: 2,
+        observation: 4,
+        state: 3,
+        actions: 1,
+        memory: 0,
+        graph_noise: learner.samples_graph(),
+    };
+    let mut rollout = Rollout::new(sizes);
+    rollout.active.fill(1.0);
+    rollout.start.fill(1.0);
+    rollout.comm.fill(1.0);
+    rollout.terminated.fill(1.0);
+    let (e, n) = (32, 2);
+    let mut mean = 0.0;
+    for update in 0..updates {
+        let mut rng = Seed::new(2).index(update).rng();
+        rollout
+            .observation
+            .iter_mut()
+            .for_each(|x| *x = rng::symmetric(&mut rng) as f32);
+        rng::fill_logistic(&mut rng, &mut rollout.graph_noise);
+        let mut eps = vec![0.0; e * n];
+        mean = 0.0;
+        for t in 0..sizes.steps {
+            rng::fill_normal(&mut rng, &mut eps);
+            let x = &rollout.observation[rollout.at(t, 4)];
+            let input = observation(
+                &*learner,
+                Tensor::from_slice(x).view([32, 2, 4]),
+                Tensor::ones([32, 2, 2], (Kind::Float, Device::Cpu)),
+            );
+            let graph = match learner.samples_graph() {
+                true => Tensor::from_slice(&rollout.graph_noise[rollout.at(t, 2)]).view([32, 2, 2]),
+                false => Tensor::zeros([0], (Kind::Float, Device::Cpu)),
+            };
+            let decision = learner.act(
+                &input,
+                &ActMode::Sample {
+                    action: &Tensor::from_slice(&eps).view([32, 2, 1]),
+                    graph: &graph,
+                },
+            );
+            let actions = Vec::<f32>::try_from(decision.action.reshape([-1])).expect("actions");
+            let log_probs = Vec::<f32>::try_from(decision.log_prob.reshape([-1])).expect("log-probabilities");
+            let rewards: Vec<f32> = (0..e * n)
+                .map(|k| {
+                    let aim = if others { x[(k ^ 1) * 4] } else { x[k * 4] };
+                    -(actions[k] - aim).powi(2)
+                })
+                .collect();
+            mean += rewards.iter().sum::<f32>() / (e * n * sizes.steps) as f32;
+            let cell = rollout.at(t, 1);
+            rollout.action[cell.clone()].copy_from_slice(&actions);
+            rollout.log_prob[cell.clone()].copy_from_slice(&log_probs);
+            rollout.reward[cell].copy_from_slice(&rewards);
+        }
+        learner
+            .update(&rollout, update as f64 / updates as f64, Seed::new(3).index(update))
+            .expect("finite");
+    }
+    mean
+}
+
+/// Doing nothing gives −1/3 (the variance of the aim), the noise alone costs 0.05 at the end.
+#[test]
+fn every_algorithm_learns_a_local_game() {
+    for name in algo::NAMES {
+        let reward = play(name, false, 60);
+        assert!(reward > -0.15, "{name}: {reward}");
+    }
+}
+
+#[test]
+fn messages_help_where_they_are_needed() {
+    let with = play("ex-iwol", true, 120);
+    let without = play("im-iwol", true, 60);
+    assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
+    assert!(with > -0.2, "but it can be told: {with}");
+}

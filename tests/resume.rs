@@ -1,0 +1,143 @@
+//! Reproducibility against the real simulator: same seed, same bits; stopping, resuming and validating change nothing.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::train::{Outcome, RunDir, Trainer};
+use tch::{Kind, Tensor};
+
+fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
+    let text = format!(
+        "scenario = {:?}\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
+         [train]\nenvs = 3\nsegment = 40\nvalidate_every = 100000\nvalidation_episodes = 1\n\
+         [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
+         [iwol]\nrounds = 1\nlatent = 4\n\
+         [ppo]\nminibatch = 128\nepochs = 2\n\
+         [env]\nhorizon = 60\n",
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml")
+    );
+    let document = Document {
+        name: "test".to_owned(),
+        text,
+    };
+    Config::resolve(&Layers {
+        document,
+        ..Layers::default()
+    })
+    .expect("a valid configuration")
+}
+
+fn trainer(algorithm: &str, encoder: &str) -> Trainer {
+    let (config, scenario) = config(algorithm, encoder, 480);
+    Trainer::new(config, scenario).expect("SUMO runs")
+}
+
+/// Everything that decides the future, as bits.
+fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
+    let value = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
+    let mut all: Vec<(String, Vec<u64>)> = checkpoint
+        .learner
+        .iter()
+        .map(|(name, t)| (name.clone(), value(t).iter().map(|v| v.to_bits()).collect()))
+        .collect();
+    for world in &checkpoint.worlds {
+        all.push((
+            "world".to_owned(),
+            world
+                .actions
+                .iter()
+                .map(|a| u64::from(a.to_bits()))
+                .chain([world.episode])
+                .collect(),
+        ));
+    }
+    all.push((
+        "memory".to_owned(),
+        checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect(),
+    ));
+    all.sort();
+    all
+}
+
+const RUNS: [(&str, &str); 4] = [
+    ("mappo", "mlp"),
+    ("im-iwol", "attention"),
+    ("ex-iwol", "mlp"),
+    ("im-iwol", "gru"),
+];
+
+#[test]
+fn training_is_reproducible_and_resumable_bit_for_bit() {
+    let stop = AtomicBool::new(false);
+    for (algorithm, encoder) in RUNS {
+        // Four iterations in one go. Episodes of at most 60 steps end within the segments of 40.
+        let mut whole = trainer(algorithm, encoder);
+        for _ in 0..4 {
+            whole.iterate().expect("an iteration");
+        }
+        // Two, a validation, a checkpoint through a file, then two more in a trainer that knows the file alone.
+        let mut first = trainer(algorithm, encoder);
+        for _ in 0..2 {
+            first.iterate().expect("an iteration");
+        }
+        first.validate(&stop).expect("a validation");
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("c.safetensors");
+        first.checkpoint().save(&file).expect("saved");
+        drop(first);
+        let stored = Checkpoint::load(&file).expect("loaded");
+        let (config, scenario) = config(algorithm, encoder, 480);
+        let mut second = Trainer::resume(config, scenario, &stored).expect("resumed");
+        for _ in 0..2 {
+            second.iterate().expect("an iteration");
+        }
+        let (whole, parts) = (whole.checkpoint(), second.checkpoint());
+        assert_eq!((whole.progress.step, whole.progress.iteration), (480, 4));
+        assert_eq!((parts.progress.step, parts.progress.iteration), (480, 4));
+        assert!(whole.worlds.iter().any(|w| w.episode >= 3), "episodes ended on the way");
+        for (a, b) in bits(&whole).iter().zip(&bits(&parts)) {
+            assert_eq!(a, b, "{algorithm} {encoder}");
+        }
+    }
+}
+
+#[test]
+fn a_stopped_run_goes_on_in_its_folder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = RunDir::new(folder.path().join("run"));
+    let (config, scenario) = config("im-iwol", "mlp", 360);
+    let stop = AtomicBool::new(false);
+    let mut trainer = Trainer::new(config.clone(), scenario.clone()).expect("SUMO runs");
+    // Someone presses Ctrl-C during the first iteration.
+    let outcome = trainer.run(&dir, &stop, &mut |_| {
+        stop.store(true, std::sync::atomic::Ordering::Relaxed)
+    });
+    assert_eq!(outcome.expect("a clean end"), Outcome::Interrupted);
+    drop(trainer);
+    let stored = Checkpoint::load(&dir.last()).expect("a checkpoint");
+    assert_eq!(stored.progress.step, 120);
+    // A half-written line, as a full disk or a crash leaves it.
+    let text = std::fs::read_to_string(dir.metrics()).expect("metrics");
+    std::fs::write(dir.metrics(), format!("{text}{{\"step\":12")).expect("written");
+    let stop = AtomicBool::new(false);
+    let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
+    assert_eq!(
+        trainer.run(&dir, &stop, &mut |_| {}).expect("trained"),
+        Outcome::Finished
+    );
+    let steps: Vec<u64> = std::fs::read_to_string(dir.metrics())
+        .expect("metrics")
+        .lines()
+        .map(|line| {
+            serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"]
+                .as_u64()
+                .expect("a step")
+        })
+        .collect();
+    // Each iteration once, and the validation at the end.
+    assert_eq!(steps, [120, 240, 360, 360]);
+    assert!(dir.best().exists());
+}
