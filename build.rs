@@ -19,10 +19,7 @@ fn main() {
     // Missing files are watched, too. scripts/bootstrap renews this one's time when it links another libtorch.
     println!("cargo::rerun-if-changed={}", libtorch.join("build-version").display());
     if !lib.join("libtorch_cpu.so").exists() {
-        fail(&format!(
-            "there is no libtorch in {}: run scripts/bootstrap first",
-            libtorch.display()
-        ));
+        fail(&format!("there is no libtorch in {}: run scripts/bootstrap first", libtorch.display()));
     }
     println!("cargo::rustc-link-arg=-Wl,-rpath,{}", lib.display());
     if lib.join("libtorch_cuda.so").exists() {

@@ -61,43 +61,22 @@ impl Checkpoint {
             entries.push((format!("learner/{name}"), dtype, shape, bytes));
         }
         for (i, world) in self.worlds.iter().enumerate() {
-            entries.push((
-                format!("world/{i}"),
-                Dtype::F32,
-                vec![world.actions.len()],
-                f32_bytes(&world.actions),
-            ));
+            entries.push((format!("world/{i}"), Dtype::F32, vec![world.actions.len()], f32_bytes(&world.actions)));
         }
-        entries.push((
-            "memory".to_owned(),
-            Dtype::F32,
-            vec![self.memory.len()],
-            f32_bytes(&self.memory),
-        ));
+        entries.push(("memory".to_owned(), Dtype::F32, vec![self.memory.len()], f32_bytes(&self.memory)));
         let episodes: Vec<u64> = self.worlds.iter().map(|world| world.episode).collect();
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("algorithm".to_owned(), self.algorithm.clone()),
             ("config".to_owned(), self.config.clone()),
-            (
-                "progress".to_owned(),
-                serde_json::to_string(&self.progress).expect("plain data"),
-            ),
-            (
-                "episodes".to_owned(),
-                serde_json::to_string(&episodes).expect("plain data"),
-            ),
+            ("progress".to_owned(), serde_json::to_string(&self.progress).expect("plain data")),
+            ("episodes".to_owned(), serde_json::to_string(&episodes).expect("plain data")),
         ]);
-        let bad = |message: String| Error::Write {
-            path: path.to_owned(),
-            message,
-        };
+        let bad = |message: String| Error::Write { path: path.to_owned(), message };
         let views = entries
             .iter()
             .map(|(name, dtype, shape, bytes)| {
-                TensorView::new(*dtype, shape.clone(), bytes)
-                    .map(|view| (name, view))
-                    .map_err(|e| bad(e.to_string()))
+                TensorView::new(*dtype, shape.clone(), bytes).map(|view| (name, view)).map_err(|e| bad(e.to_string()))
             })
             .collect::<Result<Vec<_>, _>>()?;
         let bytes = safetensors::serialize(views, Some(metadata)).map_err(|e| bad(e.to_string()))?;
@@ -110,28 +89,17 @@ impl Checkpoint {
     /// # Errors
     /// [`Error`] for anything that is not a whole checkpoint of this program.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let damaged = |message: String| Error::Damaged {
-            path: path.to_owned(),
-            message,
-        };
+        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let damaged = |message: String| Error::Damaged { path: path.to_owned(), message };
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| damaged(e.to_string()))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(e.to_string()))?;
         let metadata = header.metadata().as_ref();
         let text = |key: &str| {
-            metadata
-                .and_then(|m| m.get(key))
-                .cloned()
-                .ok_or_else(|| damaged(format!("it has no `{key}` entry")))
+            metadata.and_then(|m| m.get(key)).cloned().ok_or_else(|| damaged(format!("it has no `{key}` entry")))
         };
         let format = text("format")?;
         if format != FORMAT {
-            return Err(damaged(format!(
-                "its format is `{format}`, this program reads `{FORMAT}`"
-            )));
+            return Err(damaged(format!("its format is `{format}`, this program reads `{FORMAT}`")));
         }
         let progress = serde_json::from_str(&text("progress")?).map_err(|e| damaged(format!("progress: {e}")))?;
         let episodes: Vec<u64> =
@@ -141,21 +109,12 @@ impl Checkpoint {
             if view.dtype() != Dtype::F32 {
                 return Err(damaged(format!("{name} is not of 32-bit floats")));
             }
-            Ok(view
-                .data()
-                .chunks_exact(4)
-                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-                .collect())
+            Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
         };
         let worlds = episodes
             .iter()
             .enumerate()
-            .map(|(i, &episode)| {
-                Ok(WorldState {
-                    episode,
-                    actions: floats(&format!("world/{i}"))?,
-                })
-            })
+            .map(|(i, &episode)| Ok(WorldState { episode, actions: floats(&format!("world/{i}"))? }))
             .collect::<Result<_, Error>>()?;
         let mut learner = Vec::new();
         for (name, view) in tensors.iter() {

@@ -157,14 +157,8 @@ impl Document {
     /// # Errors
     /// [`Error::Read`].
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Ok(Self {
-            name: path.display().to_string(),
-            text,
-        })
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Ok(Self { name: path.display().to_string(), text })
     }
 }
 
@@ -187,29 +181,15 @@ impl Config {
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
         let Document { name, text } = &layers.document;
         let parsed = DeTable::parse(text).map_err(|e| {
-            let place = Place::At {
-                file: name.clone(),
-                text,
-                offset: e.span().map_or(0, |span| span.start),
-            };
-            Error::Syntax {
-                place: place.to_string(),
-                message: e.message().to_owned(),
-            }
+            let place = Place::At { file: name.clone(), text, offset: e.span().map_or(0, |span| span.start) };
+            Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
         // The scenario decides the defaults of `[env]` and of the number of agents, so it is looked up first.
-        let flag = layers
-            .flags
-            .iter()
-            .find(|(key, _)| *key == "scenario")
-            .and_then(|(_, v)| v.as_str());
+        let flag = layers.flags.iter().find(|(key, _)| *key == "scenario").and_then(|(_, v)| v.as_str());
         let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix("scenario="));
-        let file = parsed
-            .get_ref()
-            .iter()
-            .find(|(key, _)| key.get_ref() == "scenario")
-            .and_then(|(_, v)| match v.get_ref() {
+        let file =
+            parsed.get_ref().iter().find(|(key, _)| key.get_ref() == "scenario").and_then(|(_, v)| match v.get_ref() {
                 DeValue::String(s) => Some(&**s),
                 _ => None,
             });
@@ -234,13 +214,11 @@ impl Config {
             let place = Place::Flag(key).to_string();
             assign(&mut table, &key.split('.').collect::<Vec<_>>(), value.clone(), &place)?;
         }
-        let config: Self = Value::Table(table)
-            .try_into()
-            .map_err(|e: toml::de::Error| Error::Value {
-                place: name.clone(),
-                key: String::new(),
-                message: e.message().to_owned(),
-            })?;
+        let config: Self = Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
+            place: name.clone(),
+            key: String::new(),
+            message: e.message().to_owned(),
+        })?;
         config.env.apply(&mut scenario);
         scenario.net_for(config.agents)?;
         Ok((config, scenario))
@@ -280,40 +258,20 @@ impl Config {
 
     /// What is out of range, as `(key, rule)`.
     fn out_of_range(&self) -> Option<(&'static str, &'static str)> {
-        let (t, n, p, x, i, e) = (
-            &self.train,
-            &self.network,
-            &self.ppo,
-            &self.exploration,
-            &self.iwol,
-            &self.env,
-        );
+        let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
-        let rules: [(&'static str, bool, &'static str); 43] = [
-            (
-                "algorithm",
-                algo::NAMES.contains(&self.algorithm.as_str()),
-                "one of mappo, im-iwol, ex-iwol",
-            ),
+        let rules: [(&'static str, bool, &'static str); 42] = [
             ("agents", self.agents >= 1, "at least 1"),
             ("seed", i64::try_from(self.seed).is_ok(), "below 2^63"),
             ("steps", self.steps >= 1, "at least 1"),
             ("train.envs", (1..=1024).contains(&t.envs), "1 to 1024"),
             ("train.segment", (1..=100_000).contains(&t.segment), "1 to 100000"),
             ("train.validate_every", t.validate_every >= 1, "at least 1"),
-            (
-                "train.validation_episodes",
-                (1..=100_000).contains(&t.validation_episodes),
-                "1 to 100000",
-            ),
+            ("train.validation_episodes", (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             ("train.stop_success", share(t.stop_success), "0 to 1"),
             ("train.stop_validations", t.stop_validations >= 1, "at least 1"),
-            (
-                "network.hidden",
-                (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0,
-                "an even number, 2 to 4096",
-            ),
+            ("network.hidden", (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
             ("network.extra_layers", n.extra_layers <= 16, "0 to 16"),
             ("network.token_width", (1..=1024).contains(&n.token_width), "1 to 1024"),
             (
@@ -321,16 +279,8 @@ impl Config {
                 n.token_heads >= 1 && n.token_width % n.token_heads == 0,
                 "a divisor of network.token_width",
             ),
-            (
-                "network.chunk_length",
-                (1..=t.segment).contains(&n.chunk_length),
-                "1 to train.segment",
-            ),
-            (
-                "ppo.learning_rate",
-                finite_positive(p.learning_rate) || p.learning_rate == 0.0,
-                "0 or more",
-            ),
+            ("network.chunk_length", (1..=t.segment).contains(&n.chunk_length), "1 to train.segment"),
+            ("ppo.learning_rate", finite_positive(p.learning_rate) || p.learning_rate == 0.0, "0 or more"),
             ("ppo.learning_rate_constant", share(p.learning_rate_constant), "0 to 1"),
             ("ppo.learning_rate_end", share(p.learning_rate_end), "0 to 1"),
             ("ppo.epochs", (1..=1000).contains(&p.epochs), "1 to 1000"),
@@ -341,52 +291,25 @@ impl Config {
             ("ppo.huber_delta", finite_positive(p.huber_delta), "above 0"),
             ("ppo.entropy", p.entropy.is_finite(), "a finite number"),
             ("ppo.max_grad_norm", finite_positive(p.max_grad_norm), "above 0"),
-            (
-                "ppo.value_norm_beta",
-                (0.0..1.0).contains(&p.value_norm_beta),
-                "0 to below 1",
-            ),
-            (
-                "exploration.log_std_start",
-                (-20.0..=5.0).contains(&x.log_std_start),
-                "-20 to 5",
-            ),
-            (
-                "exploration.log_std_end",
-                (-20.0..=5.0).contains(&x.log_std_end),
-                "-20 to 5",
-            ),
+            ("ppo.value_norm_beta", (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
+            ("exploration.log_std_start", (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
+            ("exploration.log_std_end", (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
             ("exploration.log_std_share", share(x.log_std_share), "0 to 1"),
             ("exploration.mean_bias", x.mean_bias.is_finite(), "a finite number"),
             ("iwol.latent", (1..=4096).contains(&i.latent), "1 to 4096"),
             ("iwol.rounds", (1..=64).contains(&i.rounds), "1 to 64"),
-            (
-                "iwol.heads",
-                i.heads >= 1 && n.hidden % i.heads == 0,
-                "a divisor of network.hidden",
-            ),
+            ("iwol.heads", i.heads >= 1 && n.hidden % i.heads == 0, "a divisor of network.hidden"),
             ("iwol.temperature", finite_positive(i.temperature), "above 0"),
-            (
-                "env.detection_range",
-                e.detection_range >= 0.0 && e.detection_range.is_finite(),
-                "0 or more",
-            ),
+            ("env.detection_range", e.detection_range >= 0.0 && e.detection_range.is_finite(), "0 or more"),
             ("env.neighbours", e.neighbours <= 16, "0 to 16"),
             ("env.conflict_streams", e.conflict_streams <= 16, "0 to 16"),
             ("env.stream_vehicles", e.stream_vehicles <= 16, "0 to 16"),
-            (
-                "env.communication_range",
-                e.communication_range >= 0.0 && e.communication_range.is_finite(),
-                "0 or more",
-            ),
+            ("env.communication_range", e.communication_range >= 0.0 && e.communication_range.is_finite(), "0 or more"),
             ("env.cooperation", share(e.cooperation), "0 to 1"),
             ("env.horizon", (1..=1_000_000).contains(&e.horizon), "1 to 1000000"),
             ("env.wreck_time", (0.0..=3600.0).contains(&e.wreck_time), "0 to 3600"),
         ];
-        rules
-            .into_iter()
-            .find(|rule| !rule.1)
-            .map(|(key, _, allowed)| (key, allowed))
+        rules.into_iter().find(|rule| !rule.1).map(|(key, _, allowed)| (key, allowed))
     }
 }
 
@@ -416,14 +339,7 @@ fn merge(table: &mut Table, layer: &DeTable<'_>, prefix: &[&str], file: &str, te
     for (key, value) in layer {
         let mut keys = prefix.to_vec();
         keys.push(key.get_ref());
-        let place = |offset| {
-            Place::At {
-                file: file.to_owned(),
-                text,
-                offset,
-            }
-            .to_string()
-        };
+        let place = |offset| Place::At { file: file.to_owned(), text, offset }.to_string();
         if let DeValue::Table(inner) = value.get_ref() {
             check_key(table, &keys, &place(key.span().start))?;
             merge(table, inner, &keys, file, text)?;
@@ -459,11 +375,7 @@ fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
                 let similar = nearest(&name, valid.iter().map(String::as_str))
                     .or_else(|| nearest(key, here.keys().map(String::as_str)))
                     .map(str::to_owned);
-                return Err(Error::UnknownKey {
-                    place: place.to_owned(),
-                    key: name,
-                    nearest: similar,
-                });
+                return Err(Error::UnknownKey { place: place.to_owned(), key: name, nearest: similar });
             }
         }
     }
@@ -472,11 +384,7 @@ fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
 
 fn list_keys(table: &Table, prefix: &str, out: &mut Vec<String>) {
     for (key, value) in table {
-        let name = if prefix.is_empty() {
-            key.clone()
-        } else {
-            format!("{prefix}.{key}")
-        };
+        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
         match value {
             Value::Table(inner) => list_keys(inner, &name, out),
             _ => out.push(name),
@@ -497,14 +405,18 @@ fn assign(table: &mut Table, keys: &[&str], value: Value, place: &str) -> Result
         (_, value) => value,
     };
     here.insert((*last).to_owned(), value);
-    let bad = |message: String| Error::Value {
-        place: place.to_owned(),
-        key: keys.join("."),
-        message,
-    };
-    let config: Config = Value::Table(table.clone())
-        .try_into()
-        .map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
+    let bad = |message: String| Error::Value { place: place.to_owned(), key: keys.join("."), message };
+    let config: Config =
+        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
+    if !algo::NAMES.contains(&config.algorithm.as_str()) {
+        let similar =
+            nearest(&config.algorithm, algo::NAMES).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+        return Err(bad(format!(
+            "there is no algorithm `{}` (there are {}){similar}",
+            config.algorithm,
+            algo::NAMES.join(", ")
+        )));
+    }
     match config.out_of_range() {
         Some((key, allowed)) if key == keys.join(".") => Err(bad(format!("allowed: {allowed}"))),
         Some((key, allowed)) => Err(bad(format!("{key} is then not valid (allowed: {allowed})"))),
@@ -567,10 +479,7 @@ mod tests {
     fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
         let layers = Layers {
-            document: Document {
-                name: "c.toml".to_owned(),
-                text: text.to_owned(),
-            },
+            document: Document { name: "c.toml".to_owned(), text: text.to_owned() },
             sets: sets.iter().map(|s| (*s).to_owned()).collect(),
             flags: vec![("scenario", Value::String(scenario.display().to_string()))],
         };
@@ -583,11 +492,8 @@ mod tests {
 
     #[test]
     fn later_layers_win() {
-        let config = resolve(
-            "seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n",
-            &["ppo.gamma=1", "network.encoder=mlp"],
-        )
-        .unwrap();
+        let config =
+            resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
         assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
         assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
     }
@@ -604,10 +510,7 @@ mod tests {
             message("seed = 1\n\n[ppo]\n  gama = 0.9\n", &[]),
             "c.toml:4:3: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
         );
-        assert_eq!(
-            message("[ppo]\ngamma = 1.5\n", &[]),
-            "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1"
-        );
+        assert_eq!(message("[ppo]\ngamma = 1.5\n", &[]), "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1");
         assert!(
             message("[ppo]\ngamma = \"x\"\n", &[]).starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type")
         );
@@ -616,19 +519,8 @@ mod tests {
             message("", &["iwol.mask=soft"])
                 .starts_with("--set iwol.mask=soft: bad value for `iwol.mask`: unknown variant")
         );
-        assert_eq!(
-            message("", &["gamma"]),
-            "--set gamma: bad value for `gamma`: write it as key=value"
-        );
-        assert!(
-            message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"),
-            "{}",
-            message("", &["gamma=1"])
-        );
-        assert!(
-            message("", &["agents=49"]).contains("49"),
-            "{}",
-            message("", &["agents=49"])
-        );
+        assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
+        assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
+        assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
     }
 }

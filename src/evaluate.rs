@@ -122,21 +122,11 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
-            return Ok(Evaluation {
-                episodes: records,
-                windows,
-            });
+            return Ok(Evaluation { episodes: records, windows });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(play(
-            task,
-            policy,
-            next..next + missing.div_ceil(mean) as u64,
-            seed,
-            stop,
-            &mut |_| {},
-        )?);
+        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, stop, &mut |_| {})?);
     }
 }
 
@@ -167,17 +157,8 @@ fn play(
 ) -> Result<Vec<EpisodeRecord>, env::Error> {
     let cores = std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
     let worlds = (8 * cores as u64).min(episodes.end - episodes.start) as usize;
-    let driver = if matches!(policy, Policy::Sumo) {
-        Driver::Sumo
-    } else {
-        Driver::Agents
-    };
-    let options = VecOptions {
-        worlds,
-        driver,
-        seed: seed.child("episodes"),
-        episodes: episodes.clone(),
-    };
+    let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+    let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone() };
     let mut records = Vec::new();
     if worlds == 0 {
         return Ok(records);
@@ -218,11 +199,7 @@ struct PolicyDriver<'a> {
 impl<'a> PolicyDriver<'a> {
     fn new(policy: &'a Policy<'a>, task: &'a Task, worlds: usize, seed: Seed) -> Self {
         let n = task.agents;
-        let memory = if let Policy::Learned(learner) = policy {
-            learner.memory()
-        } else {
-            0
-        };
+        let memory = if let Policy::Learned(learner) = policy { learner.memory() } else { 0 };
         Self {
             policy,
             task,
@@ -242,11 +219,7 @@ impl<'a> PolicyDriver<'a> {
             Policy::Sumo => {}
             Policy::Gaussian | Policy::Uniform => {
                 for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
-                    let mut rng = self
-                        .seed
-                        .index(world.episode())
-                        .index(u64::from(world.step_count()))
-                        .rng();
+                    let mut rng = self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
                     if matches!(self.policy, Policy::Gaussian) {
                         rng::fill_normal(&mut rng, actions);
                     } else {
@@ -307,12 +280,7 @@ mod tests {
 
     #[test]
     fn windows_start_fresh_and_cut_the_last_episode() {
-        let records = [
-            record(0, &[1.0; 600]),
-            record(1, &[2.0; 600]),
-            record(2, &[3.0; 999]),
-            record(3, &[4.0; 500]),
-        ];
+        let records = [record(0, &[1.0; 600]), record(1, &[2.0; 600]), record(2, &[3.0; 999]), record(3, &[4.0; 500])];
         // 600 · 1 + 400 · 2, then a fresh start with the third episode: 999 · 3 + 1 · 4; the rest is no whole window.
         assert_eq!(windows(&records.iter().collect::<Vec<_>>()), vec![1400.0, 3001.0]);
     }

@@ -129,16 +129,12 @@ impl Rollout {
     /// environment is left out if it would be shorter.
     pub fn chunks(&self, length: usize) -> Vec<(usize, usize)> {
         let per_env = self.sizes.steps / length;
-        (0..per_env)
-            .flat_map(|c| (0..self.sizes.envs).map(move |e| (c * length, e)))
-            .collect()
+        (0..per_env).flat_map(|c| (0..self.sizes.envs).map(move |e| (c * length, e))).collect()
     }
 
     /// Rows `t · E + e` of chunks, step-major: all first steps, then all second steps, …
     pub fn rows(&self, chunks: &[(usize, usize)], length: usize) -> Vec<i64> {
-        (0..length)
-            .flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64))
-            .collect()
+        (0..length).flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64)).collect()
     }
 }
 

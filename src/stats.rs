@@ -53,11 +53,7 @@ impl Estimate {
             }
             None => f64::INFINITY,
         };
-        Some(Self {
-            mean,
-            low: mean - half,
-            high: mean + half,
-        })
+        Some(Self { mean, low: mean - half, high: mean + half })
     }
 
     /// Wilson's score interval of a rate, from one value in `0..=1` per independent unit.
@@ -75,11 +71,7 @@ impl Estimate {
         let centre = (mean + z2 / (2.0 * n)) / (1.0 + z2 / n);
         let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();
         // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
-        Some(Self {
-            mean,
-            low: (centre - half).max(0.0).min(mean),
-            high: (centre + half).min(1.0).max(mean),
-        })
+        Some(Self { mean, low: (centre - half).max(0.0).min(mean), high: (centre + half).min(1.0).max(mean) })
     }
 }
 
@@ -194,45 +186,22 @@ mod tests {
         assert_eq!(mean(&[]), None);
         assert_eq!(sample_sd(&[3.0]), None);
         close(mean(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(), 5.0, 1e-15);
-        close(
-            sample_sd(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(),
-            (32.0_f64 / 7.0).sqrt(),
-            1e-15,
-        );
+        close(sample_sd(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(), (32.0_f64 / 7.0).sqrt(), 1e-15);
     }
 
     #[test]
     fn t_quantiles_match_closed_forms_and_tables() {
         // df 1 is the Cauchy distribution, df 2 has an algebraic quantile, df 4 one by Shaw's formula.
-        close(
-            student_t_quantile(0.975, 1.0),
-            (0.475 * std::f64::consts::PI).tan(),
-            1e-9,
-        );
-        close(
-            student_t_quantile(0.975, 2.0),
-            0.95 / (2.0_f64 * 0.975 * 0.025).sqrt(),
-            1e-9,
-        );
+        close(student_t_quantile(0.975, 1.0), (0.475 * std::f64::consts::PI).tan(), 1e-9);
+        close(student_t_quantile(0.975, 2.0), 0.95 / (2.0_f64 * 0.975 * 0.025).sqrt(), 1e-9);
         let alpha = (4.0_f64 * 0.975 * 0.025).sqrt();
         let q = ((alpha.acos() / 3.0).cos() / alpha).mul_add(4.0, -4.0);
         close(student_t_quantile(0.975, 4.0), q.sqrt(), 1e-9);
-        for (df, expected) in [
-            (1, 12.7062),
-            (2, 4.3027),
-            (3, 3.1824),
-            (9, 2.2622),
-            (30, 2.0423),
-            (120, 1.9799),
-        ] {
+        for (df, expected) in [(1, 12.7062), (2, 4.3027), (3, 3.1824), (9, 2.2622), (30, 2.0423), (120, 1.9799)] {
             close(student_t_quantile(0.975, f64::from(df)), expected, 5e-5);
         }
         // Expansion around the normal quantile: z + (z³ + z)/(4 df).
-        close(
-            student_t_quantile(0.975, 1e6),
-            Z_975 + (Z_975.powi(3) + Z_975) / 4e6,
-            1e-8,
-        );
+        close(student_t_quantile(0.975, 1e6), Z_975 + (Z_975.powi(3) + Z_975) / 4e6, 1e-8);
         close(student_t_quantile(0.025, 9.0), -student_t_quantile(0.975, 9.0), 1e-12);
         close(student_t_quantile(0.5, 7.0), 0.0, 1e-9);
         assert!(student_t_quantile(1.0, 3.0).is_nan() && student_t_quantile(0.9, 0.0).is_nan());
@@ -254,14 +223,7 @@ mod tests {
     fn intervals_of_nothing_and_of_one_value() {
         assert_eq!(Estimate::t(&[]), None);
         assert_eq!(Estimate::rate(&[]), None);
-        assert_eq!(
-            Estimate::t(&[2.0]),
-            Some(Estimate {
-                mean: 2.0,
-                low: f64::NEG_INFINITY,
-                high: f64::INFINITY
-            })
-        );
+        assert_eq!(Estimate::t(&[2.0]), Some(Estimate { mean: 2.0, low: f64::NEG_INFINITY, high: f64::INFINITY }));
         let one = Estimate::rate(&[1.0]).unwrap();
         close(one.low, 1.0 / (1.0 + Z_975 * Z_975), 1e-12);
         assert_eq!((one.mean, one.high), (1.0, 1.0));
@@ -271,12 +233,9 @@ mod tests {
     fn wilson_interval_matches_published_values() {
         // Newcombe (1998), table I: 81/263 -> 0.2553..0.3662; 15/148 -> 0.0624..0.1605; 0/20 -> 0..0.1611; 1/29 ->
         // 0.0061..0.1718.
-        for (k, n, low, high) in [
-            (81, 263, 0.2553, 0.3662),
-            (15, 148, 0.0624, 0.1605),
-            (0, 20, 0.0, 0.1611),
-            (1, 29, 0.0061, 0.1718),
-        ] {
+        for (k, n, low, high) in
+            [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)]
+        {
             let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
             let e = Estimate::rate(&values).unwrap();
             close(e.low, low, 5e-5);
@@ -290,10 +249,7 @@ mod tests {
             for k in 0..=n {
                 let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
                 let e = Estimate::rate(&values).unwrap();
-                assert!(
-                    0.0 <= e.low && e.low <= e.mean && e.mean <= e.high && e.high <= 1.0,
-                    "{k}/{n}: {e:?}"
-                );
+                assert!(0.0 <= e.low && e.low <= e.mean && e.mean <= e.high && e.high <= 1.0, "{k}/{n}: {e:?}");
             }
         }
     }
@@ -306,11 +262,7 @@ mod tests {
 
     #[test]
     fn json_keeps_the_three_numbers_and_the_missing_bounds() {
-        let e = Estimate {
-            mean: 0.5,
-            low: 0.25,
-            high: 0.75,
-        };
+        let e = Estimate { mean: 0.5, low: 0.25, high: 0.75 };
         let text = serde_json::to_string(&e).unwrap();
         assert_eq!(text, r#"{"mean":0.5,"low":0.25,"high":0.75}"#);
         assert_eq!(serde_json::from_str::<Estimate>(&text).unwrap(), e);

@@ -29,9 +29,11 @@ pub fn nearest<'a>(name: &str, valid: impl IntoIterator<Item = &'a str>) -> Opti
 /// beginning: the kinder of the two. A name contained whole in the other counts as just alike.
 fn likeness(a: &str, b: &str) -> f64 {
     let contained = a.len().min(b.len()) >= 3 && (a.contains(b) || b.contains(a));
-    strsim::jaro_winkler(a, b)
-        .max(strsim::normalized_damerau_levenshtein(a, b))
-        .max(if contained { ALIKE } else { 0.0 })
+    strsim::jaro_winkler(a, b).max(strsim::normalized_damerau_levenshtein(a, b)).max(if contained {
+        ALIKE
+    } else {
+        0.0
+    })
 }
 
 /// The name with the differences removed that do not count; `None` if it is empty or too long to compare.

@@ -139,12 +139,8 @@ impl Trainer {
         let task = Arc::new(Task::new(&scenario, config.agents)?);
         let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"))?;
         let worlds = config.train.envs;
-        let options = VecOptions {
-            worlds,
-            driver: Driver::Agents,
-            seed: seed.child("episodes"),
-            episodes: 0..u64::MAX,
-        };
+        let options =
+            VecOptions { worlds, driver: Driver::Agents, seed: seed.child("episodes"), episodes: 0..u64::MAX };
         let sizes = Sizes {
             steps: config.train.segment,
             envs: worlds,
@@ -159,27 +155,17 @@ impl Trainer {
         let count = worlds * task.agents * learner.memory();
         let (env, memory, progress) = match checkpoint {
             None => {
-                let first = Progress {
-                    next_validation: config.train.validate_every,
-                    ..Progress::default()
-                };
+                let first = Progress { next_validation: config.train.validate_every, ..Progress::default() };
                 (VecEnv::new(&task, &options)?, vec![0.0; count], first)
             }
             Some(stored) => {
                 let width = task.agents * task.spec.actions;
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 if stored.worlds.len() != worlds || stored.memory.len() != count || !whole {
-                    return Err(Error::OtherWorlds {
-                        found: stored.worlds.len(),
-                        expected: worlds,
-                    });
+                    return Err(Error::OtherWorlds { found: stored.worlds.len(), expected: worlds });
                 }
                 learner.load(&stored.learner)?;
-                (
-                    VecEnv::restore(&task, &options, &stored.worlds)?,
-                    stored.memory.clone(),
-                    stored.progress.clone(),
-                )
+                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
             }
         };
         Ok(Self {
@@ -236,9 +222,7 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
         for t in 0..s.steps {
-            timed(&mut self.timers.copy, || {
-                store_frames(&self.env, &self.memory, &mut self.rollout, t)
-            });
+            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 rng::fill_normal(&mut rng, &mut noise);
@@ -257,13 +241,7 @@ impl Trainer {
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
-                self.learner.act(
-                    &observation,
-                    &ActMode::Sample {
-                        action: &action,
-                        graph: &graph,
-                    },
-                )
+                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph })
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut self.rollout.action, t);
@@ -271,9 +249,7 @@ impl Trainer {
             });
             self.memory = decision.memory;
             let actions = self.rollout.at(t, s.actions);
-            timed(&mut self.timers.simulate, || {
-                self.env.step(&self.rollout.action[actions])
-            })?;
+            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
             self.finished.extend(self.env.take_finished());
             timed(&mut self.timers.copy, || {
                 for (e, world) in self.env.worlds().enumerate() {
@@ -284,9 +260,7 @@ impl Trainer {
                 }
             });
         }
-        timed(&mut self.timers.copy, || {
-            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps)
-        });
+        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
         Ok(())
     }
 
@@ -297,14 +271,7 @@ impl Trainer {
     pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         let policy = Policy::Learned(&*self.learner);
         let episodes = self.config.train.validation_episodes;
-        Ok(evaluate(
-            &self.task,
-            &policy,
-            episodes,
-            self.seed.child("validation"),
-            stop,
-            &mut |_| {},
-        )?)
+        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), stop, &mut |_| {})?)
     }
 
     /// Everything needed to go on from here.
@@ -347,12 +314,7 @@ impl Trainer {
                 let success = self.judge(&evaluation, dir, &mut files)?;
                 validation_success = Some(success);
             }
-            report(&Report {
-                step: self.progress.step,
-                steps_per_second,
-                training_success,
-                validation_success,
-            });
+            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
             let train = &self.config.train;
             if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
                 outcome = Outcome::Solved;
@@ -375,11 +337,7 @@ impl Trainer {
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(self.progress.step, evaluation, success, mean(|r| r.safety), window)?;
         let train = &self.config.train;
-        self.progress.solved = if success >= train.stop_success {
-            self.progress.solved + 1
-        } else {
-            0
-        };
+        self.progress.solved = if success >= train.stop_success { self.progress.solved + 1 } else { 0 };
         while self.progress.next_validation <= self.progress.step {
             self.progress.next_validation += train.validate_every;
         }
@@ -409,10 +367,8 @@ struct EpisodeLine<'a> {
 impl Files {
     /// Opens or creates them; lines beyond `step` are from a future that is played again.
     fn open(dir: &RunDir, config: &Config, step: u64) -> Result<Self, Error> {
-        std::fs::create_dir_all(dir.path().join("checkpoints")).map_err(|source| Error::Folder {
-            path: dir.0.clone(),
-            source,
-        })?;
+        std::fs::create_dir_all(dir.path().join("checkpoints"))
+            .map_err(|source| Error::Folder { path: dir.0.clone(), source })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
         let resumed = step > 0;
         let open = |path: PathBuf| -> Result<JsonLines, record::Error> {
@@ -482,11 +438,7 @@ impl Files {
         for record in &evaluation.episodes {
             self.episodes.append(&EpisodeLine { step, record })?;
         }
-        let length = evaluation
-            .episodes
-            .iter()
-            .map(|r| f64::from(r.episode_length))
-            .sum::<f64>()
+        let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
             / evaluation.episodes.len().max(1) as f64;
         self.write(
             step,
@@ -522,9 +474,7 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
 
 fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
     let count = tensor.numel();
-    tensor
-        .reshape([-1])
-        .copy_data(&mut to[t * count..(t + 1) * count], count);
+    tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
 }
 
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
@@ -537,11 +487,7 @@ fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
 /// Seconds as people say them.
 pub fn human_duration(duration: Duration) -> String {
     let s = duration.as_secs();
-    if s < 60 {
-        format!("{:.1} s", duration.as_secs_f64())
-    } else {
-        format!("{} min {:02} s", s / 60, s % 60)
-    }
+    if s < 60 { format!("{:.1} s", duration.as_secs_f64()) } else { format!("{} min {:02} s", s / 60, s % 60) }
 }
 
 /// What can go wrong in training.

@@ -9,10 +9,7 @@ const SCENARIO: &str = "scenarios/intersection.xml";
 
 fn iwol(args: &[&str]) -> Command {
     let mut command = Command::cargo_bin("iwol").expect("the program is built");
-    command
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(args)
-        .env("NO_COLOR", "1");
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(args).env("NO_COLOR", "1");
     command
 }
 
@@ -20,11 +17,7 @@ fn iwol(args: &[&str]) -> Command {
 fn failure(command: &mut Command) -> String {
     let output = command.output().expect("it ran");
     assert_eq!(String::from_utf8_lossy(&output.stdout), "", "stdout is for data");
-    format!(
-        "{}\n{}",
-        output.status.code().unwrap_or(-1),
-        String::from_utf8_lossy(&output.stderr)
-    )
+    format!("{}\n{}", output.status.code().unwrap_or(-1), String::from_utf8_lossy(&output.stderr))
 }
 
 fn folder() -> tempfile::TempDir {
@@ -33,16 +26,38 @@ fn folder() -> tempfile::TempDir {
 
 #[test]
 fn wrong_names_are_told_what_there_is() {
-    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--algorithm", "im-iwool"])), @"");
-    assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "throtle:1"])), @"");
-    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--set", "ppo.gama=0.9"])), @"");
-    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--set", "ppo.gamma=1.9"])), @"");
+    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--algorithm", "im-iwool"])), @r#"
+    2
+    error: --algorithm: bad value for `algorithm`: there is no algorithm `im-iwool` (there are mappo, im-iwol, ex-iwol); did you mean `im-iwol`?
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "throtle:1"])), @r#"
+    2
+    error: there is no policy `throtle:1`; choose one of throttle:<a>, gaussian, uniform, sumo with a in -1..1
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--set", "ppo.gama=0.9"])), @r#"
+    2
+    error: --set ppo.gama=0.9: there is no setting `ppo.gama`; did you mean `ppo.gamma`?
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--set", "ppo.gamma=1.9"])), @r#"
+    2
+    error: --set ppo.gamma=1.9: bad value for `ppo.gamma`: allowed: 0 to 1
+    "#);
 }
 
 #[test]
 fn too_many_agents() {
-    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--agents", "49"])), @"");
-    assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--agents", "49", "--policy", "sumo"])), @"");
+    assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--agents", "49"])), @r#"
+    2
+    error: scenarios/intersection.xml: agents: 49 is outside of 4 to 48
+
+    hint: ask for 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--agents", "49", "--policy", "sumo"])), @r#"
+    2
+    error: scenarios/intersection.xml: agents: 49 is outside of 4 to 48
+
+    hint: ask for 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
+    "#);
 }
 
 #[test]
@@ -55,14 +70,29 @@ fn a_mistake_in_a_scenario_is_located() {
     std::fs::write(&file, text.replace("horizon=", "horizn=")).expect("written");
     let output = failure(iwol(&["evaluate", "--policy", "sumo", "--scenario"]).arg(&file));
     let output = output.replace(&dir.path().display().to_string(), "DIR");
-    assert_snapshot!(output, @"");
-    assert_snapshot!(failure(&mut iwol(&["evaluate", "--policy", "sumo", "--scenario", "nowhere.xml"])), @"");
+    assert_snapshot!(output, @r#"
+    2
+    error: DIR/mine.xml:70:18: unknown attribute `horizn` in <termination>; did you mean `horizon`?
+
+    hint: valid in <termination>: horizon, wreckTime
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["evaluate", "--policy", "sumo", "--scenario", "nowhere.xml"])), @r#"
+    2
+    error: nowhere.xml: cannot read the scenario: No such file or directory (os error 2)
+
+    hint: give the path of a scenario file, as scenarios/intersection.xml
+    "#);
 }
 
 #[test]
 fn a_missing_sumo_is_named() {
     let mut command = iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "sumo"]);
-    assert_snapshot!(failure(command.env("PATH", "/nowhere").env_remove("SUMO_HOME")), @"");
+    assert_snapshot!(failure(command.env("PATH", "/nowhere").env_remove("SUMO_HOME")), @r#"
+    2
+    error: evaluating sumo stopped: world 0, episode 0, step 0: sumo was not found; looked in `/nowhere`
+
+    hint: run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `sumo`
+    "#);
 }
 
 #[test]
@@ -77,33 +107,17 @@ fn damaged_checkpoints_are_refused() {
         "iwol.rounds=1",
         "env.horizon=40",
     ];
-    let mut train = iwol(&[
-        "train",
-        "--scenario",
-        SCENARIO,
-        "--agents",
-        "4",
-        "--steps",
-        "64",
-        "--out",
-    ]);
+    let mut train = iwol(&["train", "--scenario", SCENARIO, "--agents", "4", "--steps", "64", "--out"]);
     train.arg(&run);
     for set in tiny {
         train.args(["--set", set]);
     }
     let output = train.output().expect("it ran");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(
-        String::from_utf8_lossy(&output.stdout).trim(),
-        run.display().to_string()
-    );
-    for file in [
-        "config.toml",
-        "metrics.jsonl",
-        "eval.jsonl",
-        "checkpoints/best.safetensors",
-        "checkpoints/last.safetensors",
-    ] {
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), run.display().to_string());
+    for file in
+        ["config.toml", "metrics.jsonl", "eval.jsonl", "checkpoints/best.safetensors", "checkpoints/last.safetensors"]
+    {
         assert!(run.join(file).exists(), "{file}");
     }
     assert!(
@@ -121,16 +135,9 @@ fn damaged_checkpoints_are_refused() {
         .expect("it ran");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    assert_eq!((json["scenario"].as_str(), json["policy"].as_str()), (Some("intersection"), Some("im-iwol")));
     assert_eq!(
-        (json["scenario"].as_str(), json["policy"].as_str()),
-        (Some("intersection"), Some("im-iwol"))
-    );
-    assert_eq!(
-        (
-            json["agents"].as_u64(),
-            json["episodes"].as_u64(),
-            json["seed"].as_u64()
-        ),
+        (json["agents"].as_u64(), json["episodes"].as_u64(), json["seed"].as_u64()),
         (Some(6), Some(2), Some(3))
     );
     let names = [
@@ -154,20 +161,38 @@ fn damaged_checkpoints_are_refused() {
 
     // A second run into the same folder must be asked for.
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
-    assert_snapshot!(tidy(failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(&run))), @"");
+    assert_snapshot!(tidy(failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(&run))), @r#"
+    2
+    error: `DIR/run` already holds a run; add --resume to go on with it, or choose another --out
+    "#);
     // Another algorithm's checkpoint.
     let mut other = iwol(&["train", "--resume", "--algorithm", "mappo", "--out"]);
-    assert_snapshot!(tidy(failure(other.arg(&run))), @"");
+    assert_snapshot!(tidy(failure(other.arg(&run))), @r#"
+    2
+    error: `DIR/run` is a run of im-iwol, not of mappo
+    "#);
     // Another network.
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
-    assert_snapshot!(tidy(failure(wider.arg(&run))), @"");
+    assert_snapshot!(tidy(failure(wider.arg(&run))), @r#"
+    2
+    error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 91], but this network needs [16, 91]; check the configuration
+    "#);
     // Truncated.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");
     std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("written");
-    assert_snapshot!(tidy(failure(iwol(&["train", "--resume", "--out"]).arg(&run))), @"");
-    assert_snapshot!(tidy(failure(iwol(&["evaluate"]).arg(&file))), @"");
-    assert_snapshot!(tidy(failure(iwol(&["evaluate"]).arg(dir.path().join("nothing")))), @"");
+    assert_snapshot!(tidy(failure(iwol(&["train", "--resume", "--out"]).arg(&run))), @r#"
+    2
+    error: `DIR/run/checkpoints/last.safetensors` is not a usable checkpoint: incomplete metadata, file not fully covered
+    "#);
+    assert_snapshot!(tidy(failure(iwol(&["evaluate"]).arg(&file))), @r#"
+    2
+    error: `DIR/run/checkpoints/last.safetensors` is not a usable checkpoint: incomplete metadata, file not fully covered
+    "#);
+    assert_snapshot!(tidy(failure(iwol(&["evaluate"]).arg(dir.path().join("nothing")))), @r#"
+    2
+    error: cannot read the checkpoint `DIR/nothing`: No such file or directory (os error 2)
+    "#);
 }
 
 #[test]

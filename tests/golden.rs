@@ -32,10 +32,7 @@ impl Case {
 
     fn get(&self, key: &str) -> Tensor {
         let found = self.arrays.iter().find(|(k, _)| k == key);
-        found
-            .unwrap_or_else(|| panic!("{}/{key} is not among the arrays", self.name))
-            .1
-            .shallow_clone()
+        found.unwrap_or_else(|| panic!("{}/{key} is not among the arrays", self.name)).1.shallow_clone()
     }
 
     /// An input whose gradient is compared.
@@ -47,14 +44,10 @@ impl Case {
     fn network<T>(&self, build: impl FnOnce(Path<'_>) -> T) -> (Params, T) {
         let mut params = Params::new(Device::Cpu);
         let network = build(params.root(&mut Seed::new(0).rng()));
-        let weight = |(key, array): &(String, Tensor)| {
-            key.strip_prefix("param/")
-                .map(|k| (k.to_owned(), array.shallow_clone()))
-        };
+        let weight =
+            |(key, array): &(String, Tensor)| key.strip_prefix("param/").map(|k| (k.to_owned(), array.shallow_clone()));
         let weights: Vec<_> = self.arrays.iter().filter_map(weight).collect();
-        params
-            .copy_from(&weights)
-            .expect("the weights have our names and shapes");
+        params.copy_from(&weights).expect("the weights have our names and shapes");
         (params, network)
     }
 
@@ -67,11 +60,7 @@ impl Case {
         assert_eq!(found.size(), expected.size(), "{}/{key}", self.name);
         let worst = (found - &expected).abs().max().double_value(&[]);
         let close = found.allclose(&expected, tolerance, tolerance, false);
-        assert!(
-            close,
-            "{}/{key} is off by {worst}: expected {expected}, found {found}",
-            self.name
-        );
+        assert!(close, "{}/{key} is off by {worst}: expected {expected}, found {found}", self.name);
     }
 
     /// Compares gradients of a scalar in which each element of `out` has another weight, as in the generator.
@@ -87,13 +76,7 @@ impl Case {
 }
 
 fn parameter(params: &Params, name: &str) -> Tensor {
-    params
-        .named()
-        .iter()
-        .find(|(n, _)| n == name)
-        .expect("the parameter exists")
-        .1
-        .shallow_clone()
+    params.named().iter().find(|(n, _)| n == name).expect("the parameter exists").1.shallow_clone()
 }
 
 #[test]
@@ -103,10 +86,7 @@ fn mlp() {
     let x = case.input("x");
     let out = mlp.forward(&x);
     case.check("out", &out);
-    let (weight, norm) = (
-        parameter(&params, "layers.0.linear.weight"),
-        parameter(&params, "norm.weight"),
-    );
+    let (weight, norm) = (parameter(&params, "layers.0.linear.weight"), parameter(&params, "norm.weight"));
     case.check_gradients(&out, &[("grad_x", &x), ("grad_weight", &weight), ("grad_norm", &norm)]);
 }
 
@@ -118,12 +98,7 @@ fn gru_with_resets() {
     let out = gru.sequence(&x, &h0, &mask);
     case.check("out", &out);
     let (weight, bias) = (parameter(&params, "weight_hh"), parameter(&params, "bias_hh"));
-    let of = [
-        ("grad_x", &x),
-        ("grad_h0", &h0),
-        ("grad_weight_hh", &weight),
-        ("grad_bias_hh", &bias),
-    ];
+    let of = [("grad_x", &x), ("grad_h0", &h0), ("grad_weight_hh", &weight), ("grad_bias_hh", &bias)];
     case.check_gradients(&out, &of);
 }
 
@@ -131,33 +106,15 @@ fn gru_with_resets() {
 fn entity_encoder_with_absent_tokens() {
     let case = Case::new("entity");
     let groups = [
-        TokenGroup {
-            offset: 0,
-            width: 3,
-            count: 1,
-            presence: None,
-        },
-        TokenGroup {
-            offset: 3,
-            width: 2,
-            count: 2,
-            presence: None,
-        },
-        TokenGroup {
-            offset: 7,
-            width: 4,
-            count: 3,
-            presence: Some(1),
-        },
+        TokenGroup { offset: 0, width: 3, count: 1, presence: None },
+        TokenGroup { offset: 3, width: 2, count: 2, presence: None },
+        TokenGroup { offset: 7, width: 4, count: 3, presence: Some(1) },
     ];
     let (params, entity) = case.network(|path| Entity::new(path, &groups, 8, 2, 6));
     let obs = case.input("obs");
     let out = entity.forward(&obs);
     case.check("out", &out);
-    let (qkv, embed) = (
-        parameter(&params, "attention.qkv.weight"),
-        parameter(&params, "embed.2.weight"),
-    );
+    let (qkv, embed) = (parameter(&params, "attention.qkv.weight"), parameter(&params, "embed.2.weight"));
     case.check_gradients(&out, &[("grad_obs", &obs), ("grad_qkv", &qkv), ("grad_embed", &embed)]);
 }
 
@@ -183,11 +140,8 @@ fn transformer_in_both_mask_modes() {
         let out = transformer.forward(&f, &graph);
         case.check(&format!("out_{name}"), &out);
         let qkv = parameter(&params, "rounds.0.attention.qkv.weight");
-        let (of_f, of_graph, of_qkv) = (
-            format!("grad_f_{name}"),
-            format!("grad_graph_{name}"),
-            format!("grad_qkv_{name}"),
-        );
+        let (of_f, of_graph, of_qkv) =
+            (format!("grad_f_{name}"), format!("grad_graph_{name}"), format!("grad_qkv_{name}"));
         case.check_gradients(&out, &[(&of_f, &f), (&of_graph, &graph), (&of_qkv, &qkv)]);
     }
 }
@@ -200,10 +154,7 @@ fn gaussian() {
     let entropy = gaussian_entropy(&log_std);
     case.check("log_prob", &log_prob);
     case.check("entropy", &entropy.expand([6], false));
-    case.check_gradients(
-        &(log_prob + entropy),
-        &[("grad_mean", &mean), ("grad_log_std", &log_std)],
-    );
+    case.check_gradients(&(log_prob + entropy), &[("grad_mean", &mean), ("grad_log_std", &log_std)]);
 }
 
 /// The state is `f64`; it agrees to 1e-12.
@@ -242,21 +193,14 @@ fn adam_with_clipping() {
     for step in 0..5 {
         (mlp.forward(&x) - &y).square().mean(Kind::Float).backward();
         let norm = adam.clip_grad_norm(1.2);
-        assert!(
-            (norm - norms.double_value(&[step])).abs() < 1e-5,
-            "norm before clipping at step {step}: {norm}"
-        );
+        assert!((norm - norms.double_value(&[step])).abs() < 1e-5, "norm before clipping at step {step}: {norm}");
         adam.step(0.02 / (step + 1) as f64);
         let weights = flat(params.named().iter().map(|(_, t)| t.shallow_clone()).collect());
         case.check(&format!("flat_{step}"), &weights);
     }
     let state = adam.state();
     for (suffix, key) in [(".m", "first"), (".v", "second")] {
-        let moments = state
-            .iter()
-            .filter(|(name, _)| name.ends_with(suffix))
-            .map(|(_, t)| t.shallow_clone())
-            .collect();
+        let moments = state.iter().filter(|(name, _)| name.ends_with(suffix)).map(|(_, t)| t.shallow_clone()).collect();
         case.check_within(key, &flat(moments), 1e-6);
     }
 }
@@ -266,18 +210,9 @@ fn ppo_losses() {
     let case = Case::new("ppo");
     let active = case.get("active");
     let log_prob = case.input("log_prob");
-    let policy = ppo::policy_loss(
-        &log_prob,
-        &case.get("old_log_prob"),
-        &case.get("advantage"),
-        &active,
-        0.2,
-    );
+    let policy = ppo::policy_loss(&log_prob, &case.get("old_log_prob"), &case.get("advantage"), &active, 0.2);
     case.check("policy_loss", &policy);
-    case.check(
-        "grad_log_prob",
-        &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0],
-    );
+    case.check("grad_log_prob", &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0]);
 
     let value = case.input("value");
     let loss = ppo::value_loss(&value, &case.get("old_value"), &case.get("target"), &active, 0.2, 10.0);

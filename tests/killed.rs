@@ -37,20 +37,14 @@ fn sumo_children(parent: u32) -> Vec<u32> {
 }
 
 fn signal(pid: u32, name: &str) {
-    let status = Command::new("kill")
-        .args([&format!("-{name}"), &pid.to_string()])
-        .status()
-        .expect("kill runs");
+    let status = Command::new("kill").args([&format!("-{name}"), &pid.to_string()]).status().expect("kill runs");
     assert!(status.success());
 }
 
 fn wait_until(what: &str, seconds: u64, mut holds: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !holds() {
-        assert!(
-            begin.elapsed() < Duration::from_secs(seconds),
-            "waited {seconds} s: {what}"
-        );
+        assert!(begin.elapsed() < Duration::from_secs(seconds), "waited {seconds} s: {what}");
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -63,12 +57,7 @@ fn task() -> Arc<Task> {
 #[test]
 fn a_killed_sumo_costs_its_episode_only() {
     let _alone = ALONE.lock().expect("no test panicked");
-    let options = VecOptions {
-        worlds: 3,
-        driver: Driver::Agents,
-        seed: Seed::new(1),
-        episodes: 0..u64::MAX,
-    };
+    let options = VecOptions { worlds: 3, driver: Driver::Agents, seed: Seed::new(1), episodes: 0..u64::MAX };
     let mut env = VecEnv::new(&task(), &options).expect("SUMO runs");
     let mut undisturbed = VecEnv::new(&task(), &options).expect("SUMO runs");
     let actions = [0.4; 24];
@@ -86,11 +75,7 @@ fn a_killed_sumo_costs_its_episode_only() {
         interrupted.extend(env.take_finished());
     }
     assert_eq!(env.restarts() + undisturbed.restarts(), 1);
-    let (hit, spared) = if env.restarts() == 1 {
-        (&env, &undisturbed)
-    } else {
-        (&undisturbed, &env)
-    };
+    let (hit, spared) = if env.restarts() == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
     assert_eq!(spared.restarts(), 0);
     let mut fresh = 0;
     for (world, reference) in hit.worlds().zip(spared.worlds()) {
@@ -110,15 +95,7 @@ fn a_killed_sumo_costs_its_episode_only() {
 fn train(run: &Path) -> std::process::Child {
     Command::new(env!("CARGO_BIN_EXE_iwol"))
         .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args([
-            "train",
-            "--scenario",
-            "scenarios/intersection.xml",
-            "--agents",
-            "4",
-            "--steps",
-            "1000000",
-        ])
+        .args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--steps", "1000000"])
         .args([
             "--set",
             "train.envs=2",
@@ -157,12 +134,7 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
             wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
         }
         let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
-        assert!(
-            lines
-                .lines()
-                .all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
-            "whole lines"
-        );
+        assert!(lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "whole lines");
     }
 }
 
@@ -172,9 +144,7 @@ fn even_a_killed_program_leaves_no_process() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run");
     let mut child = train(&run);
-    wait_until("SUMO runs", 60, || {
-        run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2
-    });
+    wait_until("SUMO runs", 60, || run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2);
     let workers = sumo_children(child.id());
     signal(child.id(), "KILL");
     child.wait().expect("it ends");

@@ -20,20 +20,7 @@ const ALLOWED: [(&str, &[&str]); 17] = [
     ("config", &["algo", "scenario", "suggest"]),
     ("checkpoint", &["env", "record"]),
     ("evaluate", &["algo", "env", "rng", "stats"]),
-    (
-        "train",
-        &[
-            "algo",
-            "checkpoint",
-            "config",
-            "env",
-            "evaluate",
-            "record",
-            "rng",
-            "rollout",
-            "scenario",
-        ],
-    ),
+    ("train", &["algo", "checkpoint", "config", "env", "evaluate", "record", "rng", "rollout", "scenario"]),
     ("cli", &[]),
     ("main", &[]),
 ];
@@ -47,10 +34,7 @@ const CRATES: [(&str, &[&str]); 4] = [
 
 fn sources() -> Vec<(String, PathBuf, String)> {
     fn walk(dir: &Path, out: &mut Vec<PathBuf>) {
-        for entry in fs::read_dir(dir)
-            .expect("a folder")
-            .map(|e| e.expect("an entry").path())
-        {
+        for entry in fs::read_dir(dir).expect("a folder").map(|e| e.expect("an entry").path()) {
             if entry.is_dir() {
                 walk(&entry, out);
             } else if entry.extension().is_some_and(|e| e == "rs") {
@@ -64,21 +48,12 @@ fn sources() -> Vec<(String, PathBuf, String)> {
     files
         .into_iter()
         .map(|path| {
-            let first = path
-                .strip_prefix(&root)
-                .expect("inside")
-                .components()
-                .next()
-                .expect("a name");
+            let first = path.strip_prefix(&root).expect("inside").components().next().expect("a name");
             let module = first.as_os_str().to_string_lossy().trim_end_matches(".rs").to_owned();
             let text = fs::read_to_string(&path).expect("text");
             // Tests may look over the fence, and comments may speak of anything.
             let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-            let code = code
-                .lines()
-                .filter(|line| !line.trim_start().starts_with("//"))
-                .collect::<Vec<_>>()
-                .join("\n");
+            let code = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
             (module, path, code)
         })
         .collect()
@@ -89,12 +64,8 @@ fn names_after(code: &str, prefix: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for (at, _) in code.match_indices(prefix) {
         let rest = &code[at + prefix.len()..];
-        let word = |text: &str| {
-            text.trim()
-                .chars()
-                .take_while(|c| c.is_alphanumeric() || *c == '_')
-                .collect::<String>()
-        };
+        let word =
+            |text: &str| text.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>();
         if let Some(list) = rest.strip_prefix('{') {
             let mut depth = 0;
             let mut item = String::new();
@@ -153,14 +124,13 @@ fn crates_stay_in_their_modules() {
     let mut wrong = Vec::new();
     for (module, path, code) in sources() {
         for (name, allowed) in CRATES {
-            let used = code.contains(&format!("{name}::"));
+            let starts_word = |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            let used = code.match_indices(&format!("{name}::")).any(|(at, _)| starts_word(at));
             if used && !allowed.contains(&module.as_str()) {
                 wrong.push(format!("{}: `{module}` may not use `{name}`", path.display()));
             }
         }
-        let prints = ["println!(", "print!(", "eprintln!(", "eprint!("]
-            .iter()
-            .any(|p| code.contains(p));
+        let prints = ["println!(", "print!(", "eprintln!(", "eprint!("].iter().any(|p| code.contains(p));
         if prints && module != "cli" {
             wrong.push(format!("{}: only `cli` prints", path.display()));
         }

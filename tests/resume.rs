@@ -19,15 +19,8 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
          [env]\nhorizon = 60\n",
         Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml")
     );
-    let document = Document {
-        name: "test".to_owned(),
-        text,
-    };
-    Config::resolve(&Layers {
-        document,
-        ..Layers::default()
-    })
-    .expect("a valid configuration")
+    let document = Document { name: "test".to_owned(), text };
+    Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")
 }
 
 fn trainer(algorithm: &str, encoder: &str) -> Trainer {
@@ -46,28 +39,15 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     for world in &checkpoint.worlds {
         all.push((
             "world".to_owned(),
-            world
-                .actions
-                .iter()
-                .map(|a| u64::from(a.to_bits()))
-                .chain([world.episode])
-                .collect(),
+            world.actions.iter().map(|a| u64::from(a.to_bits())).chain([world.episode]).collect(),
         ));
     }
-    all.push((
-        "memory".to_owned(),
-        checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect(),
-    ));
+    all.push(("memory".to_owned(), checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect()));
     all.sort();
     all
 }
 
-const RUNS: [(&str, &str); 4] = [
-    ("mappo", "mlp"),
-    ("im-iwol", "attention"),
-    ("ex-iwol", "mlp"),
-    ("im-iwol", "gru"),
-];
+const RUNS: [(&str, &str); 4] = [("mappo", "mlp"), ("im-iwol", "attention"), ("ex-iwol", "mlp"), ("im-iwol", "gru")];
 
 #[test]
 fn training_is_reproducible_and_resumable_bit_for_bit() {
@@ -112,9 +92,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let stop = AtomicBool::new(false);
     let mut trainer = Trainer::new(config.clone(), scenario.clone()).expect("SUMO runs");
     // Someone presses Ctrl-C during the first iteration.
-    let outcome = trainer.run(&dir, &stop, &mut |_| {
-        stop.store(true, std::sync::atomic::Ordering::Relaxed)
-    });
+    let outcome = trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
     assert_eq!(outcome.expect("a clean end"), Outcome::Interrupted);
     drop(trainer);
     let stored = Checkpoint::load(&dir.last()).expect("a checkpoint");
@@ -124,17 +102,12 @@ fn a_stopped_run_goes_on_in_its_folder() {
     std::fs::write(dir.metrics(), format!("{text}{{\"step\":12")).expect("written");
     let stop = AtomicBool::new(false);
     let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
-    assert_eq!(
-        trainer.run(&dir, &stop, &mut |_| {}).expect("trained"),
-        Outcome::Finished
-    );
+    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
     let steps: Vec<u64> = std::fs::read_to_string(dir.metrics())
         .expect("metrics")
         .lines()
         .map(|line| {
-            serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"]
-                .as_u64()
-                .expect("a step")
+            serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"].as_u64().expect("a step")
         })
         .collect();
     // Each iteration once, and the validation at the end.

@@ -39,64 +39,23 @@ fn close(a: [f64; 2], b: [f64; 2]) -> bool {
 fn the_shipped_scenario_is_the_task() {
     let scenario = shipped();
     assert_eq!(scenario.name, "intersection");
-    assert_eq!(
-        scenario.agents,
-        AgentRange {
-            min: 4,
-            max: 48,
-            default: 8
-        }
-    );
-    assert_eq!(
-        scenario.nets.iter().map(Net::capacity).collect::<Vec<_>>(),
-        [8, 16, 32, 48]
-    );
-    assert_eq!(
-        scenario.vehicle,
-        Vehicle {
-            length: 4.515,
-            width: 1.852,
-            max_speed: 22.222
-        }
-    );
-    assert_eq!(
-        scenario.jitter,
-        Jitter {
-            longitudinal: 1.0,
-            lateral: 0.25
-        }
-    );
+    assert_eq!(scenario.agents, AgentRange { min: 4, max: 48, default: 8 });
+    assert_eq!(scenario.nets.iter().map(Net::capacity).collect::<Vec<_>>(), [8, 16, 32, 48]);
+    assert_eq!(scenario.vehicle, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 });
+    assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
     assert_eq!(scenario.control.brake, [(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)]);
-    assert_eq!(
-        (scenario.control.interval, scenario.control.accel, scenario.control.drag),
-        (0.1, 2.909, 0.364)
-    );
-    assert_eq!(
-        scenario.termination,
-        Termination {
-            horizon: 1000,
-            wreck_time: 2.5
-        }
-    );
+    assert_eq!((scenario.control.interval, scenario.control.accel, scenario.control.drag), (0.1, 2.909, 0.364));
+    assert_eq!(scenario.termination, Termination { horizon: 1000, wreck_time: 2.5 });
 }
 
 #[test]
 fn the_smallest_net_with_room_is_taken() {
     let scenario = shipped();
     for (agents, capacity) in [(4, 8), (8, 8), (9, 16), (16, 16), (17, 32), (33, 48), (48, 48)] {
-        assert_eq!(
-            scenario.net_for(agents).unwrap().capacity(),
-            capacity,
-            "{agents} agents"
-        );
+        assert_eq!(scenario.net_for(agents).unwrap().capacity(), capacity, "{agents} agents");
     }
     let error = scenario.net_for(49).unwrap_err();
-    assert!(
-        error
-            .to_string()
-            .ends_with("intersection.xml: agents: 49 is outside of 4 to 48"),
-        "{error}"
-    );
+    assert!(error.to_string().ends_with("intersection.xml: agents: 49 is outside of 4 to 48"), "{error}");
     assert!(error.hint().unwrap().contains("4 to 48"));
     assert!(matches!(scenario.net_for(3), Err(Error::Agents { agents: 3, .. })));
 }
@@ -120,25 +79,15 @@ fn lanes_lie_where_the_task_has_them() {
         ];
         for (id, start, end) in expected {
             let edge = &map.edges[map.edge_index(id).unwrap()];
-            let [lane] = &map.lanes[edge.lanes.clone()] else {
-                panic!("{id} has one lane")
-            };
+            let [lane] = &map.lanes[edge.lanes.clone()] else { panic!("{id} has one lane") };
             assert_eq!(lane.shape, [start, end], "{id}");
             assert_eq!((lane.length, lane.width, lane.speed), (arm, 3.5, 22.222), "{id}");
         }
-        let internal: Vec<_> = map
-            .edges
-            .iter()
-            .filter(|e| e.function == EdgeFunction::Internal)
-            .collect();
+        let internal: Vec<_> = map.edges.iter().filter(|e| e.function == EdgeFunction::Internal).collect();
         assert_eq!(internal.len(), 4, "straight streams only");
         for edge in internal {
-            let [lane] = &map.lanes[edge.lanes.clone()] else {
-                panic!("one lane")
-            };
-            let [a, b] = lane.shape[..] else {
-                panic!("{} is straight", lane.id)
-            };
+            let [lane] = &map.lanes[edge.lanes.clone()] else { panic!("one lane") };
+            let [a, b] = lane.shape[..] else { panic!("{} is straight", lane.id) };
             assert_eq!((lane.length, (b[0] - a[0]).hypot(b[1] - a[1])), (23.5, 23.5));
         }
         let centre = map.junctions.iter().find(|j| j.id == "centre").unwrap();
@@ -160,16 +109,8 @@ fn spawn_places_and_finish_lines_of_the_30_m_net_are_those_of_the_task() {
         starts.push(path.at(start).0);
         ways.push(finish - start);
     }
-    let expected = [
-        [14.0, 0.0],
-        [22.0, 0.0],
-        [79.5, 3.5],
-        [71.5, 3.5],
-        [43.5, -36.0],
-        [43.5, -28.0],
-        [40.0, 39.5],
-        [40.0, 31.5],
-    ];
+    let expected =
+        [[14.0, 0.0], [22.0, 0.0], [79.5, 3.5], [71.5, 3.5], [43.5, -36.0], [43.5, -28.0], [40.0, 39.5], [40.0, 31.5]];
     assert!(starts.iter().zip(expected).all(|(&a, b)| close(a, b)), "{starts:?}");
     assert_eq!(ways, [64.5, 56.5, 64.5, 56.5, 74.5, 66.5, 74.5, 66.5]);
     assert_eq!(ways.iter().sum::<f64>() / 8.0, 65.5);
@@ -195,10 +136,7 @@ fn finish_lines_and_queues_scale_with_the_arms() {
         ];
         assert!(finishes.zip(expected).all(|(a, b)| a.0 == b.0 && close(a.1, b.1)));
         // The last place of each queue, jitter included, has its front bumper before the stop line.
-        let front = net
-            .places()
-            .map(|place| place.pos + 1.0 + 4.515 / 2.0)
-            .fold(0.0, f64::max);
+        let front = net.places().map(|place| place.pos + 1.0 + 4.515 / 2.0).fold(0.0, f64::max);
         assert!(front < arm);
     }
 }
@@ -207,9 +145,7 @@ fn finish_lines_and_queues_scale_with_the_arms() {
 fn the_schema_declares_the_keys_of_the_shipped_scenario_and_no_others() {
     let text = fs::read_to_string(root().join("scenarios/scenario.xsd")).unwrap();
     let schema = roxmltree::Document::parse(&text).unwrap();
-    let declarations = schema
-        .descendants()
-        .filter(|n| matches!(n.tag_name().name(), "element" | "attribute"));
+    let declarations = schema.descendants().filter(|n| matches!(n.tag_name().name(), "element" | "attribute"));
     let declared: BTreeSet<&str> = declarations.filter_map(|n| n.attribute("name")).collect();
 
     let text = shipped_text();
@@ -228,9 +164,7 @@ fn mistake(from: &str, to: &str) -> String {
     let text = shipped_text();
     assert!(text.contains(from), "{from}");
     let nets = root().join("sumo_nets");
-    let text = text
-        .replacen(from, to, 1)
-        .replace("../sumo_nets", nets.to_str().unwrap());
+    let text = text.replacen(from, to, 1).replace("../sumo_nets", nets.to_str().unwrap());
     let file = folder.path().join("task.xml");
     fs::write(&file, text).unwrap();
     let error = Scenario::load(&file).unwrap_err();
@@ -301,10 +235,7 @@ fn files_that_are_no_scenario_are_refused() {
         "x.xml:1:1: unknown element `scenari` in the file; did you mean `scenario`?"
     );
     assert!(matches!(parse(&" ".repeat((4 << 20) + 1)), Error::TooLarge { .. }));
-    assert!(matches!(
-        parse("<!DOCTYPE a [<!ENTITY b 'c'>]><scenario name='&b;'/>"),
-        Error::Parse { .. }
-    ));
+    assert!(matches!(parse("<!DOCTYPE a [<!ENTITY b 'c'>]><scenario name='&b;'/>"), Error::Parse { .. }));
     assert!(matches!(parse(&"<scenario>".repeat(100_000)), Error::Parse { .. }));
 }
 

@@ -48,13 +48,7 @@ fn net() -> &'static Path {
         let path = folder.path().join("cross.net.xml");
         let sumo = find_sumo().unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
         let output = Program::new(sumo.with_file_name("netconvert"))
-            .args([
-                "--offset.disable-normalization",
-                "true",
-                "--xml-validation",
-                "never",
-                "-n",
-            ])
+            .args(["--offset.disable-normalization", "true", "--xml-validation", "never", "-n"])
             .arg(nodes)
             .arg("-e")
             .arg(edges)
@@ -69,10 +63,7 @@ fn net() -> &'static Path {
 }
 
 fn config(slots: u32) -> SimulationConfig {
-    let route = |id: &str, edges: [&str; 2]| Route {
-        id: id.into(),
-        edges: edges.map(String::from).to_vec(),
-    };
+    let route = |id: &str, edges: [&str; 2]| Route { id: id.into(), edges: edges.map(String::from).to_vec() };
     SimulationConfig {
         net: net().to_owned(),
         step_length: 0.1,
@@ -89,10 +80,7 @@ fn config(slots: u32) -> SimulationConfig {
             min_gap: 1.0,
             tau: 1.0,
         }],
-        routes: vec![
-            route("eastbound", ["west_in", "east_out"]),
-            route("northbound", ["south_in", "north_out"]),
-        ],
+        routes: vec![route("eastbound", ["west_in", "east_out"]), route("northbound", ["south_in", "north_out"])],
     }
 }
 
@@ -101,22 +89,8 @@ fn start(slots: u32) -> TraciSimulation {
 }
 
 fn add(slot: u32, route: u32, depart_pos: f64) -> [Command; 2] {
-    let add = Command::Add {
-        world: 0,
-        slot,
-        route,
-        vehicle_type: 0,
-        depart_pos,
-        depart_speed: 0.0,
-    };
-    [
-        add,
-        Command::SpeedMode {
-            world: 0,
-            slot,
-            mode: 32,
-        },
-    ]
+    let add = Command::Add { world: 0, slot, route, vehicle_type: 0, depart_pos, depart_speed: 0.0 };
+    [add, Command::SpeedMode { world: 0, slot, mode: 32 }]
 }
 
 fn remove(slot: u32) -> Command {
@@ -165,33 +139,21 @@ fn the_handshake_names_the_version_and_connecting_is_quick() {
 #[test]
 fn a_commanded_speed_is_the_speed_of_the_whole_step() {
     let mut simulation = start(2);
-    let snapshot = simulation
-        .step(&[add(0, EAST, 50.0), add(1, NORTH, 50.0)].concat())
-        .unwrap();
+    let snapshot = simulation.step(&[add(0, EAST, 50.0), add(1, NORTH, 50.0)].concat()).unwrap();
     assert_eq!(snapshot.time, 0.1);
     let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
     assert_eq!((east.x, east.heading, east.speed), (-100.0, 0.0, 0.0));
     assert_eq!((north.y, north.heading, north.speed), (-100.0, FRAC_PI_2, 0.0));
     let (mut x, mut y, mut old) = (east.x, north.y, 0.0);
     for step in 1..100 {
-        let new = if step < 50 {
-            old + 0.29
-        } else {
-            f64::max(old - 0.83, 0.0)
-        };
+        let new = if step < 50 { old + 0.29 } else { f64::max(old - 0.83, 0.0) };
         let snapshot = simulation.step(&[speed(0, new), speed(1, new)]).unwrap();
         x += new * 0.1;
         y += new * 0.1;
         old = new;
         let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
-        assert!(
-            (east.x - x).abs() < 1e-9 && (east.speed - new).abs() < 1e-12,
-            "step {step}: {east:?}, x = {x}"
-        );
-        assert!(
-            (north.y - y).abs() < 1e-9 && (north.speed - new).abs() < 1e-12,
-            "step {step}: {north:?}, y = {y}"
-        );
+        assert!((east.x - x).abs() < 1e-9 && (east.speed - new).abs() < 1e-12, "step {step}: {east:?}, x = {x}");
+        assert!((north.y - y).abs() < 1e-9 && (north.speed - new).abs() < 1e-12, "step {step}: {north:?}, y = {y}");
     }
 }
 
@@ -206,10 +168,7 @@ fn a_queue_departs_complete_and_exact_in_any_order() {
         let snapshot = simulation.step(&commands).unwrap();
         for (slot, vehicle) in (0..).zip(&snapshot.vehicles) {
             let vehicle = vehicle.unwrap_or_else(|| panic!("slot {slot} is empty, backwards: {backwards}"));
-            assert!(
-                (vehicle.x - (place(slot) - 150.0)).abs() < 1e-9,
-                "{vehicle:?} in slot {slot}"
-            );
+            assert!((vehicle.x - (place(slot) - 150.0)).abs() < 1e-9, "{vehicle:?} in slot {slot}");
         }
         assert_eq!(snapshot.collisions, []);
     }
@@ -219,17 +178,11 @@ fn a_queue_departs_complete_and_exact_in_any_order() {
 fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
     let mut simulation = start(3);
     assert_eq!(simulation.step(&[remove(0), remove(2)]).unwrap().vehicles, [None; 3]);
-    simulation
-        .step(&[add(0, EAST, 50.0), add(1, NORTH, 20.0)].concat())
-        .unwrap();
+    simulation.step(&[add(0, EAST, 50.0), add(1, NORTH, 20.0)].concat()).unwrap();
     for round in 0..20 {
         let place = 30.0 + f64::from(round);
         let route = if round % 2 == 0 { EAST } else { NORTH };
-        let batch: Vec<Command> = [remove(0)]
-            .into_iter()
-            .chain(add(0, route, place))
-            .chain([speed(1, 1.0)])
-            .collect();
+        let batch: Vec<Command> = [remove(0)].into_iter().chain(add(0, route, place)).chain([speed(1, 1.0)]).collect();
         let snapshot = simulation.step(&batch).unwrap();
         let vehicle = snapshot.vehicles[0].unwrap();
         let along = if route == EAST { vehicle.x } else { vehicle.y };
@@ -238,11 +191,7 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
         assert!(snapshot.vehicles[1].is_some() && snapshot.vehicles[2].is_none());
     }
     // Emptied, filled, emptied: nobody is left, and the slot is free.
-    let batch: Vec<Command> = [remove(0)]
-        .into_iter()
-        .chain(add(0, EAST, 9.0))
-        .chain([remove(0), remove(0)])
-        .collect();
+    let batch: Vec<Command> = [remove(0)].into_iter().chain(add(0, EAST, 9.0)).chain([remove(0), remove(0)]).collect();
     assert!(simulation.step(&batch).unwrap().vehicles[0].is_none());
     assert!(simulation.step(&[]).unwrap().vehicles[0].is_none());
     assert!(simulation.step(&add(0, EAST, 9.0)).unwrap().vehicles[0].is_some());
@@ -251,16 +200,9 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
 #[test]
 fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
     let mut simulation = start(3);
-    simulation
-        .step(&[add(0, EAST, 50.0).as_slice(), &[speed(0, 0.0)]].concat())
-        .unwrap();
-    let snapshot = simulation
-        .step(&[add(1, EAST, 49.0), add(2, EAST, 20.0)].concat())
-        .unwrap();
-    assert_eq!(
-        snapshot.vehicles.iter().map(Option::is_some).collect::<Vec<_>>(),
-        [true, false, true]
-    );
+    simulation.step(&[add(0, EAST, 50.0).as_slice(), &[speed(0, 0.0)]].concat()).unwrap();
+    let snapshot = simulation.step(&[add(1, EAST, 49.0), add(2, EAST, 20.0)].concat()).unwrap();
+    assert_eq!(snapshot.vehicles.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
     assert!(simulation.step(&[]).unwrap().vehicles[1].is_none());
     // Waiting, it can be replaced by one that has room.
     let batch: Vec<Command> = [remove(1)].into_iter().chain(add(1, EAST, 30.0)).collect();
@@ -270,9 +212,7 @@ fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
 #[test]
 fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
     let mut simulation = start(2);
-    simulation
-        .step(&[add(0, EAST, 145.0), add(1, NORTH, 10.0)].concat())
-        .unwrap();
+    simulation.step(&[add(0, EAST, 145.0), add(1, NORTH, 10.0)].concat()).unwrap();
     let mut last = VehicleState::default();
     let mut steps = 0;
     while let Some(vehicle) = simulation.step(&[speed(0, 20.0), speed(1, 0.0)]).unwrap().vehicles[0] {
@@ -289,9 +229,7 @@ fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
 #[test]
 fn collisions_are_reported_and_change_nothing() {
     let mut simulation = start(3);
-    simulation
-        .step(&[add(0, EAST, 140.0), add(1, NORTH, 140.0), add(2, EAST, 20.0)].concat())
-        .unwrap();
+    simulation.step(&[add(0, EAST, 140.0), add(1, NORTH, 140.0), add(2, EAST, 20.0)].concat()).unwrap();
     let mut seen = Vec::new();
     for _ in 0..100 {
         let snapshot = simulation.step(&[speed(0, 2.0), speed(1, 2.0), speed(2, 0.0)]).unwrap();
@@ -308,9 +246,7 @@ fn collisions_are_reported_and_change_nothing() {
 fn the_same_commands_give_the_same_bits() {
     let run = || {
         let mut simulation = start(4);
-        let begin: Vec<Command> = (0..4)
-            .flat_map(|s| add(s, s % 2, 100.0 - 10.0 * f64::from(s)))
-            .collect();
+        let begin: Vec<Command> = (0..4).flat_map(|s| add(s, s % 2, 100.0 - 10.0 * f64::from(s))).collect();
         simulation.step(&begin).unwrap();
         let mut bits = Vec::new();
         for step in 0..60 {
@@ -362,25 +298,13 @@ fn requests_that_cannot_be_sent_change_nothing() {
         add_with(0, 0, f64::INFINITY, 0.0),
         add_with(0, 0, 5.0, f64::NAN),
         Command::Remove { world: 1, slot: 0 },
-        Command::SpeedMode {
-            world: 0,
-            slot: u32::MAX,
-            mode: 0,
-        },
+        Command::SpeedMode { world: 0, slot: u32::MAX, mode: 0 },
     ] {
-        let error = simulation
-            .step(&[remove(0), bad])
-            .expect_err("nothing that can be sent");
-        assert!(
-            matches!(error, Error::Invalid { .. }) && !error.is_fatal(),
-            "{bad:?}: {error}"
-        );
+        let error = simulation.step(&[remove(0), bad]).expect_err("nothing that can be sent");
+        assert!(matches!(error, Error::Invalid { .. }) && !error.is_fatal(), "{bad:?}: {error}");
     }
     // A slot that holds a vehicle takes no second one.
-    assert!(matches!(
-        simulation.step(&add(0, NORTH, 5.0)),
-        Err(Error::Invalid { .. })
-    ));
+    assert!(matches!(simulation.step(&add(0, NORTH, 5.0)), Err(Error::Invalid { .. })));
     let snapshot = simulation.step(&[speed(0, 1.0)]).unwrap();
     assert!((snapshot.time - 0.2).abs() < 1e-9);
     assert_eq!(snapshot.vehicles[0].map(|v| v.speed), Some(1.0));
@@ -403,13 +327,8 @@ fn a_killed_sumo_is_a_fatal_error_and_a_restart_begins_anew() {
     simulation.step(&add(0, EAST, 50.0)).unwrap();
     let old = simulation.pid();
     signal("-KILL", old);
-    let error = (0..3)
-        .find_map(|_| simulation.step(&[speed(0, 1.0)]).err())
-        .expect("an error");
-    assert!(
-        matches!(&error, Error::Exited { status, .. } if status.contains('9')),
-        "{error}"
-    );
+    let error = (0..3).find_map(|_| simulation.step(&[speed(0, 1.0)]).err()).expect("an error");
+    assert!(matches!(&error, Error::Exited { status, .. } if status.contains('9')), "{error}");
     assert!(error.is_fatal());
     assert!(simulation.step(&[]).is_err_and(|e| e.is_fatal()));
     simulation.restart().unwrap();
@@ -450,19 +369,11 @@ fn a_route_that_the_net_does_not_have_is_refused_by_name() {
 
 #[test]
 fn the_public_client_batches_gets_and_subscribes() {
-    let options = Options {
-        arguments: vec!["--net-file".into(), net().into()],
-        ..Options::default()
-    };
+    let options = Options { arguments: vec!["--net-file".into(), net().into()], ..Options::default() };
     let (_process, mut client, _) = Process::start(&options).unwrap();
     client.call(|b| b.route_add("r", &["west_in", "east_out"])).unwrap();
     let mut batch = Batch::new();
-    let departure = Departure {
-        route: "r",
-        vehicle_type: "DEFAULT_VEHTYPE",
-        position: 140.0,
-        speed: 0.0,
-    };
+    let departure = Departure { route: "r", vehicle_type: "DEFAULT_VEHTYPE", position: 140.0, speed: 0.0 };
     batch.vehicle_add("v", departure);
     batch.vehicle_set_speed("ghost", 1.0);
     batch.simulation_time();
@@ -475,35 +386,19 @@ fn the_public_client_batches_gets_and_subscribes() {
     let list = Value::StringList(vec![]);
     assert_eq!(
         outcomes,
-        [
-            Some(&None),
-            None,
-            Some(&Some(Value::Double(0.0))),
-            Some(&Some(list)),
-            Some(&None),
-            Some(&None)
-        ]
+        [Some(&None), None, Some(&Some(Value::Double(0.0))), Some(&Some(list)), Some(&None), Some(&None)]
     );
     let find = |around: Option<&str>, object: &str| {
-        reply
-            .subscriptions
-            .iter()
-            .find(|o| o.around.as_deref() == around && o.object == object)
-            .map(|o| &o.value)
+        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && o.object == object).map(|o| &o.value)
     };
     assert_eq!(find(None, ""), Some(&Ok(Value::Double(1.0))));
     assert_eq!(find(Some("c"), "v"), Some(&Ok(Value::Double(0.0))));
     // Ten steps in one exchange; then a value of each of the kinds that SUMO nests.
     let reply = client.step(&mut batch, 11.0).unwrap();
     assert!(reply.subscriptions.iter().any(|o| o.value == Ok(Value::Double(11.0))));
-    let collisions = client
-        .call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, ""))
-        .unwrap();
+    let collisions = client.call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, "")).unwrap();
     assert_eq!(collisions, Some(Value::Compound(vec![Value::Integer(0)])));
-    assert!(matches!(
-        client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")),
-        Err(Error::Refused { .. })
-    ));
+    assert!(matches!(client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")), Err(Error::Refused { .. })));
     client.call(|b| b.vehicle_remove("v")).unwrap();
     client.step(&mut batch, 0.0).unwrap();
     client.close().unwrap();
@@ -511,29 +406,14 @@ fn the_public_client_batches_gets_and_subscribes() {
 
 #[test]
 fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
-    let words = [
-        "--collision.action",
-        "warn",
-        "--collision.mingap-factor",
-        "0",
-        "--eager-insert",
-        "--no-warnings",
-    ];
-    let mut options = Options {
-        arguments: words.map(Into::into).to_vec(),
-        ..Options::default()
-    };
+    let words = ["--collision.action", "warn", "--collision.mingap-factor", "0", "--eager-insert", "--no-warnings"];
+    let mut options = Options { arguments: words.map(Into::into).to_vec(), ..Options::default() };
     options.arguments.extend(["--net-file".into(), net().into()]);
     let (_process, mut client, _) = Process::start(&options).unwrap();
     let mut batch = Batch::new();
     batch.route_add("r", &["west_in", "east_out"]);
     for (vehicle, position, speed) in [("first", 100.0, 0.0), ("second", 90.0, 3.0), ("third", 80.0, 5.0)] {
-        let departure = Departure {
-            route: "r",
-            vehicle_type: "DEFAULT_VEHTYPE",
-            position,
-            speed: 0.0,
-        };
+        let departure = Departure { route: "r", vehicle_type: "DEFAULT_VEHTYPE", position, speed: 0.0 };
         batch.vehicle_add(vehicle, departure);
         batch.vehicle_set_speed_mode(vehicle, 32);
         batch.vehicle_set_speed(vehicle, speed);
@@ -542,16 +422,10 @@ fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
     let mut most = 0;
     for _ in 0..10 {
         let reply = client.step(&mut batch, 0.0).unwrap();
-        let Ok(Value::Compound(items)) = &reply.subscriptions[0].value else {
-            panic!("{reply:?}")
-        };
-        let Value::Integer(count) = items[0] else {
-            panic!("{items:?}")
-        };
+        let Ok(Value::Compound(items)) = &reply.subscriptions[0].value else { panic!("{reply:?}") };
+        let Value::Integer(count) = items[0] else { panic!("{items:?}") };
         assert_eq!(items.len() as i32, 1 + 9 * count);
-        let again = client
-            .call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, ""))
-            .unwrap();
+        let again = client.call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, "")).unwrap();
         assert_eq!(again.as_ref(), reply.subscriptions[0].value.as_ref().ok());
         most = most.max(count);
     }
@@ -573,11 +447,8 @@ fn impostor(answer: &'static [u8]) -> (SocketAddr, thread::JoinHandle<()>) {
 
 #[test]
 fn a_stranger_that_speaks_something_else_is_refused() {
-    let strangers: [&[u8]; 3] = [
-        b"HTTP/1.1 400 Bad Request\r\n\r\n",
-        b"SSH-2.0-OpenSSH_9.2\r\n",
-        &[0, 0, 0, 9, 1, 2, 3, 4, 5],
-    ];
+    let strangers: [&[u8]; 3] =
+        [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"SSH-2.0-OpenSSH_9.2\r\n", &[0, 0, 0, 9, 1, 2, 3, 4, 5]];
     for answer in strangers {
         let (address, peer) = impostor(answer);
         let mut client = Client::connect(address, Duration::from_secs(5)).unwrap();
@@ -606,11 +477,7 @@ fn an_older_traci_is_refused_with_both_numbers() {
     let (address, peer) = impostor(ANSWER);
     let mut client = Client::connect(address, Duration::from_secs(5)).unwrap();
     match client.handshake() {
-        Err(Error::Version {
-            found: 19,
-            minimum: 20,
-            peer,
-        }) => assert_eq!(peer, "SUMO 1.8.0"),
+        Err(Error::Version { found: 19, minimum: 20, peer }) => assert_eq!(peer, "SUMO 1.8.0"),
         other => panic!("{other:?}"),
     }
     drop(client);
@@ -621,10 +488,7 @@ fn an_older_traci_is_refused_with_both_numbers() {
 fn a_busy_port_is_named() {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let busy = listener.local_addr().unwrap().port();
-    let options = Options {
-        port: Some(busy),
-        ..Options::default()
-    };
+    let options = Options { port: Some(busy), ..Options::default() };
     match Process::start(&options) {
         Err(error @ Error::PortTaken { port }) => {
             assert_eq!(port, busy);
@@ -636,14 +500,8 @@ fn a_busy_port_is_named() {
 
 #[test]
 fn nothing_listens_where_nobody_is() {
-    let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))
-        .unwrap()
-        .local_addr()
-        .unwrap();
-    assert!(matches!(
-        Client::connect(address, Duration::from_secs(1)),
-        Err(Error::Connect { .. })
-    ));
+    let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap();
+    assert!(matches!(Client::connect(address, Duration::from_secs(1)), Err(Error::Connect { .. })));
 }
 
 #[test]
@@ -726,11 +584,7 @@ fn no_sumo_that_loads_is_left_after_its_owner_is_killed() {
     };
     let script = "echo $$ > \"$0\"; exec sleep 60";
     let arguments = vec!["-c".into(), script.into(), file];
-    let options = Options {
-        binary: Some("/bin/sh".into()),
-        arguments,
-        ..Options::default()
-    };
+    let options = Options { binary: Some("/bin/sh".into()), arguments, ..Options::default() };
     panic!("{:?}", Process::start(&options));
 }
 

@@ -38,20 +38,13 @@ impl Core {
     pub(super) fn state(&self) -> Vec<(String, Tensor)> {
         let mut state = Vec::new();
         let mut add = |prefix: &str, tensors: &[(String, Tensor)]| {
-            state.extend(
-                tensors
-                    .iter()
-                    .map(|(name, tensor)| (format!("{prefix}/{name}"), tensor.detach().copy())),
-            );
+            state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), tensor.detach().copy())));
         };
         add("actor", self.actor.named());
         add("critic", self.critic.named());
         add("actor_adam", &self.actor_adam.state());
         add("critic_adam", &self.critic_adam.state());
-        add(
-            "value_norm",
-            &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))],
-        );
+        add("value_norm", &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))]);
         if let Some(memory) = &self.critic_memory {
             add("critic_memory", &[("last".to_owned(), memory.shallow_clone())]);
         }
@@ -70,15 +63,11 @@ impl Core {
         self.actor_adam.load_state(&part("actor_adam"))?;
         self.critic_adam.load_state(&part("critic_adam"))?;
         let statistics = part("value_norm");
-        let values = statistics
-            .first()
-            .map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double)))
-            .and_then(Result::ok);
+        let values =
+            statistics.first().map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double))).and_then(Result::ok);
         let values: [f64; 3] = values
             .and_then(|v| v.try_into().ok())
-            .ok_or_else(|| crate::nn::Error::Missing {
-                name: "value_norm/statistics".to_owned(),
-            })?;
+            .ok_or_else(|| crate::nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;
         self.value_norm.load_state(values);
         self.critic_memory = part("critic_memory").first().map(|(_, t)| t.copy());
         Ok(())
@@ -86,12 +75,7 @@ impl Core {
 
     /// Learning rate at this point of the run.
     pub(super) fn learning_rate(&self, progress: f64) -> f64 {
-        let Ppo {
-            learning_rate,
-            learning_rate_constant: constant,
-            learning_rate_end: end,
-            ..
-        } = self.settings.ppo;
+        let Ppo { learning_rate, learning_rate_constant: constant, learning_rate_end: end, .. } = self.settings.ppo;
         let decayed = ((progress - constant) / (1.0 - constant).max(1e-9)).clamp(0.0, 1.0);
         learning_rate * (1.0 - (1.0 - end) * decayed)
     }
@@ -100,10 +84,7 @@ impl Core {
     /// moves nothing.
     pub(super) fn step(&mut self, progress: f64) -> Result<(f64, f64), Error> {
         let (rate, limit) = (self.learning_rate(progress), self.settings.ppo.max_grad_norm);
-        let norms = (
-            self.actor_adam.clip_grad_norm(limit),
-            self.critic_adam.clip_grad_norm(limit),
-        );
+        let norms = (self.actor_adam.clip_grad_norm(limit), self.critic_adam.clip_grad_norm(limit));
         for (what, norm) in [("the policy's gradient", norms.0), ("the value's gradient", norms.1)] {
             if !norm.is_finite() {
                 return Err(Error::NonFinite { what });
@@ -129,22 +110,13 @@ impl GaussianHead {
         let _ = no_grad(|| mean.bias().shallow_clone().fill_(exploration.mean_bias));
         let log_std = path.create("log_std", &[actions], Init::Zeros);
         let _ = no_grad(|| log_std.shallow_clone().fill_(exploration.log_std_start));
-        Self {
-            mean,
-            log_std,
-            mode: exploration.mode,
-        }
+        Self { mean, log_std, mode: exploration.mode }
     }
 
     /// Imposes the scheduled noise for an update and the rollout after it.
     pub(super) fn schedule(&self, exploration: &Exploration, progress: f64) {
         if self.mode == NoiseMode::Schedule {
-            let Exploration {
-                log_std_start: start,
-                log_std_end: end,
-                log_std_share: share,
-                ..
-            } = *exploration;
+            let Exploration { log_std_start: start, log_std_end: end, log_std_share: share, .. } = *exploration;
             let value = start + (end - start) * (progress / share.max(1e-9)).clamp(0.0, 1.0);
             let _ = no_grad(|| self.log_std.shallow_clone().fill_(value));
         }
@@ -152,11 +124,8 @@ impl GaussianHead {
 
     /// Mean `[.., A]` and logarithm of the standard deviation `[A]`.
     pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
-        let log_std = if self.mode == NoiseMode::Schedule {
-            self.log_std.detach()
-        } else {
-            self.log_std.shallow_clone()
-        };
+        let log_std =
+            if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
         (self.mean.forward(x), log_std)
     }
 
@@ -208,11 +177,7 @@ pub(super) struct Batch {
 impl Batch {
     pub(super) fn new(rollout: &Rollout) -> Self {
         let s = rollout.sizes;
-        let (rows, closed, n) = (
-            (s.steps * s.envs) as i64,
-            ((s.steps + 1) * s.envs) as i64,
-            s.agents as i64,
-        );
+        let (rows, closed, n) = ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
         let tensor = |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape);
         let start = Tensor::from_slice(&rollout.start).view([closed, 1]);
         let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
@@ -265,9 +230,8 @@ impl Minibatch {
         let agents = rollout.sizes.agents;
         let mut chunks = rollout.chunks(length);
         rng::shuffle(&mut seed.rng(), &mut chunks);
-        let count = (rollout.sizes.steps * rollout.sizes.envs * agents)
-            .div_ceil(size.max(1))
-            .clamp(1, chunks.len().max(1));
+        let count =
+            (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
         let per_batch = chunks.len().div_ceil(count).max(1);
         chunks
             .chunks(per_batch)
@@ -336,11 +300,7 @@ impl Means {
 
     /// The means; an error when one is not finite.
     pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
-        let mut losses: Losses = self
-            .sums
-            .into_iter()
-            .map(|(name, sum)| (name, sum / self.count.max(1.0)))
-            .collect();
+        let mut losses: Losses = self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
         losses.extend_from_slice(extra);
         match losses.iter().find(|(_, value)| !value.is_finite()) {
             Some((what, _)) => Err(Error::NonFinite { what }),
@@ -372,13 +332,7 @@ impl PolicyTerms {
             let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float).mean(Kind::Float);
             ((ratio - 1.0 - difference).mean(Kind::Float), outside)
         });
-        Self {
-            loss: &policy - ppo.entropy * &entropy,
-            policy,
-            entropy,
-            approx_kl,
-            clip_fraction,
-        }
+        Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
     }
 }
 
@@ -388,14 +342,7 @@ pub(super) fn value_terms(batch: &Batch, mini: &Minibatch, values: &Tensor, norm
     let returns = mini.active(&batch.returns);
     norm.update(&returns);
     let target = norm.normalize(&returns);
-    ppo::value_loss(
-        values,
-        &mini.active(&batch.value),
-        &target,
-        &target.ones_like(),
-        ppo.clip,
-        ppo.huber_delta,
-    )
+    ppo::value_loss(values, &mini.active(&batch.value), &target, &target.ones_like(), ppo.clip, ppo.huber_delta)
 }
 
 /// The scalar of a tensor.

@@ -56,11 +56,7 @@ impl Encoder {
 
     /// Width of the memory per agent; 0 without one.
     pub fn memory(&self) -> i64 {
-        if matches!(self.kind, Kind::Gru { .. }) {
-            self.hidden
-        } else {
-            0
-        }
+        if matches!(self.kind, Kind::Gru { .. }) { self.hidden } else { 0 }
     }
 
     /// Embeds sequences: `x [L, R, O]`, `memory [R, M]` before the first step, `keep [L, R, 1]` (0 clears the memory

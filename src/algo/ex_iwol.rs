@@ -36,28 +36,13 @@ impl ExIwol {
         let mut root = actor.root(&mut rng);
         let trunk = MessageTrunk::new(root.sub("trunk"), &spec.observation, network, iwol);
         let head = GaussianHead::new(root.sub("head"), 2 * hidden, spec.actions as i64, &settings.exploration);
-        let target = if iwol.world_target == WorldTarget::State {
-            spec.state.len()
-        } else {
-            spec.observation.len()
-        };
+        let target = if iwol.world_target == WorldTarget::State { spec.state.len() } else { spec.observation.len() };
         let world = Decoder::new(root.sub("world"), hidden, hidden, target as i64, true);
-        let deployed = actor
-            .named()
-            .iter()
-            .filter(|(name, _)| !name.starts_with("world."))
-            .map(|(_, t)| t.numel() as i64)
-            .sum();
+        let deployed =
+            actor.named().iter().filter(|(name, _)| !name.starts_with("world.")).map(|(_, t)| t.numel() as i64).sum();
         let mut rng = seed.child("critic").rng();
         let message_critic = MessageCritic::new(critic.root(&mut rng), &spec.observation, network, iwol);
-        Self {
-            trunk,
-            head,
-            world,
-            critic: message_critic,
-            deployed,
-            core: Core::new(actor, critic, settings),
-        }
+        Self { trunk, head, world, critic: message_critic, deployed, core: Core::new(actor, critic, settings) }
     }
 }
 
@@ -82,29 +67,17 @@ impl Algorithm for ExIwol {
                 ActMode::Deterministic => None,
                 ActMode::Sample { graph, .. } => Some(*graph),
             };
-            let messages = self
-                .trunk
-                .forward(&input.observation, &input.memory, &keep, 1, &input.comm, graph);
+            let messages = self.trunk.forward(&input.observation, &input.memory, &keep, 1, &input.comm, graph);
             let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
             let (action, log_prob) = self.head.sample(&read, mode.action_noise());
-            let memory = messages
-                .memory
-                .map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
-            Decision {
-                action,
-                log_prob,
-                memory,
-            }
+            let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
+            Decision { action, log_prob, memory }
         })
     }
 
     fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error> {
         let (ppo, iwol) = (self.core.settings.ppo.clone(), self.core.settings.iwol.clone());
-        let length = if self.trunk.memory() > 0 {
-            self.core.settings.network.chunk_length
-        } else {
-            1
-        };
+        let length = if self.trunk.memory() > 0 { self.core.settings.network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout);
         let mut policy_noise = Tensor::from_slice(&rollout.graph_noise).view_as(&batch.comm);
         let mut noise = graph_noise(rollout, seed.child("graph"));

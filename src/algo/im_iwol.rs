@@ -83,32 +83,13 @@ impl ImIwol {
             first: Linear::torch_default(root.sub("latent").sub(0), hidden, hidden / 2),
             second: Linear::torch_default(root.sub("latent").sub(1), hidden / 2, iwol.latent),
         };
-        let inputs = if iwol.policy_input == PolicyInput::Latent {
-            iwol.latent
-        } else {
-            iwol.latent + hidden
-        };
+        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
         let head = GaussianHead::new(root.sub("head"), inputs, spec.actions as i64, &settings.exploration);
-        let target = if iwol.world_target == WorldTarget::State {
-            spec.state.len()
-        } else {
-            spec.observation.len()
-        };
+        let target = if iwol.world_target == WorldTarget::State { spec.state.len() } else { spec.observation.len() };
         let world = Decoder::new(root.sub("world"), iwol.latent, hidden, target as i64, true);
-        let interaction = Decoder::new(
-            root.sub("interaction"),
-            iwol.latent,
-            hidden,
-            hidden,
-            iwol.interaction_tanh,
-        );
+        let interaction = Decoder::new(root.sub("interaction"), iwol.latent, hidden, hidden, iwol.interaction_tanh);
         let decoders = |name: &str| name.starts_with("world.") || name.starts_with("interaction.");
-        let deployed = actor
-            .named()
-            .iter()
-            .filter(|(name, _)| !decoders(name))
-            .map(|(_, t)| t.numel() as i64)
-            .sum();
+        let deployed = actor.named().iter().filter(|(name, _)| !decoders(name)).map(|(_, t)| t.numel() as i64).sum();
         let mut rng = seed.child("critic").rng();
         let message_critic = MessageCritic::new(critic.root(&mut rng), &spec.observation, network, iwol);
         Self {
@@ -147,21 +128,13 @@ impl Algorithm for ImIwol {
         no_grad(|| {
             let (f, memory) = encode_locally(&self.encoder, input);
             let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode.action_noise());
-            Decision {
-                action,
-                log_prob,
-                memory,
-            }
+            Decision { action, log_prob, memory }
         })
     }
 
     fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error> {
         let (ppo, iwol) = (self.core.settings.ppo.clone(), self.core.settings.iwol.clone());
-        let length = if self.encoder.memory() > 0 {
-            self.core.settings.network.chunk_length
-        } else {
-            1
-        };
+        let length = if self.encoder.memory() > 0 { self.core.settings.network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout);
         let mut noise = graph_noise(rollout, seed.child("graph"));
         let steps = rollout.sizes.steps as i64;

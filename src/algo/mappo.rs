@@ -30,24 +30,13 @@ impl Mappo {
         let mut rng = seed.child("actor").rng();
         let mut root = actor.root(&mut rng);
         let encoder = Encoder::new(root.sub("encoder"), &spec.observation, network);
-        let head = GaussianHead::new(
-            root.sub("head"),
-            network.hidden,
-            spec.actions as i64,
-            &settings.exploration,
-        );
+        let head = GaussianHead::new(root.sub("head"), network.hidden, spec.actions as i64, &settings.exploration);
         let mut rng = seed.child("critic").rng();
         let mut root = critic.root(&mut rng);
         let privileged = spec.observation.join(&spec.state);
         let value_encoder = Encoder::new(root.sub("encoder"), &privileged, network);
         let value = Linear::new(root.sub("value"), network.hidden, 1, Init::Orthogonal(1.0));
-        Self {
-            encoder,
-            head,
-            critic: value_encoder,
-            value,
-            core: Core::new(actor, critic, settings),
-        }
+        Self { encoder, head, critic: value_encoder, value, core: Core::new(actor, critic, settings) }
     }
 
     /// Values (normalised) of all rows, `[(T + 1) · E, N]`, and the memory before each, `[(T + 1) · E, N, M]`.
@@ -62,15 +51,10 @@ impl Mappo {
                 .take()
                 .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, Device::Cpu)));
             let x = privileged.view([steps + 1, envs * agents, features]);
-            let (f, after) = self
-                .critic
-                .forward(&x, &first, &batch.keep.view([steps + 1, envs * agents, 1]));
+            let (f, after) = self.critic.forward(&x, &first, &batch.keep.view([steps + 1, envs * agents, 1]));
             let value = self.value.forward(&f).view([rows, agents]);
             let Some(after) = after else {
-                return (
-                    value,
-                    privileged.new_zeros([rows, agents, 0], (Kind::Float, Device::Cpu)),
-                );
+                return (value, privileged.new_zeros([rows, agents, 0], (Kind::Float, Device::Cpu)));
             };
             let before = Tensor::cat(&[&first.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
             self.core.critic_memory = Some(after.get(steps - 1).copy());
@@ -90,10 +74,7 @@ pub(super) fn encode_active(
     if encoder.memory() == 0 {
         // Without memory, inactive samples need not be computed at all.
         let x = mini.active(features).unsqueeze(0);
-        return encoder
-            .forward(&x, &x.new_zeros([0], (Kind::Float, Device::Cpu)), &x)
-            .0
-            .squeeze_dim(0);
+        return encoder.forward(&x, &x.new_zeros([0], (Kind::Float, Device::Cpu)), &x).0.squeeze_dim(0);
     }
     let x = mini.take(features);
     let (rows, agents, width) = x.size3().expect("features are [rows, N, F]");
@@ -127,21 +108,13 @@ impl Algorithm for Mappo {
         no_grad(|| {
             let (f, memory) = encode_locally(&self.encoder, input);
             let (action, log_prob) = self.head.sample(&f, mode.action_noise());
-            Decision {
-                action,
-                log_prob,
-                memory,
-            }
+            Decision { action, log_prob, memory }
         })
     }
 
     fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error> {
         let ppo = self.core.settings.ppo.clone();
-        let length = if self.encoder.memory() > 0 {
-            self.core.settings.network.chunk_length
-        } else {
-            1
-        };
+        let length = if self.encoder.memory() > 0 { self.core.settings.network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout);
         let privileged = Tensor::cat(&[&batch.observation, &batch.state], -1);
         let (outputs, memory) = self.values(&batch, &privileged, rollout.sizes.steps as i64);
@@ -187,9 +160,6 @@ impl Algorithm for Mappo {
     }
 
     fn parameters(&self) -> (i64, i64) {
-        (
-            self.core.actor.count(),
-            self.core.actor.count() + self.core.critic.count(),
-        )
+        (self.core.actor.count(), self.core.actor.count() + self.core.critic.count())
     }
 }

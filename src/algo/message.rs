@@ -60,21 +60,11 @@ impl MessageTrunk {
         let agents_of_step = rows / length * agents;
         let x = observation.view([length, agents_of_step, features]);
         let memory = memory.reshape([agents_of_step, -1]);
-        let (f, memories) = self
-            .encoder
-            .forward(&x, &memory, &keep.reshape([length, agents_of_step, 1]));
+        let (f, memories) = self.encoder.forward(&x, &memory, &keep.reshape([length, agents_of_step, 1]));
         let embedding = f.view([rows, agents, -1]);
-        let anyone = if self.physical_mask {
-            comm.shallow_clone()
-        } else {
-            comm.ones_like()
-        };
+        let anyone = if self.physical_mask { comm.shallow_clone() } else { comm.ones_like() };
         let graph = self.graph.forward(&embedding, &anyone, noise);
-        Messages {
-            message: self.transformer.forward(&embedding, &graph),
-            embedding,
-            memory: memories,
-        }
+        Messages { message: self.transformer.forward(&embedding, &graph), embedding, memory: memories }
     }
 
     /// As [`MessageTrunk::forward`], on the rows of a minibatch; `memory` is the trunk's own, for all rows.
@@ -118,9 +108,7 @@ impl MessageCritic {
     }
 
     fn head(&self, messages: &Messages) -> Tensor {
-        self.value
-            .forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1))
-            .squeeze_dim(-1)
+        self.value.forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1)).squeeze_dim(-1)
     }
 
     /// Values (normalised) of a whole rollout, `[(T + 1) · E, N]`, with the memory before each of its rows,
@@ -136,24 +124,16 @@ impl MessageCritic {
         let width = self.trunk.memory();
         no_grad(|| {
             if width == 0 {
-                let memory = batch
-                    .observation
-                    .new_zeros([rows, agents, 0], (Kind::Float, tch::Device::Cpu));
+                let memory = batch.observation.new_zeros([rows, agents, 0], (Kind::Float, tch::Device::Cpu));
                 let part = |from: i64, count: i64| {
                     let cut = |t: &Tensor| t.narrow(0, from, count);
                     let (o, c, z) = (cut(&batch.observation), cut(&batch.comm), cut(noise));
-                    self.head(
-                        &self
-                            .trunk
-                            .forward(&o, &cut(&memory), &cut(&batch.keep), 1, &c, Some(&z)),
-                    )
+                    self.head(&self.trunk.forward(&o, &cut(&memory), &cut(&batch.keep), 1, &c, Some(&z)))
                 };
                 // Parts bound the peak of memory; they change nothing else.
                 let size = (16_384 / agents).max(1);
-                let parts: Vec<Tensor> = (0..rows)
-                    .step_by(size as usize)
-                    .map(|k| part(k, size.min(rows - k)))
-                    .collect();
+                let parts: Vec<Tensor> =
+                    (0..rows).step_by(size as usize).map(|k| part(k, size.min(rows - k))).collect();
                 return (Tensor::cat(&parts, 0), memory);
             }
             let envs = rows / (steps + 1);
@@ -161,9 +141,7 @@ impl MessageCritic {
                 .take()
                 .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, tch::Device::Cpu)));
             let whole = (&batch.observation, &batch.keep, &batch.comm);
-            let messages = self
-                .trunk
-                .forward(whole.0, &first, whole.1, steps + 1, whole.2, Some(noise));
+            let messages = self.trunk.forward(whole.0, &first, whole.1, steps + 1, whole.2, Some(noise));
             let after = messages.memory.as_ref().expect("a recurrent encoder has memory");
             let before = Tensor::cat(&[&first.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
             *carried = Some(after.get(steps - 1).copy());

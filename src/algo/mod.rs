@@ -41,9 +41,7 @@ impl Observation {
     /// 0 where memories are cleared before the decision, 1 elsewhere, `[E, N]`.
     fn keep(&self) -> Tensor {
         let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
-        (self.start.ones_like() - &self.start)
-            .view([envs, 1])
-            .expand([envs, agents], false)
+        (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
     }
 }
 

@@ -38,22 +38,12 @@ pub fn masked_mean(x: &Tensor, weight: &Tensor) -> Tensor {
 
 /// Normalises to mean 0 and standard deviation 1 over entries with `active > 0`; the others become 0.
 pub fn normalize_advantages(advantage: &mut [f32], active: &[f32]) {
-    let chosen = || {
-        advantage
-            .iter()
-            .zip(active)
-            .filter(|(_, active)| **active > 0.0)
-            .map(|(a, _)| f64::from(*a))
-    };
+    let chosen = || advantage.iter().zip(active).filter(|(_, active)| **active > 0.0).map(|(a, _)| f64::from(*a));
     let count = chosen().count().max(1) as f64;
     let mean = chosen().sum::<f64>() / count;
     let deviation = (chosen().map(|a| (a - mean).powi(2)).sum::<f64>() / count).sqrt() + 1e-5;
     for (a, &active) in advantage.iter_mut().zip(active) {
-        *a = if active > 0.0 {
-            ((f64::from(*a) - mean) / deviation) as f32
-        } else {
-            0.0
-        };
+        *a = if active > 0.0 { ((f64::from(*a) - mean) / deviation) as f32 } else { 0.0 };
     }
 }
 
@@ -65,11 +55,7 @@ pub fn explained_variance(values: &[f32], returns: &[f32], active: &[f32]) -> f6
         chosen.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / chosen.len().max(1) as f64
     };
     let total = variance(&|i| f64::from(returns[i]));
-    if total < 1e-12 {
-        0.0
-    } else {
-        1.0 - variance(&|i| f64::from(returns[i] - values[i])) / total
-    }
+    if total < 1e-12 { 0.0 } else { 1.0 - variance(&|i| f64::from(returns[i] - values[i])) / total }
 }
 
 #[cfg(test)]

@@ -129,13 +129,7 @@ pub struct Exploration {
 
 impl Default for Exploration {
     fn default() -> Self {
-        Self {
-            mode: NoiseMode::Schedule,
-            log_std_start: 0.0,
-            log_std_end: -1.7,
-            log_std_share: 0.75,
-            mean_bias: 0.5,
-        }
+        Self { mode: NoiseMode::Schedule, log_std_start: 0.0, log_std_end: -1.7, log_std_share: 0.75, mean_bias: 0.5 }
     }
 }
 

@@ -52,10 +52,7 @@ impl Findings {
     /// A fault, with a row that says so in the place where a value was expected.
     fn fault(&mut self, name: &'static str, what: impl Into<String>, hint: Option<&str>) {
         self.row(name, "see below");
-        self.faults.push(Fault {
-            what: format!("{name}: {}", what.into()),
-            hint: hint.map(str::to_owned),
-        });
+        self.faults.push(Fault { what: format!("{name}: {}", what.into()), hint: hint.map(str::to_owned) });
     }
 }
 
@@ -80,17 +77,11 @@ impl Display for Findings {
 }
 
 fn program() -> String {
-    env::current_exe().map_or_else(
-        |error| format!("path unknown: {error}"),
-        |path| path.display().to_string(),
-    )
+    env::current_exe().map_or_else(|error| format!("path unknown: {error}"), |path| path.display().to_string())
 }
 
 fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
-    findings.row(
-        "SUMO_HOME",
-        env::var("SUMO_HOME").unwrap_or_else(|_| "not set".to_owned()),
-    );
+    findings.row("SUMO_HOME", env::var("SUMO_HOME").unwrap_or_else(|_| "not set".to_owned()));
     let binary = match sumo::find_sumo() {
         Ok(binary) => binary,
         Err(error) => {
@@ -114,25 +105,14 @@ fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
 
 /// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
 fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
-    let config = SimulationConfig {
-        net,
-        step_length: 0.1,
-        seed: 0,
-        slots: 0,
-        vehicle_types: Vec::new(),
-        routes: Vec::new(),
-    };
+    let config =
+        SimulationConfig { net, step_length: 0.1, seed: 0, slots: 0, vehicle_types: Vec::new(), routes: Vec::new() };
     let begin = Instant::now();
     let mut simulation = TraciSimulation::start(config)?;
     let started = begin.elapsed();
     simulation.step(&[])?;
     let version = simulation.version();
-    Ok(format!(
-        "API {} of {}, started in {} ms",
-        version.api,
-        version.software,
-        started.as_millis()
-    ))
+    Ok(format!("API {} of {}, started in {} ms", version.api, version.software, started.as_millis()))
 }
 
 fn check_torch(findings: &mut Findings) {
@@ -151,17 +131,10 @@ fn check_torch(findings: &mut Findings) {
     } else {
         findings.row("libtorch", format!("{version} ({place})"));
     }
-    match tch::Tensor::from_slice(&[1.0_f64, 2.0])
-        .f_sum(tch::Kind::Double)
-        .and_then(|sum| f64::try_from(&sum))
-    {
+    match tch::Tensor::from_slice(&[1.0_f64, 2.0]).f_sum(tch::Kind::Double).and_then(|sum| f64::try_from(&sum)) {
         Ok(3.0) => {}
         Ok(sum) => findings.fault("arithmetic", format!("libtorch says that 1 + 2 is {sum}"), None),
-        Err(error) => findings.fault(
-            "arithmetic",
-            format!("libtorch could not add two numbers: {error}"),
-            None,
-        ),
+        Err(error) => findings.fault("arithmetic", format!("libtorch could not add two numbers: {error}"), None),
     }
     let with_cuda = loaded("libtorch_cuda.so").is_some();
     findings.row(
@@ -193,11 +166,7 @@ fn check_threads(findings: &mut Findings) {
     let cores = std::thread::available_parallelism().map_or_else(|_| "unknown".to_owned(), |n| n.to_string());
     findings.row(
         "threads",
-        format!(
-            "cores {cores}, rayon {}, libtorch {}",
-            rayon::current_num_threads(),
-            tch::get_num_threads()
-        ),
+        format!("cores {cores}, rayon {}, libtorch {}", rayon::current_num_threads(), tch::get_num_threads()),
     );
 }
 
@@ -210,20 +179,10 @@ fn check_files(findings: &mut Findings) {
                 let separator = if good.is_empty() { "" } else { ", " };
                 let _ = write!(good, "{separator}{} ({} nets)", path.display(), scenario.nets.len());
             }
-            Err(error) => findings.faults.push(Fault {
-                what: chain(&error),
-                hint: error.hint(),
-            }),
+            Err(error) => findings.faults.push(Fault { what: chain(&error), hint: error.hint() }),
         }
     }
-    findings.row(
-        "scenarios",
-        if good.is_empty() {
-            "none in the folder ./scenarios".to_owned()
-        } else {
-            good
-        },
-    );
+    findings.row("scenarios", if good.is_empty() { "none in the folder ./scenarios".to_owned() } else { good });
     let nets = files_below(Path::new("sumo_nets"), ".net.xml").len();
     findings.row("nets", format!("{nets} in the folder ./sumo_nets"));
 }
@@ -274,15 +233,9 @@ mod tests {
     #[test]
     fn the_path_of_a_loaded_library_may_hold_spaces() {
         let line = "7f00-7f10 r-xp 00001000 08:01 42                 /home/a b/lib/libtorch_cpu.so";
-        assert_eq!(
-            library_path(line, "libtorch_cpu.so"),
-            Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so"))
-        );
+        assert_eq!(library_path(line, "libtorch_cpu.so"), Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so")));
         assert_eq!(library_path(line, "libtorch_cuda.so"), None);
-        assert_eq!(
-            library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"),
-            None
-        );
+        assert_eq!(library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"), None);
     }
 
     #[test]

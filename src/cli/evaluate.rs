@@ -68,28 +68,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let mut policies = Vec::new();
     for name in &args.policy {
         let policy = Policy::by_name(name).with_context(|| {
-            format!(
-                "there is no policy `{name}`; choose one of {} with a in -1..1",
-                POLICIES.join(", ")
-            )
+            format!("there is no policy `{name}`; choose one of {} with a in -1..1", POLICIES.join(", "))
         })?;
         policies.push((name.clone(), policy));
     }
     let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
-    let mut layers = Layers {
-        sets: args.set.clone(),
-        ..Layers::default()
-    };
+    let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
     if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
-        layers.document = Document {
-            name: format!("{} (stored settings)", run.display()),
-            text: checkpoint.config.clone(),
-        };
+        layers.document =
+            Document { name: format!("{} (stored settings)", run.display()), text: checkpoint.config.clone() };
     }
     if let Some(path) = &args.scenario {
-        layers
-            .flags
-            .push(("scenario", Value::String(path.display().to_string())));
+        layers.flags.push(("scenario", Value::String(path.display().to_string())));
     }
     if let Some(agents) = args.agents {
         layers.flags.push(("agents", Value::Integer(agents.into())));
@@ -99,9 +89,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
         Some(checkpoint) => {
             let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &config.settings(), Seed::new(0))?;
-            learner
-                .load(&checkpoint.learner)
-                .context("the checkpoint does not fit this scenario's observations")?;
+            learner.load(&checkpoint.learner).context("the checkpoint does not fit this scenario's observations")?;
             Some(learner)
         }
         None => None,
@@ -119,17 +107,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         bar.set_message(name.clone());
         let seed = Seed::new(args.seed).child("evaluation");
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &stop, &mut |done| {
-            bar.set_position(done)
-        })
-        .with_context(|| format!("evaluating {name} stopped"))?;
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &stop, &mut |done| bar.set_position(done))
+            .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
-            eprintln!(
-                "interrupted after {} of {} episodes of {name}",
-                evaluation.episodes.len(),
-                args.episodes
-            );
+            eprintln!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
             return Ok(Verdict::Interrupted);
         }
         let metrics = evaluation.metrics().context("no episode was finished")?;
@@ -160,25 +142,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     let path = if run.is_dir() {
         let dir = RunDir::new(run);
-        [dir.best(), dir.last()]
-            .into_iter()
-            .find(|path| path.exists())
-            .with_context(|| {
-                format!(
-                    "`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors",
-                    run.display()
-                )
-            })?
+        [dir.best(), dir.last()].into_iter().find(|path| path.exists()).with_context(|| {
+            format!("`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors", run.display())
+        })?
     } else {
         run.to_owned()
     };
     let checkpoint = Checkpoint::load(&path)?;
     if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
-        bail!(
-            "`{}` is of the algorithm `{}`, which this program does not have",
-            path.display(),
-            checkpoint.algorithm
-        );
+        bail!("`{}` is of the algorithm `{}`, which this program does not have", path.display(), checkpoint.algorithm);
     }
     Ok(checkpoint)
 }
@@ -200,17 +172,10 @@ fn table(rows: &[Row]) -> String {
         ("efficiency", &|m| fine(&m.efficiency)),
         ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
     ];
-    let mut columns: Vec<Vec<String>> = vec![
-        std::iter::once(String::new())
-            .chain(lines.iter().map(|l| l.0.to_owned()))
-            .collect(),
-    ];
+    let mut columns: Vec<Vec<String>> =
+        vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
     for row in rows {
-        columns.push(
-            std::iter::once(row.policy.clone())
-                .chain(lines.iter().map(|l| (l.1)(&row.metrics)))
-                .collect(),
-        );
+        columns.push(std::iter::once(row.policy.clone()).chain(lines.iter().map(|l| (l.1)(&row.metrics))).collect());
     }
     let width = |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
     let mut text = String::new();
@@ -224,11 +189,7 @@ fn table(rows: &[Row]) -> String {
     for line in 0..=lines.len() {
         for (i, column) in columns.iter().enumerate() {
             let (cell, width) = (&column[line], width(column));
-            let _ = if i == 0 {
-                write!(text, "{cell:<width$}")
-            } else {
-                write!(text, "   {cell:>width$}")
-            };
+            let _ = if i == 0 { write!(text, "{cell:<width$}") } else { write!(text, "   {cell:>width$}") };
         }
         text.push('\n');
     }

@@ -45,10 +45,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             read_json_lines(&path).with_context(|| format!("`{}` is no run folder", run.display()))?;
         let name = label(run, args.runs.len());
         let curve = |key: &str, factor: f64| -> Vec<(f64, f64)> {
-            lines
-                .iter()
-                .filter_map(|line| Some((line["step"].as_f64()?, factor * line[key].as_f64()?)))
-                .collect()
+            lines.iter().filter_map(|line| Some((line["step"].as_f64()?, factor * line[key].as_f64()?))).collect()
         };
         let exploring = curve("episode/success", 100.0);
         if exploring.is_empty() {
@@ -59,11 +56,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             points: curve("validation/success", 100.0),
             band: None,
         });
-        success.series.push(Series {
-            label: format!("{name}, exploring"),
-            points: exploring,
-            band: None,
-        });
+        success.series.push(Series { label: format!("{name}, exploring"), points: exploring, band: None });
         window.series.push(Series {
             label: format!("{name}, deterministic"),
             points: curve("validation/window_reward", 1.0),
@@ -72,19 +65,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if let Some(path) = &args.reference {
         for (policy, metrics) in references(path)? {
-            let mean = |key: &str| {
-                metrics[key]["mean"]
-                    .as_f64()
-                    .with_context(|| format!("`{}` has no {key}", path.display()))
-            };
+            let mean =
+                |key: &str| metrics[key]["mean"].as_f64().with_context(|| format!("`{}` has no {key}", path.display()));
             success.references.push((policy.clone(), 100.0 * mean("success")?));
             window.references.push((policy, mean("window_reward")?));
         }
     }
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| args.runs[0].join("learning_curve.png"));
+    let out = args.out.clone().unwrap_or_else(|| args.runs[0].join("learning_curve.png"));
     let title = if args.runs.len() == 1 {
         format!("Learning curve of {}", label(&args.runs[0], 1))
     } else {
@@ -99,10 +86,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 fn label(run: &Path, runs: usize) -> String {
     let settings = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
     let table: toml::Table = toml::from_str(&settings).unwrap_or_default();
-    match (
-        table.get("algorithm").and_then(toml::Value::as_str),
-        table.get("seed").and_then(toml::Value::as_integer),
-    ) {
+    match (table.get("algorithm").and_then(toml::Value::as_str), table.get("seed").and_then(toml::Value::as_integer)) {
         (Some(algorithm), Some(_)) if runs == 1 => algorithm.to_owned(),
         (Some(algorithm), Some(seed)) => format!("{algorithm} seed {seed}"),
         _ => run.display().to_string(),
@@ -113,11 +97,7 @@ fn label(run: &Path, runs: usize) -> String {
 fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;
     let value: Value = serde_json::from_str(&text).with_context(|| format!("`{}` is not JSON", path.display()))?;
-    let rows = if let Value::Array(rows) = value {
-        rows
-    } else {
-        vec![value]
-    };
+    let rows = if let Value::Array(rows) = value { rows } else { vec![value] };
     Ok(rows
         .into_iter()
         .filter_map(|row| Some((row["policy"].as_str()?.to_owned(), row["metrics"].clone())))

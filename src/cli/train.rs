@@ -48,11 +48,7 @@ pub(super) struct Args {
 
 impl Args {
     fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
-        let integer = |v: u64| {
-            i64::try_from(v)
-                .map(Value::Integer)
-                .context("numbers must be below 2^63")
-        };
+        let integer = |v: u64| i64::try_from(v).map(Value::Integer).context("numbers must be below 2^63");
         let mut flags = Vec::new();
         if let Some(path) = &self.scenario {
             flags.push(("scenario", Value::String(path.display().to_string())));
@@ -80,33 +76,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
         _ => Document::default(),
     };
-    let (config, scenario) = Config::resolve(&Layers {
-        document,
-        sets: args.set.clone(),
-        flags: args.flags()?,
-    })?;
+    let (config, scenario) = Config::resolve(&Layers { document, sets: args.set.clone(), flags: args.flags()? })?;
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
-        PathBuf::from("runs")
-            .join(&scenario.name)
-            .join(&config.algorithm)
-            .join(format!("seed_{}", config.seed))
+        PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))
     }));
     if !args.resume && dir.last().exists() {
-        bail!(
-            "`{}` already holds a run; add --resume to go on with it, or choose another --out",
-            dir.path().display()
-        );
+        bail!("`{}` already holds a run; add --resume to go on with it, or choose another --out", dir.path().display());
     }
     let stop = super::stop_flag()?;
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
         if checkpoint.algorithm != config.algorithm {
-            bail!(
-                "`{}` is a run of {}, not of {}",
-                dir.path().display(),
-                checkpoint.algorithm,
-                config.algorithm
-            );
+            bail!("`{}` is a run of {}, not of {}", dir.path().display(), checkpoint.algorithm, config.algorithm);
         }
         Trainer::resume(config.clone(), scenario, &checkpoint)?
     } else {
@@ -159,14 +140,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         "{end} after {} steps in {}; best validation success {}",
         progress.step,
         human_duration(Duration::from_secs_f64(progress.seconds)),
-        progress
-            .best
-            .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
+        progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     println!("{}", dir.path().display());
-    Ok(if stop.load(Ordering::Relaxed) {
-        Verdict::Interrupted
-    } else {
-        Verdict::Good
-    })
+    Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })
 }

@@ -17,11 +17,7 @@ impl Pose {
     pub fn towards(&self, next: &Pose, t: f64) -> Pose {
         let turn = (next.heading - self.heading + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
             - std::f64::consts::PI;
-        Pose {
-            x: self.x + (next.x - self.x) * t,
-            y: self.y + (next.y - self.y) * t,
-            heading: self.heading + turn * t,
-        }
+        Pose { x: self.x + (next.x - self.x) * t, y: self.y + (next.y - self.y) * t, heading: self.heading + turn * t }
     }
 
     /// Centre distance \[m\].
@@ -111,16 +107,8 @@ mod tests {
 
     #[test]
     fn interpolates_headings_the_short_way() {
-        let a = Pose {
-            x: 0.0,
-            y: 0.0,
-            heading: 3.0,
-        };
-        let b = Pose {
-            x: 2.0,
-            y: 0.0,
-            heading: -3.0,
-        };
+        let a = Pose { x: 0.0, y: 0.0, heading: 3.0 };
+        let b = Pose { x: 2.0, y: 0.0, heading: -3.0 };
         let middle = a.towards(&b, 0.5);
         assert!((middle.heading.rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI).abs() < 1e-9);
         assert_eq!(middle.x, 1.0);

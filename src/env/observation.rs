@@ -100,10 +100,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     let mut leader: Option<(f64, usize)> = None;
     for (r, queue) in traffic.by_route.iter().enumerate() {
         for &j in queue.iter().filter(|&&j| seen(j)) {
-            if let Some(gap) = route
-                .shared_position(r, traffic.slots[j].s)
-                .map(|s| s - own.s)
-                .filter(|&gap| gap > 0.0)
+            if let Some(gap) = route.shared_position(r, traffic.slots[j].s).map(|s| s - own.s).filter(|&gap| gap > 0.0)
             {
                 ahead += 1;
                 if leader.is_none_or(|(best, _)| gap < best) {
@@ -128,13 +125,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     if let Some((centre_gap, j)) = leader {
         let gap = centre_gap - task.scenario.vehicle.length;
         let other = &traffic.slots[j];
-        w.put([
-            gap / 10.0,
-            gap / FAR,
-            (other.speed - own.speed) / 10.0,
-            moving(other.status),
-            1.0,
-        ]);
+        w.put([gap / 10.0, gap / FAR, (other.speed - own.speed) / 10.0, moving(other.status), 1.0]);
     } else {
         w.skip(5);
     }
@@ -159,10 +150,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         let other = &traffic.slots[j];
         let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
         let (other_sin, other_cos) = other.pose.heading.sin_cos();
-        let (vx, vy) = (
-            other.speed * other_cos - own.speed * cos,
-            other.speed * other_sin - own.speed * sin,
-        );
+        let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
         w.put([
             (dx * cos + dy * sin) / FAR,
             (dy * cos - dx * sin) / FAR,
@@ -186,19 +174,11 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
                 .map(|&j| (conflict.other - traffic.slots[j].s, j))
                 .filter(|&(u, j)| u > -CLEARED && seen(j))
         };
-        w.put([
-            own_distance / FAR,
-            own_distance / NEAR,
-            approaching().count() as f64 / COUNT,
-            1.0,
-        ]);
+        w.put([own_distance / FAR, own_distance / NEAR, approaching().count() as f64 / COUNT, 1.0]);
         put_vehicles(&mut w, traffic, approaching(), settings.stream_vehicles);
     }
     if settings.conflict_streams > 0 {
-        let others = route
-            .apart
-            .iter()
-            .flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
+        let others = route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
         let distances = others.map(|(r, j)| (task.routes[r].to_first_conflict(traffic.slots[j].s), j));
         put_vehicles(
             &mut w,

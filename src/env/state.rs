@@ -73,12 +73,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     let place = queue.iter().position(|&j| j == slot).unwrap_or(queue.len());
     let gap = |&j: &usize| (traffic.slots[j].s - own.s, j);
     put(&mut w, traffic, queue[..place].iter().rev().map(gap), OWN_LANE);
-    put(
-        &mut w,
-        traffic,
-        queue[(place + 1).min(queue.len())..].iter().map(gap),
-        OWN_LANE,
-    );
+    put(&mut w, traffic, queue[(place + 1).min(queue.len())..].iter().map(gap), OWN_LANE);
     put_counts(&mut w, traffic, queue.iter().copied());
     for stream in 0..task.scenario.observation.conflict_streams.max(1) {
         let Some(conflict) = route.conflicts.get(stream) else {
@@ -86,25 +81,12 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
             continue;
         };
         let queue = &traffic.by_route[conflict.route];
-        let approaching = queue
-            .iter()
-            .map(|&j| (conflict.other - traffic.slots[j].s, j))
-            .filter(|v| v.0 > -CLEARED);
+        let approaching = queue.iter().map(|&j| (conflict.other - traffic.slots[j].s, j)).filter(|v| v.0 > -CLEARED);
         put(&mut w, traffic, approaching, PER_STREAM);
         put_counts(&mut w, traffic, queue.iter().copied());
     }
-    let apart = || {
-        route
-            .apart
-            .iter()
-            .flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)))
-    };
-    put(
-        &mut w,
-        traffic,
-        apart().map(|(r, j)| (task.routes[r].to_first_conflict(traffic.slots[j].s), j)),
-        PER_STREAM,
-    );
+    let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
+    put(&mut w, traffic, apart().map(|(r, j)| (task.routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);
     put_counts(&mut w, traffic, apart().map(|(_, j)| j));
     debug_assert_eq!(w.at, w.out.len());
 }
@@ -113,13 +95,7 @@ fn put(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, u
     let mut written = 0;
     for (distance, j) in vehicles.take(count) {
         let other = &traffic.slots[j];
-        w.put([
-            distance / 50.0,
-            other.speed / SPEED,
-            other.action,
-            moving(other.status),
-            1.0,
-        ]);
+        w.put([distance / 50.0, other.speed / SPEED, other.action, moving(other.status), 1.0]);
         written += 1;
     }
     w.skip((count - written) * VEHICLE.len());

@@ -66,10 +66,7 @@ struct Shared {
 impl RouteGeometry {
     /// Position on this route of something at `s` on `route`, if it is on a lane that both use.
     pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {
-        self.shared[route]
-            .iter()
-            .find(|k| (k.from..=k.to).contains(&s))
-            .map(|k| s + k.shift)
+        self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
     }
 
     /// Distance from `s` to the first conflict point, or to the arrival where there is none \[m\].
@@ -90,9 +87,7 @@ impl Task {
         for route in &scenario.routes {
             paths.push(net.route_path(&route.edges)?);
         }
-        let routes = (0..paths.len())
-            .map(|a| geometry(&paths, a, scenario.routes[a].arrival_pos))
-            .collect::<Vec<_>>();
+        let routes = (0..paths.len()).map(|a| geometry(&paths, a, scenario.routes[a].arrival_pos)).collect::<Vec<_>>();
         let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for point in paths.iter().flat_map(|path| &path.points) {
             for axis in 0..2 {
@@ -144,10 +139,7 @@ impl Task {
                 .scenario
                 .routes
                 .iter()
-                .map(|route| Route {
-                    id: route.id.clone(),
-                    edges: route.edges.clone(),
-                })
+                .map(|route| Route { id: route.id.clone(), edges: route.edges.clone() })
                 .collect(),
         }
     }
@@ -156,54 +148,30 @@ impl Task {
 fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeometry {
     let path = &paths[a];
     let last = path.edges.len() - 1;
-    let arrival = path.edge_start[last]
-        + if arrival_pos < 0.0 {
-            path.edge_length[last] + arrival_pos
-        } else {
-            arrival_pos
-        };
-    let shared: Vec<Vec<Shared>> = (0..paths.len())
-        .map(|b| shared_stretches(path, &paths[b], a == b))
-        .collect();
+    let arrival =
+        path.edge_start[last] + if arrival_pos < 0.0 { path.edge_length[last] + arrival_pos } else { arrival_pos };
+    let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
     let mut conflicts = Vec::new();
     let mut apart = Vec::new();
     for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
         match first_meeting(path, other, &shared[b]) {
-            Some((own, on_other)) => conflicts.push(Conflict {
-                route: b,
-                own,
-                other: on_other,
-            }),
+            Some((own, on_other)) => conflicts.push(Conflict { route: b, own, other: on_other }),
             None => apart.push(b),
         }
     }
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    RouteGeometry {
-        path: path.clone(),
-        arrival,
-        conflicts,
-        apart,
-        shared,
-    }
+    RouteGeometry { path: path.clone(), arrival, conflicts, apart, shared }
 }
 
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
     if same {
-        return vec![Shared {
-            from: f64::NEG_INFINITY,
-            to: f64::INFINITY,
-            shift: 0.0,
-        }];
+        return vec![Shared { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 }];
     }
     let mut stretches = Vec::new();
     for (i, edge) in own.edges.iter().enumerate() {
         if let Some(j) = other.edges.iter().position(|e| e == edge) {
             let from = other.edge_start[j];
-            stretches.push(Shared {
-                from,
-                to: from + other.edge_length[j],
-                shift: own.edge_start[i] - from,
-            });
+            stretches.push(Shared { from, to: from + other.edge_length[j], shift: own.edge_start[i] - from });
         }
     }
     stretches

@@ -20,22 +20,13 @@ struct Rails {
 
 impl Rails {
     fn new(task: &Arc<Task>) -> Self {
-        Self {
-            task: Arc::clone(task),
-            vehicles: vec![None; task.agents],
-        }
+        Self { task: Arc::clone(task), vehicles: vec![None; task.agents] }
     }
 
     fn step(&mut self, commands: &[Command]) -> Snapshot {
         for command in commands {
             match *command {
-                Command::Add {
-                    slot,
-                    route,
-                    depart_pos,
-                    depart_speed,
-                    ..
-                } => {
+                Command::Add { slot, route, depart_pos, depart_speed, .. } => {
                     let vehicle = &mut self.vehicles[slot as usize];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
                     *vehicle = Some((route as usize, depart_pos, depart_speed));
@@ -44,13 +35,8 @@ impl Rails {
                     assert!(self.vehicles[slot as usize].take().is_some(), "slot {slot} is empty");
                 }
                 Command::SetSpeed { slot, speed, .. } => {
-                    let vehicle = self.vehicles[slot as usize]
-                        .as_mut()
-                        .expect("only vehicles have a speed");
-                    assert!(
-                        (0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed),
-                        "speed {speed}"
-                    );
+                    let vehicle = self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
+                    assert!((0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed), "speed {speed}");
                     vehicle.2 = speed;
                 }
                 Command::SpeedMode { slot, .. } => assert!(self.vehicles[slot as usize].is_some()),
@@ -62,12 +48,7 @@ impl Rails {
             snapshot.vehicles.push(vehicle.as_mut().map(|(route, s, speed)| {
                 *s += *speed * step;
                 let (point, heading) = self.task.routes[*route].path.at(*s);
-                VehicleState {
-                    x: point[0],
-                    y: point[1],
-                    heading,
-                    speed: *speed,
-                }
+                VehicleState { x: point[0], y: point[1], heading, speed: *speed }
             }));
         }
         snapshot
@@ -239,11 +220,7 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
         let (way, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
         v = speed;
         let expected = way + 0.1 * v / (80.0 / 3.6);
-        assert!(
-            (f64::from(frame.reward[0]) - expected).abs() < 1e-5,
-            "{} {expected}",
-            frame.reward[0]
-        );
+        assert!((f64::from(frame.reward[0]) - expected).abs() < 1e-5, "{} {expected}", frame.reward[0]);
         total += expected;
     }
     assert_eq!(frames[end].reward[0], 10.0);
@@ -337,40 +314,22 @@ fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
 fn features_are_named_once_and_covered_by_their_groups() {
     for agents in [4, 48] {
         let task = task(agents, |_| {});
-        for features in [
-            &task.spec.observation,
-            &task.spec.state,
-            &task.spec.observation.join(&task.spec.state),
-        ] {
+        for features in [&task.spec.observation, &task.spec.state, &task.spec.observation.join(&task.spec.state)] {
             let covered: usize = features.groups.iter().map(|g| g.width * g.count).sum();
             assert_eq!(covered, features.len());
-            assert!(
-                features
-                    .groups
-                    .windows(2)
-                    .all(|g| g[0].offset + g[0].width * g[0].count == g[1].offset)
-            );
+            assert!(features.groups.windows(2).all(|g| g[0].offset + g[0].width * g[0].count == g[1].offset));
         }
         let names: HashSet<_> = task.spec.observation.list.iter().map(|f| &f.name).collect();
         assert_eq!(names.len(), task.spec.observation.len());
     }
-    assert_eq!(
-        task(4, |_| {}).spec.state,
-        task(48, |_| {}).spec.state,
-        "the state does not grow with the agents"
-    );
+    assert_eq!(task(4, |_| {}).spec.state, task(48, |_| {}).spec.state, "the state does not grow with the agents");
 }
 
 #[test]
 fn routes_meet_where_the_lanes_cross() {
     let task = task(8, |_| {});
     let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
-    let (east, west, south, north) = (
-        route("eastbound"),
-        route("westbound"),
-        route("southbound"),
-        route("northbound"),
-    );
+    let (east, west, south, north) = (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
     // Eastbound along y = 0 from x = 0 meets southbound at x = 40, then northbound at x = 43.5; westbound never.
     let conflicts = &task.routes[east].conflicts;
     assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
@@ -380,11 +339,7 @@ fn routes_meet_where_the_lanes_cross() {
     assert_eq!(task.routes[east].apart, [west]);
     for (a, own) in task.routes.iter().enumerate() {
         for c in &own.conflicts {
-            let back = task.routes[c.route]
-                .conflicts
-                .iter()
-                .find(|d| d.route == a)
-                .expect("mutual");
+            let back = task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
             assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
         }
     }

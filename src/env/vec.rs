@@ -103,14 +103,8 @@ impl VecEnv {
                     source,
                 })?;
                 let (first, stride) = (options.episodes.start + e as u64, options.worlds as u64);
-                let world = World::new(
-                    Arc::clone(task),
-                    options.driver,
-                    options.seed,
-                    first,
-                    stride,
-                    options.episodes.end,
-                );
+                let world =
+                    World::new(Arc::clone(task), options.driver, options.seed, first, stride, options.episodes.end);
                 Ok(Host {
                     simulation: Box::new(simulation),
                     first: e,
@@ -121,12 +115,7 @@ impl VecEnv {
                 })
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        Ok(Self {
-            task: Arc::clone(task),
-            hosts,
-            worlds: options.worlds,
-            restarts: 0,
-        })
+        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds, restarts: 0 })
     }
 
     /// Shapes and features.
@@ -215,12 +204,8 @@ impl Host {
             }
             Err(source) => {
                 let (first, world) = (self.first, &self.worlds[0]);
-                let place = |source| Error::Sumo {
-                    world: first,
-                    episode: world.episode(),
-                    step: world.step_count(),
-                    source,
-                };
+                let place =
+                    |source| Error::Sumo { world: first, episode: world.episode(), step: world.step_count(), source };
                 self.failures += 1;
                 if !source.is_fatal() || self.failures > 1 {
                     return Err(place(source));

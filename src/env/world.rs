@@ -69,16 +69,8 @@ pub(super) struct Slot {
 const EMPTY: Slot = Slot {
     status: Status::Empty,
     route: 0,
-    pose: Pose {
-        x: 0.0,
-        y: 0.0,
-        heading: 0.0,
-    },
-    before: Pose {
-        x: 0.0,
-        y: 0.0,
-        heading: 0.0,
-    },
+    pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
+    before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
     s: 0.0,
     speed: 0.0,
     lateral: 0.0,
@@ -269,10 +261,7 @@ impl World {
 
     /// Place in the episodes, for a checkpoint.
     pub fn state(&self) -> WorldState {
-        WorldState {
-            episode: self.episode,
-            actions: self.actions.clone(),
-        }
+        WorldState { episode: self.episode, actions: self.actions.clone() }
     }
 
     /// Lets the coming exchange start `episode`, whatever is on the road now.
@@ -299,11 +288,7 @@ impl World {
                             let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
                             slot.speed = speed;
                             // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
-                            commands.push(Command::SetSpeed {
-                                world,
-                                slot: at,
-                                speed: way / control.interval,
-                            });
+                            commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
                         }
                         Status::Wreck if slot.wreck_steps == 0 => {
                             slot.status = Status::Empty;
@@ -312,11 +297,7 @@ impl World {
                         }
                         Status::Wreck => {
                             slot.wreck_steps -= 1;
-                            commands.push(Command::SetSpeed {
-                                world,
-                                slot: at,
-                                speed: 0.0,
-                            });
+                            commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
                         }
                         Status::Empty if slot.departed => {
                             slot.departed = false;
@@ -361,15 +342,7 @@ impl World {
             let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
             let (point, heading) = task.routes[place.route].path.at(s);
             let pose = offset(point, heading, lateral);
-            *slot = Slot {
-                status: Status::Active,
-                route: place.route,
-                pose,
-                before: pose,
-                s,
-                lateral,
-                ..EMPTY
-            };
+            *slot = Slot { status: Status::Active, route: place.route, pose, before: pose, s, lateral, ..EMPTY };
             commands.push(Command::Add {
                 world,
                 slot: at,
@@ -380,11 +353,7 @@ impl World {
             });
             commands.push(Command::SpeedMode { world, slot: at, mode });
             if self.driver == Driver::Agents {
-                commands.push(Command::SetSpeed {
-                    world,
-                    slot: at,
-                    speed: 0.0,
-                });
+                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
         self.phase = Phase::Spawning;
@@ -429,18 +398,11 @@ impl World {
             self.frame.active[i] = f32::from(u8::from(present && !horizon));
             acting += u32::from(present && !horizon);
         }
-        physical_mask(
-            &self.poses,
-            &self.present,
-            self.task.scenario.communication.range,
-            &mut self.frame.comm,
-        );
+        physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
         for i in 0..n {
-            let (seen, known) = (
-                &mut self.frame.observation[i * o..(i + 1) * o],
-                &mut self.frame.state[i * s..(i + 1) * s],
-            );
+            let (seen, known) =
+                (&mut self.frame.observation[i * o..(i + 1) * o], &mut self.frame.state[i * s..(i + 1) * s]);
             if self.present[i] {
                 observation::write(&self.task, &self.traffic, i, seen);
                 state::write(&self.task, &self.traffic, i, known);
@@ -488,10 +450,7 @@ impl World {
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
                 // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
                 if slot.departed {
-                    return Err(Error::Vanished {
-                        slot: i,
-                        step: self.step,
-                    });
+                    return Err(Error::Vanished { slot: i, step: self.step });
                 }
                 continue;
             };
@@ -518,10 +477,7 @@ impl World {
         self.place(world, snapshot)?;
         self.find_collisions();
         for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
-            let pair = (
-                collision.collider.min(collision.victim),
-                collision.collider.max(collision.victim),
-            );
+            let pair = (collision.collider.min(collision.victim), collision.collider.max(collision.victim));
             if !self.sumo_pairs.contains(&pair) {
                 self.sumo_pairs.push(pair);
             }
@@ -530,13 +486,7 @@ impl World {
         let scenario = &task.scenario;
         let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
         let mut sum = 0.0;
-        for (i, slot) in self
-            .traffic
-            .slots
-            .iter_mut()
-            .enumerate()
-            .filter(|(_, slot)| slot.status == Status::Active)
-        {
+        for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
             let route = &task.routes[slot.route];
             slot.arrived = slot.s >= route.arrival;
             let lane = route.path.widths[slot.segment];
@@ -586,10 +536,8 @@ impl World {
                 }
                 let hit = (1..=SUBSTEPS).any(|k| {
                     let t = f64::from(k) / f64::from(SUBSTEPS);
-                    let (a, b) = (
-                        slots[i].before.towards(&slots[i].pose, t),
-                        slots[j].before.towards(&slots[j].pose, t),
-                    );
+                    let (a, b) =
+                        (slots[i].before.towards(&slots[i].pose, t), slots[j].before.towards(&slots[j].pose, t));
                     boxes_overlap(&a, &b, vehicle.length, vehicle.width)
                 });
                 if hit {
@@ -649,9 +597,5 @@ impl World {
 /// The pose at `lateral` metres to the left of a point.
 fn offset(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
     let (sin, cos) = heading.sin_cos();
-    Pose {
-        x: point[0] - lateral * sin,
-        y: point[1] + lateral * cos,
-        heading,
-    }
+    Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
 }

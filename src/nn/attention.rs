@@ -28,28 +28,16 @@ impl SelfAttention {
     /// # Panics
     /// If `heads` does not divide `width`.
     pub fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init) -> Self {
-        assert!(
-            heads > 0 && width % heads == 0,
-            "{heads} attention heads do not divide a width of {width}"
-        );
+        assert!(heads > 0 && width % heads == 0, "{heads} attention heads do not divide a width of {width}");
         let qkv = Linear::fused(path.sub("qkv"), width, width, 3, init);
-        SelfAttention {
-            heads,
-            qkv,
-            out: Linear::new(path.sub("out"), width, width, init),
-        }
+        SelfAttention { heads, qkv, out: Linear::new(path.sub("out"), width, width, init) }
     }
 
     /// `x: [B, T, width]` to the same shape.
     pub fn forward(&self, x: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, tokens, width) = x.size3().expect("tokens are [B, T, width]");
         let head = width / self.heads;
-        let qkv = self
-            .qkv
-            .forward(x)
-            .view([batch, tokens, 3, self.heads, head])
-            .permute([2, 0, 3, 1, 4])
-            .unbind(0);
+        let qkv = self.qkv.forward(x).view([batch, tokens, 3, self.heads, head]).permute([2, 0, 3, 1, 4]).unbind(0);
         let scaled = &qkv[0] * (1.0 / (head as f64).sqrt());
         let logits = scaled.matmul(&qkv[1].transpose(-2, -1));
         let logits = match mask {

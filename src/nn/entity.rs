@@ -47,20 +47,12 @@ impl Entity {
         let valid = |g: &TokenGroup| {
             g.offset >= 0 && g.width > 0 && g.count > 0 && g.presence.is_none_or(|p| (0..g.width).contains(&p))
         };
-        assert!(
-            !groups.is_empty() && groups.iter().all(valid),
-            "token groups are not sound: {groups:?}"
-        );
+        assert!(!groups.is_empty() && groups.iter().all(valid), "token groups are not sound: {groups:?}");
         let mut embed = path.sub("embed");
         let groups = groups
             .iter()
             .enumerate()
-            .map(|(i, group)| {
-                (
-                    *group,
-                    Linear::new(embed.sub(i), group.width, width, Init::Orthogonal(SQRT_2)),
-                )
-            })
+            .map(|(i, group)| (*group, Linear::new(embed.sub(i), group.width, width, Init::Orthogonal(SQRT_2))))
             .collect();
         Entity {
             groups,
@@ -93,9 +85,7 @@ impl Entity {
         let hidden_keys = present.logical_not().unsqueeze(1).unsqueeze(1);
         let bias =
             Tensor::zeros(hidden_keys.size(), (Kind::Float, x.device())).masked_fill(&hidden_keys, f64::NEG_INFINITY);
-        let x = self
-            .attention_norm
-            .forward(&(&x + self.attention.forward(&x, Mask::Add(&bias))));
+        let x = self.attention_norm.forward(&(&x + self.attention.forward(&x, Mask::Add(&bias))));
 
         let weight = present.to_kind(Kind::Float);
         let weight = &weight / weight.sum_dim_intlist(1, true, Kind::Float);
@@ -116,29 +106,14 @@ mod tests {
     /// Ego (3 features), two neighbours (4 features, the first is the flag).
     fn encoder() -> Entity {
         let groups = [
-            TokenGroup {
-                offset: 0,
-                width: 3,
-                count: 1,
-                presence: None,
-            },
-            TokenGroup {
-                offset: 3,
-                width: 4,
-                count: 2,
-                presence: Some(0),
-            },
+            TokenGroup { offset: 0, width: 3, count: 1, presence: None },
+            TokenGroup { offset: 3, width: 4, count: 2, presence: Some(0) },
         ];
         Entity::new(Params::new(Device::Cpu).root(&mut Seed::new(5).rng()), &groups, 8, 2, 6)
     }
 
     fn encode(observation: [f32; 11]) -> Vec<f32> {
-        Vec::try_from(
-            encoder()
-                .forward(&Tensor::from_slice(&observation).view([1, 11]))
-                .reshape([-1]),
-        )
-        .unwrap()
+        Vec::try_from(encoder().forward(&Tensor::from_slice(&observation).view([1, 11])).reshape([-1])).unwrap()
     }
 
     #[test]

@@ -43,9 +43,5 @@ pub enum Error {
 /// # Errors
 /// [`Error::NonFinite`], naming `what`, if any element is NaN or infinite.
 pub fn ensure_finite(what: &str, tensor: &Tensor) -> Result<(), Error> {
-    if tensor.isfinite().all().int64_value(&[]) != 0 {
-        Ok(())
-    } else {
-        Err(Error::NonFinite { what: what.to_owned() })
-    }
+    if tensor.isfinite().all().int64_value(&[]) != 0 { Ok(()) } else { Err(Error::NonFinite { what: what.to_owned() }) }
 }

@@ -29,22 +29,13 @@ impl CommGraph {
         let base = Mlp::new(path.sub("base"), hidden, hidden, 1);
         let init = Init::XavierNormal(SQRT_2);
         let receiver = path.create("receiver", &[1, hidden], init);
-        CommGraph {
-            base,
-            receiver,
-            sender: path.create("sender", &[1, hidden], init),
-            slope,
-            temperature,
-        }
+        CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), slope, temperature }
     }
 
     /// Scores `e: [B, N, N]` from features `f: [B, N, H]`; `e[b, i, j]` speaks for `i` listening to `j`, and the
     /// probability of that edge is `sigmoid(e)`.
     pub fn scores(&self, f: &Tensor) -> Tensor {
-        let halves = self
-            .base
-            .forward(f)
-            .linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
+        let halves = self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
         let sum = halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2);
         &sum * self.slope + sum.relu() * (1.0 - self.slope)
     }
@@ -104,14 +95,8 @@ mod tests {
         let physical = uniform(&[40, 6, 6], 3).gt(0.3);
         for noise in [Some(&noise), None] {
             let graph = scheduler().forward(&f, &physical, noise);
-            assert!(
-                (graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0,
-                "values are exactly 0 or 1"
-            );
-            assert!(
-                graph.diagonal(0, 1, 2).eq(1.0).all().int64_value(&[]) != 0,
-                "self loops"
-            );
+            assert!((graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0, "values are exactly 0 or 1");
+            assert!(graph.diagonal(0, 1, 2).eq(1.0).all().int64_value(&[]) != 0, "self loops");
             let off_diagonal: Tensor = 1.0 - Tensor::eye(6, CPU);
             let cut: Tensor = physical.logical_not().to_kind(Kind::Float) * off_diagonal;
             assert_eq!((&graph * cut).sum(Kind::Float).double_value(&[]), 0.0, "cut edges");
@@ -126,9 +111,7 @@ mod tests {
         let (draws, all) = (20_000, Tensor::ones([1, 4, 4], CPU));
         let f_many = f.expand([draws, 4, 5], false);
         let noise = logistic(&[draws, 4, 4], 5);
-        let frequency = scheduler
-            .forward(&f_many, &all, Some(&noise))
-            .mean_dim(0, false, Kind::Float);
+        let frequency = scheduler.forward(&f_many, &all, Some(&noise)).mean_dim(0, false, Kind::Float);
         let expected = with_self_loops(&scheduler.scores(&f).sigmoid()).get(0);
         let worst = (frequency - expected).abs().max().double_value(&[]);
         assert!(worst < 0.02, "{worst}");
@@ -139,14 +122,8 @@ mod tests {
         let f = uniform(&[50, 3, 5], 7).set_requires_grad(true);
         let physical = Tensor::from_slice(&[1_f32, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]).view([1, 3, 3]);
         let graph = scheduler().forward(&f, &physical, Some(&logistic(&[50, 3, 3], 8)));
-        let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false)
-            .remove(0)
-            .transpose(0, 1);
+        let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false).remove(0).transpose(0, 1);
         assert!(gradient.get(0).abs().max().double_value(&[]) > 0.0);
-        assert_eq!(
-            gradient.get(2).abs().max().double_value(&[]),
-            0.0,
-            "the third agent is dead"
-        );
+        assert_eq!(gradient.get(2).abs().max().double_value(&[]), 0.0, "the third agent is dead");
     }
 }

@@ -81,15 +81,9 @@ fn orthogonal(rows: usize, columns: usize, gain: f64, rng: &mut Rng) -> Vec<f32>
         basis.push(vector);
     }
     let at = |row: usize, column: usize| {
-        if rows <= columns {
-            basis[row][column]
-        } else {
-            basis[column][row]
-        }
+        if rows <= columns { basis[row][column] } else { basis[column][row] }
     };
-    (0..rows * columns)
-        .map(|i| (gain * at(i / columns, i % columns)) as f32)
-        .collect()
+    (0..rows * columns).map(|i| (gain * at(i / columns, i % columns)) as f32).collect()
 }
 
 #[cfg(test)]
@@ -103,13 +97,8 @@ mod tests {
         for (rows, columns) in [(1, 7), (8, 8), (24, 8), (5, 40), (96, 96)] {
             let gain = 1.5;
             let w = Init::Orthogonal(gain).sample(&[rows as i64, columns as i64], &mut rng);
-            let at = |i: usize, k: usize| {
-                f64::from(if rows <= columns {
-                    w[i * columns + k]
-                } else {
-                    w[k * columns + i]
-                })
-            };
+            let at =
+                |i: usize, k: usize| f64::from(if rows <= columns { w[i * columns + k] } else { w[k * columns + i] });
             let (count, length) = (rows.min(columns), rows.max(columns));
             for i in 0..count {
                 for j in 0..count {
@@ -129,11 +118,7 @@ mod tests {
         let (n, draws) = (4_usize, 4000);
         let (mut sum, mut squares) = (vec![0.0; n * n], vec![0.0; n * n]);
         for _ in 0..draws {
-            for (i, v) in Init::Orthogonal(1.0)
-                .sample(&[n as i64, n as i64], &mut rng)
-                .into_iter()
-                .enumerate()
-            {
+            for (i, v) in Init::Orthogonal(1.0).sample(&[n as i64, n as i64], &mut rng).into_iter().enumerate() {
                 sum[i] += f64::from(v) / f64::from(draws);
                 squares[i] += f64::from(v * v) / f64::from(draws);
             }

@@ -15,29 +15,20 @@ impl Linear {
     /// Weights drawn by `init` (for instance [`Init::Orthogonal`] with the gain of what follows), zero bias.
     pub fn new(mut path: Path<'_>, inputs: i64, outputs: i64, init: Init) -> Self {
         let weight = path.create("weight", &[outputs, inputs], init);
-        Linear {
-            weight,
-            bias: path.create("bias", &[outputs], Init::Zeros),
-        }
+        Linear { weight, bias: path.create("bias", &[outputs], Init::Zeros) }
     }
 
     /// PyTorch's default: weights and bias uniform within `1 / sqrt(inputs)`.
     pub fn torch_default(mut path: Path<'_>, inputs: i64, outputs: i64) -> Self {
         let init = Init::Uniform(1.0 / (inputs as f64).sqrt());
         let weight = path.create("weight", &[outputs, inputs], init);
-        Linear {
-            weight,
-            bias: path.create("bias", &[outputs], init),
-        }
+        Linear { weight, bias: path.create("bias", &[outputs], init) }
     }
 
     /// `blocks` layers of the same input fused into one, each block drawn on its own; zero bias.
     pub fn fused(mut path: Path<'_>, inputs: i64, outputs: i64, blocks: i64, init: Init) -> Self {
         let weight = path.create_stacked("weight", blocks, [outputs, inputs], init);
-        Linear {
-            weight,
-            bias: path.create("bias", &[blocks * outputs], Init::Zeros),
-        }
+        Linear { weight, bias: path.create("bias", &[blocks * outputs], Init::Zeros) }
     }
 
     /// The shift `b: [out]`.

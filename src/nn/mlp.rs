@@ -33,8 +33,6 @@ impl Mlp {
     /// `x: [.., inputs]` to `[.., hidden]`.
     pub fn forward(&self, x: &Tensor) -> Tensor {
         let x = self.norm.forward(x);
-        self.layers
-            .iter()
-            .fold(x, |x, (linear, norm)| norm.forward(&linear.forward(&x).relu()))
+        self.layers.iter().fold(x, |x, (linear, norm)| norm.forward(&linear.forward(&x).relu()))
     }
 }

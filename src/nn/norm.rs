@@ -15,10 +15,7 @@ impl LayerNorm {
     /// For inputs whose last dimension is `width`; scale 1, shift 0.
     pub fn new(mut path: Path<'_>, width: i64) -> Self {
         let weight = path.create("weight", &[width], Init::Constant(1.0));
-        LayerNorm {
-            weight,
-            bias: path.create("bias", &[width], Init::Zeros),
-        }
+        LayerNorm { weight, bias: path.create("bias", &[width], Init::Zeros) }
     }
 
     /// `x: [.., width]` to the same shape.

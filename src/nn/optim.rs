@@ -23,11 +23,7 @@ pub struct AdamConfig {
 
 impl Default for AdamConfig {
     fn default() -> Self {
-        AdamConfig {
-            beta1: 0.9,
-            beta2: 0.999,
-            eps: 1e-5,
-        }
+        AdamConfig { beta1: 0.9, beta2: 0.999, eps: 1e-5 }
     }
 }
 
@@ -108,9 +104,7 @@ impl Adam {
             // lr / c1 * m / (sqrt(v) / c2 + eps), with c2 moved out of the denominator
             let mut denominator = self.second.sqrt();
             denominator += eps * correction2;
-            let _ = self
-                .weights
-                .addcdiv_(&(&self.first * (-lr * correction2 / correction1)), &denominator);
+            let _ = self.weights.addcdiv_(&(&self.first * (-lr * correction2 / correction1)), &denominator);
             let _ = self.gradient.zero_();
         });
     }
@@ -152,13 +146,7 @@ mod tests {
     fn network() -> (Params, Mlp, Tensor) {
         let mut params = Params::new(Device::Cpu);
         let mlp = Mlp::new(params.root(&mut Seed::new(1).rng()), 4, 8, 1);
-        (
-            params,
-            mlp,
-            Tensor::linspace(-1.0, 1.0, 12, (Kind::Float, Device::Cpu))
-                .view([3, 4])
-                .sin(),
-        )
+        (params, mlp, Tensor::linspace(-1.0, 1.0, 12, (Kind::Float, Device::Cpu)).view([3, 4]).sin())
     }
 
     fn loss(mlp: &Mlp, x: &Tensor) -> Tensor {
@@ -167,11 +155,7 @@ mod tests {
 
     fn bits(params: &Params) -> Vec<u32> {
         let flat: Vec<Tensor> = params.named().iter().map(|(_, t)| t.detach().reshape([-1])).collect();
-        Vec::<f32>::try_from(Tensor::cat(&flat, 0))
-            .unwrap()
-            .into_iter()
-            .map(f32::to_bits)
-            .collect()
+        Vec::<f32>::try_from(Tensor::cat(&flat, 0)).unwrap().into_iter().map(f32::to_bits).collect()
     }
 
     #[test]
@@ -218,9 +202,7 @@ mod tests {
     #[test]
     fn gradients_add_up_and_unused_parameters_get_none() {
         let (mut params, mlp, x) = network();
-        let rest = params
-            .root(&mut Seed::new(2).rng())
-            .create("unused", &[3], crate::nn::Init::Constant(1.0));
+        let rest = params.root(&mut Seed::new(2).rng()).create("unused", &[3], crate::nn::Init::Constant(1.0));
         let mut adam = Adam::new(&mut params);
         loss(&mlp, &x).backward();
         let norm = adam.clip_grad_norm(f64::INFINITY);

@@ -24,20 +24,12 @@ pub struct Params {
 impl Params {
     /// An empty store whose parameters will live on `device`.
     pub fn new(device: Device) -> Self {
-        Params {
-            device,
-            named: Vec::new(),
-            flat: None,
-        }
+        Params { device, named: Vec::new(), flat: None }
     }
 
     /// The place where the parameters of a network are created; initial values are drawn from `rng`.
     pub fn root<'a>(&'a mut self, rng: &'a mut Rng) -> Path<'a> {
-        Path {
-            params: self,
-            rng,
-            prefix: String::new(),
-        }
+        Path { params: self, rng, prefix: String::new() }
     }
 
     /// Where the parameters live.
@@ -71,11 +63,7 @@ impl Params {
     pub fn deep_copy(&self) -> Params {
         let copy = |t: &Tensor| t.detach().copy().set_requires_grad(true);
         let named = self.named.iter().map(|(name, t)| (name.clone(), copy(t))).collect();
-        let mut params = Params {
-            device: self.device,
-            named,
-            flat: None,
-        };
+        let mut params = Params { device: self.device, named, flat: None };
         if self.flat.is_some() {
             let _ = params.flatten();
         }
@@ -151,17 +139,11 @@ pub(super) fn match_by_name<'a>(
     }
     let by_name: HashMap<&str, &Tensor> = given.iter().map(|(name, t)| (name.as_str(), t)).collect();
     let pair = |(name, own): &'a (String, Tensor)| {
-        let value = *by_name
-            .get(name.as_str())
-            .ok_or_else(|| Error::Missing { name: name.clone() })?;
+        let value = *by_name.get(name.as_str()).ok_or_else(|| Error::Missing { name: name.clone() })?;
         if value.size() == own.size() {
             Ok((own, value))
         } else {
-            Err(Error::Shape {
-                name: name.clone(),
-                expected: own.size(),
-                found: value.size(),
-            })
+            Err(Error::Shape { name: name.clone(), expected: own.size(), found: value.size() })
         }
     };
     own.iter().map(pair).collect()
@@ -178,11 +160,7 @@ impl Path<'_> {
     /// The place `part` below this one; names are joined by dots.
     pub fn sub(&mut self, part: impl Display) -> Path<'_> {
         let prefix = self.join(part);
-        Path {
-            params: self.params,
-            rng: self.rng,
-            prefix,
-        }
+        Path { params: self.params, rng: self.rng, prefix }
     }
 
     /// Creates a parameter and registers it under `name` at this place.
@@ -205,28 +183,15 @@ impl Path<'_> {
 
     fn register(&mut self, name: &str, shape: &[i64], values: &[f32]) -> Tensor {
         let name = self.join(name);
-        assert!(
-            self.params.flat.is_none(),
-            "parameter `{name}` is created after the optimiser"
-        );
-        assert!(
-            self.params.named.iter().all(|(other, _)| *other != name),
-            "parameter `{name}` exists twice"
-        );
-        let tensor = Tensor::from_slice(values)
-            .view(shape)
-            .to_device(self.params.device)
-            .set_requires_grad(true);
+        assert!(self.params.flat.is_none(), "parameter `{name}` is created after the optimiser");
+        assert!(self.params.named.iter().all(|(other, _)| *other != name), "parameter `{name}` exists twice");
+        let tensor = Tensor::from_slice(values).view(shape).to_device(self.params.device).set_requires_grad(true);
         self.params.named.push((name, tensor.shallow_clone()));
         tensor
     }
 
     fn join(&self, part: impl Display) -> String {
-        if self.prefix.is_empty() {
-            part.to_string()
-        } else {
-            format!("{}.{part}", self.prefix)
-        }
+        if self.prefix.is_empty() { part.to_string() } else { format!("{}.{part}", self.prefix) }
     }
 }
 
@@ -246,11 +211,7 @@ mod tests {
     }
 
     fn values(params: &Params) -> Vec<Vec<f32>> {
-        params
-            .named()
-            .iter()
-            .map(|(_, t)| Vec::try_from(t.detach().reshape([-1])).unwrap())
-            .collect()
+        params.named().iter().map(|(_, t)| Vec::try_from(t.detach().reshape([-1])).unwrap()).collect()
     }
 
     #[test]
@@ -269,12 +230,7 @@ mod tests {
         let before = mlp.forward(&x);
         let mut flat = params.flatten();
         assert!(before.equal(&mlp.forward(&x)));
-        let gradient = Tensor::run_backward(
-            &[mlp.forward(&x).sum(Kind::Float)],
-            &[&params.named()[2].1],
-            false,
-            false,
-        );
+        let gradient = Tensor::run_backward(&[mlp.forward(&x).sum(Kind::Float)], &[&params.named()[2].1], false, false);
         assert_eq!(gradient[0].size(), [8, 5]);
         let _ = tch::no_grad(|| flat.zero_());
         assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0);
@@ -300,25 +256,14 @@ mod tests {
         let (params, _) = network(1);
         let before = values(&params);
         let given = |change: Change| {
-            let mut list: Vec<_> = network(2)
-                .0
-                .named()
-                .iter()
-                .map(|(n, t)| (n.clone(), t.shallow_clone()))
-                .collect();
+            let mut list: Vec<_> = network(2).0.named().iter().map(|(n, t)| (n.clone(), t.shallow_clone())).collect();
             change(&mut list);
             params.copy_from(&list).unwrap_err()
         };
         let missing = given(|l| drop(l.pop()));
-        assert!(
-            matches!(missing, Error::Missing { ref name } if name == "actor.layers.1.norm.bias"),
-            "{missing}"
-        );
+        assert!(matches!(missing, Error::Missing { ref name } if name == "actor.layers.1.norm.bias"), "{missing}");
         let extra = given(|l| l.push(("x".into(), Tensor::zeros([1], (Kind::Float, Device::Cpu)))));
-        assert!(
-            matches!(extra, Error::Unexpected { ref name } if name == "x"),
-            "{extra}"
-        );
+        assert!(matches!(extra, Error::Unexpected { ref name } if name == "x"), "{extra}");
         let shape = given(|l| l[2].1 = Tensor::zeros([8, 6], (Kind::Float, Device::Cpu)));
         assert_eq!(
             shape.to_string(),

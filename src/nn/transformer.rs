@@ -102,8 +102,7 @@ impl GraphTransformer {
             };
             x = block.forward(&x, mask);
         }
-        self.out
-            .forward(&self.head_norm.forward(&self.head.forward(&x).gelu("none")))
+        self.out.forward(&self.head_norm.forward(&self.head.forward(&x).gelu("none")))
     }
 }
 
@@ -113,9 +112,7 @@ impl GraphTransformer {
 /// logits equals `softmax(masked logits) * G`, renormalised over each row, in value and in the gradient of `G`:
 /// `∂out_i/∂G_ij = att_ij (v_j - out_i)`.
 fn hard_bias(graph: &Tensor) -> Tensor {
-    (graph - 1.0)
-        .masked_fill(&graph.le(0.5), f64::NEG_INFINITY)
-        .unsqueeze(1)
+    (graph - 1.0).masked_fill(&graph.le(0.5), f64::NEG_INFINITY).unsqueeze(1)
 }
 
 #[cfg(test)]
@@ -150,9 +147,7 @@ mod tests {
 
     fn perturbed(f: &Tensor, agent: i64) -> Tensor {
         let other = f.copy();
-        other
-            .select(1, agent)
-            .copy_(&(uniform(&[f.size()[0], f.size()[2]], 99) * 50.0));
+        other.select(1, agent).copy_(&(uniform(&[f.size()[0], f.size()[2]], 99) * 50.0));
         other
     }
 
@@ -171,21 +166,12 @@ mod tests {
 
     #[test]
     fn a_cut_sender_changes_nothing_bit_for_bit() {
-        let (network, f) = (
-            transformer(MaskMode::Hard),
-            uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true),
-        );
+        let (network, f) = (transformer(MaskMode::Hard), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
         let graph = silenced(2);
         let out = network.forward(&f, &graph);
         let out_perturbed = network.forward(&perturbed(&f.detach(), 2), &graph);
-        assert!(
-            others(&out, 2).equal(&others(&out_perturbed, 2)),
-            "others hear a cut sender"
-        );
-        assert!(
-            !out.select(1, 2).equal(&out_perturbed.select(1, 2)),
-            "the sender hears itself"
-        );
+        assert!(others(&out, 2).equal(&others(&out_perturbed, 2)), "others hear a cut sender");
+        assert!(!out.select(1, 2).equal(&out_perturbed.select(1, 2)), "the sender hears itself");
         let gradient =
             Tensor::run_backward(&[others(&out, 2).square().sum(Kind::Float)], &[&f], false, false).remove(0);
         assert_eq!(gradient.select(1, 2).abs().max().double_value(&[]), 0.0);
@@ -223,9 +209,6 @@ mod tests {
         inputs.extend(params.named().iter().map(|(_, t)| t.shallow_clone()));
         let gradients = Tensor::run_backward(&[out.square().sum(Kind::Float)], &inputs, false, false);
         assert_eq!(gradients[0].select(1, 4).abs().max().double_value(&[]), 0.0);
-        assert!(
-            gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0),
-            "the scheduler is trained"
-        );
+        assert!(gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0), "the scheduler is trained");
     }
 }

@@ -19,12 +19,7 @@ pub struct ValueNorm {
 impl ValueNorm {
     /// Nothing seen yet: mean 0, standard deviation 0.1. With every batch the old statistics are weighted by `decay`.
     pub fn new(decay: f64) -> Self {
-        ValueNorm {
-            decay,
-            mean: 0.0,
-            mean_square: 0.0,
-            weight: 0.0,
-        }
+        ValueNorm { decay, mean: 0.0, mean_square: 0.0, weight: 0.0 }
     }
 
     /// Takes in a batch of returns of any shape, those of active agents only; an empty one leaves the state as it is.
@@ -67,12 +62,7 @@ impl ValueNorm {
 
     /// Takes over what [`ValueNorm::state`] gave.
     pub fn load_state(&mut self, [mean, mean_square, weight]: [f64; 3]) {
-        *self = ValueNorm {
-            decay: self.decay,
-            mean,
-            mean_square,
-            weight,
-        };
+        *self = ValueNorm { decay: self.decay, mean, mean_square, weight };
     }
 }
 

@@ -25,9 +25,7 @@ pub(super) fn runs<T>(items: impl Iterator<Item = Option<T>>) -> Vec<Vec<T>> {
 pub(super) fn enclosing(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
     let (low, high) = values
         .filter(|v| usable(*v))
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            (low.min(v), high.max(v))
-        });
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
         return 0.0..1.0;
     }
@@ -36,11 +34,7 @@ pub(super) fn enclosing(values: impl Iterator<Item = f64>, margin: f64) -> Range
         let half = if low == 0.0 { 1.0 } else { low.abs() * 0.1 };
         return low - half..high + half;
     }
-    let from = if low >= 0.0 && low < 0.3 * high {
-        0.0
-    } else {
-        low - margin * span
-    };
+    let from = if low >= 0.0 && low < 0.3 * high { 0.0 } else { low - margin * span };
     from..high + margin * span
 }
 
@@ -58,11 +52,7 @@ impl Axis {
     pub(super) fn new(range: Range<f64>, count: u32) -> Self {
         let rough = (range.end - range.start) / f64::from(count);
         let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0]
-            .map(|m| m * power)
-            .into_iter()
-            .find(|s| *s >= rough * 0.99)
-            .unwrap_or(rough);
+        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough * 0.99).unwrap_or(rough);
         let first = (range.start / step - 1e-6).ceil();
         let last = (range.end / step + 1e-6).floor();
         let ticks =
@@ -73,12 +63,7 @@ impl Axis {
             v if v >= 1e4 => (1e3, "k"),
             _ => (1.0, ""),
         };
-        Self {
-            ticks: ticks.collect(),
-            range,
-            step,
-            unit,
-        }
+        Self { ticks: ticks.collect(), range, step, unit }
     }
 
     pub(super) fn label(&self, value: f64) -> String {
@@ -136,10 +121,7 @@ mod tests {
 
     #[test]
     fn missing_points_interrupt_the_line() {
-        assert_eq!(
-            runs([None, Some(1), Some(2), None, None, Some(3), None].into_iter()),
-            [vec![1, 2], vec![3]]
-        );
+        assert_eq!(runs([None, Some(1), Some(2), None, None, Some(3), None].into_iter()), [vec![1, 2], vec![3]]);
         assert!(runs([None::<i32>, None].into_iter()).is_empty());
     }
 }

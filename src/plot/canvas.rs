@@ -19,11 +19,7 @@ pub(super) type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<<BitMapBackend<'s
 pub(super) fn provide_font() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
     static REGISTERED: OnceLock<bool> = OnceLock::new();
     let register = || register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok();
-    if *REGISTERED.get_or_init(register) {
-        Ok(())
-    } else {
-        Err("the built-in font is damaged".into())
-    }
+    if *REGISTERED.get_or_init(register) { Ok(()) } else { Err("the built-in font is damaged".into()) }
 }
 
 /// Averages blocks of `FINE` x `FINE` pixels (three bytes each) into one; `width` is the resulting width.
@@ -85,9 +81,7 @@ pub(super) fn write(
 
 /// Width of a text in drawn pixels.
 pub(super) fn text_width(canvas: &Canvas, text: &str, height: i32) -> i32 {
-    canvas
-        .estimate_text_size(text, &(FONT, px(height)).into_text_style(canvas))
-        .map_or(0, |(width, _)| width as i32)
+    canvas.estimate_text_size(text, &(FONT, px(height)).into_text_style(canvas)).map_or(0, |(width, _)| width as i32)
 }
 
 /// Draws a line of a width in drawn pixels.

@@ -113,27 +113,17 @@ pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> R
     let (width, height) = size;
     let least_width = u32::try_from(panels.len().max(1)).map_or(u32::MAX, |n| n.saturating_mul(MIN_PANEL));
     if width < least_width || height < MIN_PANEL || width > MAX_SIDE || height > MAX_SIDE {
-        return Err(Error::Size {
-            panels: panels.len(),
-            width,
-            height,
-        });
+        return Err(Error::Size { panels: panels.len(), width, height });
     }
     provide_font().map_err(Error::Draw)?;
     let fine_size = (width * FINE, height * FINE);
     let mut fine = vec![u8::MAX; fine_size.0 as usize * fine_size.1 as usize * 3];
-    draw(
-        &BitMapBackend::with_buffer(&mut fine, fine_size).into_drawing_area(),
-        title,
-        panels,
-    )
-    .map_err(|e| Error::Draw(e.into()))?;
+    draw(&BitMapBackend::with_buffer(&mut fine, fine_size).into_drawing_area(), title, panels)
+        .map_err(|e| Error::Draw(e.into()))?;
 
     let file = record::temporary_beside(path, ".png")?;
     let mut picture = BitMapBackend::new(file.path(), size);
-    picture
-        .blit_bitmap((0, 0), size, &averaged(&fine, width as usize))
-        .map_err(|e| Error::Draw(e.into()))?;
+    picture.blit_bitmap((0, 0), size, &averaged(&fine, width as usize)).map_err(|e| Error::Draw(e.into()))?;
     picture.present().map_err(|e| Error::Draw(e.into()))?;
     drop(picture);
     Ok(record::replace(file, path)?)
@@ -143,14 +133,7 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     let width = canvas.dim_in_pixel().0 as i32;
     let mut top = px(12);
     if !title.is_empty() {
-        write(
-            canvas,
-            title,
-            TITLE,
-            INK,
-            Place::Centred,
-            (width / 2, top + px(TITLE) / 2),
-        )?;
+        write(canvas, title, TITLE, INK, Place::Centred, (width / 2, top + px(TITLE) / 2))?;
         top += px(TITLE + 10);
     }
     let mut labels: Vec<&str> = Vec::new();
@@ -162,12 +145,7 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     let bottom = draw_legend(canvas, panels, &labels)?;
     let count = panels.len().max(1) as i32;
     for (number, panel) in (0..count).zip(panels) {
-        let area = Area {
-            left: width * number / count,
-            right: width * (number + 1) / count,
-            top,
-            bottom,
-        };
+        let area = Area { left: width * number / count, right: width * (number + 1) / count, top, bottom };
         draw_panel(canvas, area, panel, &labels)?;
     }
     canvas.present()
@@ -186,16 +164,9 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
     let (width, height) = (width as i32, height as i32);
     let mut rows: Vec<(i32, Vec<Entry>)> = Vec::new();
     for (index, &label) in labels.iter().enumerate().filter(|(_, label)| !label.is_empty()) {
-        let mut same_label = panels
-            .iter()
-            .flat_map(|panel| &panel.series)
-            .filter(|series| series.label == label);
+        let mut same_label = panels.iter().flat_map(|panel| &panel.series).filter(|series| series.label == label);
         let empty = !same_label.any(|series| series.points.iter().any(|&(x, y)| usable(x) && usable(y)));
-        let text = if empty {
-            format!("{label} (no data)")
-        } else {
-            label.to_owned()
-        };
+        let text = if empty { format!("{label} (no data)") } else { label.to_owned() };
         let entry = SWATCH + GAP + text_width(canvas, &text, TEXT);
         match rows.last_mut() {
             Some((used, row)) if *used + BETWEEN + entry <= width - px(20) => {
@@ -211,13 +182,7 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
         let mut x = (width - used) / 2;
         let middle = y + ROW / 2;
         for (index, text, entry) in row {
-            line(
-                canvas,
-                (x, middle),
-                (x + SWATCH, middle),
-                px(3),
-                PALETTE[index % PALETTE.len()],
-            )?;
+            line(canvas, (x, middle), (x + SWATCH, middle), px(3), PALETTE[index % PALETTE.len()])?;
             write(canvas, text, TEXT, INK, Place::RightOf, (x + SWATCH + GAP, middle))?;
             x += entry + BETWEEN;
         }
@@ -251,28 +216,14 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
     let left = (area.left + px(TEXT + 34) + tick_width).min(area.left + (area.right - area.left) / 2);
     let plot = Area {
         left,
-        right: (area.right - reference_width - px(14))
-            .min(area.right - px(28))
-            .max(left + px(60)),
+        right: (area.right - reference_width - px(14)).min(area.right - px(28)).max(left + px(60)),
         top: area.top + heading + px(4),
         bottom: (area.bottom - px(TICK + TEXT + 32)).max(area.top + heading + px(64)),
     };
-    let at = |x: f64, y: f64| {
-        (
-            x_axis.place(x, plot.left, plot.right),
-            y_axis.place(y, plot.bottom, plot.top),
-        )
-    };
+    let at = |x: f64, y: f64| (x_axis.place(x, plot.left, plot.right), y_axis.place(y, plot.bottom, plot.top));
 
     let middle = i32::midpoint(plot.left, plot.right);
-    write(
-        canvas,
-        &panel.title,
-        HEADING,
-        INK,
-        Place::Centred,
-        (middle, area.top + px(HEADING) / 2),
-    )?;
+    write(canvas, &panel.title, HEADING, INK, Place::Centred, (middle, area.top + px(HEADING) / 2))?;
     for (y, label) in y_axis.ticks.iter().map(|y| at(0.0, *y).1).zip(&tick_labels) {
         line(canvas, (plot.left, y), (plot.right, y), px(1), GRID)?;
         line(canvas, (plot.left - px(5), y), (plot.left, y), px(1), INK)?;
@@ -287,10 +238,7 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
         for run in runs(usable_band) {
             let upper = run.iter().map(|&(x, _, high)| at(x, high));
             let lower = run.iter().rev().map(|&(x, low, _)| at(x, low));
-            canvas.draw(&Polygon::new(
-                upper.chain(lower).collect::<Vec<_>>(),
-                color(&series.label).mix(0.2),
-            ))?;
+            canvas.draw(&Polygon::new(upper.chain(lower).collect::<Vec<_>>(), color(&series.label).mix(0.2)))?;
         }
     }
     for &(y, _) in &references {
@@ -302,10 +250,7 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
     let mut empty = true;
     for series in &panel.series {
         let color = color(&series.label);
-        let points = series
-            .points
-            .iter()
-            .map(|&(x, y)| (usable(x) && usable(y)).then(|| at(x, y)));
+        let points = series.points.iter().map(|&(x, y)| (usable(x) && usable(y)).then(|| at(x, y)));
         for run in runs(points) {
             empty = false;
             let dotted = series.points.len() <= DOTS_UP_TO || run.len() == 1;
@@ -329,24 +274,13 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
     for &tick in &x_axis.ticks {
         let x = at(tick, 0.0).0;
         line(canvas, (x, plot.bottom), (x, plot.bottom + px(5)), px(1), INK)?;
-        write(
-            canvas,
-            &x_axis.label(tick),
-            TICK,
-            INK,
-            Place::Centred,
-            (x, plot.bottom + px(9 + TICK / 2)),
-        )?;
+        write(canvas, &x_axis.label(tick), TICK, INK, Place::Centred, (x, plot.bottom + px(9 + TICK / 2)))?;
     }
     let below_ticks = plot.bottom + px(TICK + 14 + TEXT / 2);
     write(canvas, &panel.x_label, TEXT, INK, Place::Centred, (middle, below_ticks))?;
     let beside = (area.left + px(12 + TEXT / 2), i32::midpoint(plot.top, plot.bottom));
     write(canvas, &panel.y_label, TEXT, INK, Place::Upwards, beside)?;
-    draw_reference_labels(
-        canvas,
-        plot,
-        references.into_iter().map(|(y, lines)| (at(0.0, y).1, lines)).collect(),
-    )
+    draw_reference_labels(canvas, plot, references.into_iter().map(|(y, lines)| (at(0.0, y).1, lines)).collect())
 }
 
 /// Width of a curve, drawn pixels.
@@ -376,13 +310,7 @@ fn draw_reference_labels(canvas: &Canvas, plot: Area, mut marks: Vec<(i32, Vec<S
     }
     for (top, (y, lines)) in tops.into_iter().zip(&marks) {
         let middle = top + LINE * lines.len() as i32 / 2;
-        line(
-            canvas,
-            (plot.right + px(2), *y),
-            (plot.right + px(LEADER), middle),
-            px(1),
-            REFERENCE,
-        )?;
+        line(canvas, (plot.right + px(2), *y), (plot.right + px(LEADER), middle), px(1), REFERENCE)?;
         for (number, text) in (0..).zip(lines) {
             let at = (plot.right + px(LEADER + 4), top + LINE * number + LINE / 2);
             write(canvas, text, TICK, REFERENCE, Place::RightOf, at)?;
@@ -408,17 +336,9 @@ fn wrapped(canvas: &Canvas, label: &str, width: i32) -> Vec<String> {
 }
 
 fn x_range(panel: &Panel) -> Range<f64> {
-    let points = panel
-        .series
-        .iter()
-        .flat_map(|s| s.points.iter().filter(|p| usable(p.1)).map(|p| p.0));
-    let bands = panel.series.iter().flat_map(|s| {
-        s.band
-            .iter()
-            .flatten()
-            .filter(|b| usable(b.1) && usable(b.2))
-            .map(|b| b.0)
-    });
+    let points = panel.series.iter().flat_map(|s| s.points.iter().filter(|p| usable(p.1)).map(|p| p.0));
+    let bands =
+        panel.series.iter().flat_map(|s| s.band.iter().flatten().filter(|b| usable(b.1) && usable(b.2)).map(|b| b.0));
     enclosing(points.chain(bands), 0.0)
 }
 
@@ -431,10 +351,7 @@ fn y_range(panel: &Panel) -> Range<f64> {
         return low..high;
     }
     let points = panel.series.iter().flat_map(|s| s.points.iter().map(|p| p.1));
-    let bands = panel
-        .series
-        .iter()
-        .flat_map(|s| s.band.iter().flatten().flat_map(|b| [b.1, b.2]));
+    let bands = panel.series.iter().flat_map(|s| s.band.iter().flatten().flat_map(|b| [b.1, b.2]));
     enclosing(points.chain(bands).chain(panel.references.iter().map(|r| r.1)), 0.05)
 }
 
@@ -450,11 +367,7 @@ mod tests {
             x_label: "steps".into(),
             y_label: "reward".into(),
             y_range: None,
-            series: vec![Series {
-                label: "a".into(),
-                points,
-                band,
-            }],
+            series: vec![Series { label: "a".into(), points, band }],
             references: vec![("full throttle".into(), 0.5)],
         }
     }
@@ -466,11 +379,7 @@ mod tests {
         figure(&path, "title", panels, size).unwrap();
         let png = fs::read(&path).unwrap();
         assert!(png.starts_with(b"\x89PNG\r\n\x1a\n"));
-        assert_eq!(
-            fs::read_dir(folder.path()).unwrap().count(),
-            1,
-            "no temporary file is left"
-        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
         let number = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
         (number(16), number(20), png.len())
     }
@@ -487,20 +396,13 @@ mod tests {
     #[test]
     fn hostile_numbers_do_not_panic() {
         let (nan, inf) = (f64::NAN, f64::INFINITY);
-        let mut outside = panel(
-            vec![(0.0, -1e29), (1.0, 1e29)],
-            Some(vec![(0.0, -1e29, 1e29), (1.0, 0.0, inf)]),
-        );
+        let mut outside = panel(vec![(0.0, -1e29), (1.0, 1e29)], Some(vec![(0.0, -1e29, 1e29), (1.0, 0.0, inf)]));
         outside.y_range = Some((0.0, 1.0));
         let mut reversed = panel(vec![(0.0, 1.0), (1.0, 2.0)], None);
         reversed.y_range = Some((1.0, 0.0));
         let mut nothing = panel(vec![], None);
         nothing.series.clear();
-        nothing.references = vec![
-            (String::new(), nan),
-            (String::new(), inf),
-            ("much longer ".repeat(9), 0.0),
-        ];
+        nothing.references = vec![(String::new(), nan), (String::new(), inf), ("much longer ".repeat(9), 0.0)];
         let panels = [
             panel(vec![], None),
             panel(vec![(nan, 1.0), (1.0, nan), (inf, -inf)], Some(vec![(nan, nan, nan)])),
@@ -509,10 +411,7 @@ mod tests {
             panel(vec![(1.0, -f64::MAX), (2.0, f64::MAX)], None),
             panel(vec![(1.0, 1e-300), (2.0, 2e-300)], None),
             panel(vec![(1e15, 1.0), (1e15 + 1.0, 1.0 + 1e-15)], None),
-            panel(
-                vec![(3.0, 1.0), (1.0, 2.0), (2.0, nan)],
-                Some(vec![(3.0, 2.0, 1.0), (1.0, 1.0, 1.0)]),
-            ),
+            panel(vec![(3.0, 1.0), (1.0, 2.0), (2.0, nan)], Some(vec![(3.0, 2.0, 1.0), (1.0, 1.0, 1.0)])),
             outside,
             reversed,
             nothing,
@@ -529,10 +428,7 @@ mod tests {
         let path = folder.path().join("curve.png");
         let two = [panel(vec![], None), panel(vec![], None)];
         for size in [(0, 0), (500, 400), (600, 100), (u32::MAX, 400)] {
-            assert!(
-                matches!(figure(&path, "", &two, size), Err(Error::Size { panels: 2, .. })),
-                "{size:?}"
-            );
+            assert!(matches!(figure(&path, "", &two, size), Err(Error::Size { panels: 2, .. })), "{size:?}");
         }
         assert!(!path.exists());
     }

@@ -48,10 +48,7 @@ impl JsonLines {
 
     fn open(path: &Path, keep: Option<u64>) -> Result<Self, Error> {
         let appender = Appender::open(path, OpenOptions::new().create(true), keep)?;
-        Ok(Self {
-            appender,
-            line: Vec::new(),
-        })
+        Ok(Self { appender, line: Vec::new() })
     }
 
     /// Removes every line whose number `step` is greater than `step`, so that a run resumed from a checkpoint made at
@@ -65,17 +62,9 @@ impl JsonLines {
         let text = fs::read(&path).map_err(Error::io("read", &path))?;
         let mut kept = Vec::with_capacity(text.len());
         for (index, line) in text.split_inclusive(|&b| b == b'\n').enumerate() {
-            let object: serde_json::Map<String, serde_json::Value> =
-                serde_json::from_slice(line).map_err(|source| Error::Line {
-                    path: path.clone(),
-                    line: index + 1,
-                    source,
-                })?;
-            if object
-                .get("step")
-                .and_then(serde_json::Value::as_f64)
-                .is_none_or(|s| s <= step as f64)
-            {
+            let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(line)
+                .map_err(|source| Error::Line { path: path.clone(), line: index + 1, source })?;
+            if object.get("step").and_then(serde_json::Value::as_f64).is_none_or(|s| s <= step as f64) {
                 kept.extend_from_slice(line);
             }
         }
@@ -93,10 +82,8 @@ impl JsonLines {
     /// line before.
     pub fn append(&mut self, value: &impl Serialize) -> Result<(), Error> {
         self.line.clear();
-        serde_json::to_writer(&mut self.line, value).map_err(|source| Error::Encode {
-            path: self.appender.path.clone(),
-            source,
-        })?;
+        serde_json::to_writer(&mut self.line, value)
+            .map_err(|source| Error::Encode { path: self.appender.path.clone(), source })?;
         self.line.push(b'\n');
         self.appender.append(&self.line)
     }
@@ -184,16 +171,9 @@ mod tests {
         let full = b"{\"step\":1,\"loss\":0.5}\n{\"step\":2,\"loss\":0.5}\n";
         for cut in 0..=full.len() {
             fs::write(&path, &full[..cut]).unwrap();
-            let complete = [1, 2]
-                .into_iter()
-                .filter(|&n| cut + 1 >= n * full.len() / 2)
-                .map(|n| n as u64);
+            let complete = [1, 2].into_iter().filter(|&n| cut + 1 >= n * full.len() / 2).map(|n| n as u64);
             let expected: Vec<u64> = complete.chain([9]).collect();
-            assert_eq!(
-                steps(&path),
-                expected[..expected.len() - 1],
-                "reading, cut at byte {cut}"
-            );
+            assert_eq!(steps(&path), expected[..expected.len() - 1], "reading, cut at byte {cut}");
             JsonLines::resume(&path).unwrap().append(&row(9)).unwrap();
             assert_eq!(steps(&path), expected, "resuming, cut at byte {cut}");
         }
@@ -215,9 +195,7 @@ mod tests {
         lines.append(&serde_json::json!({"note": "no step"})).unwrap();
         for step in [100, 200, 300] {
             lines.append(&row(step)).unwrap();
-            lines
-                .append(&serde_json::json!({"step": step, "loss": 1.0, "eval": true}))
-                .unwrap();
+            lines.append(&serde_json::json!({"step": step, "loss": 1.0, "eval": true})).unwrap();
         }
         lines.truncate_after(200).unwrap();
         lines.append(&row(250)).unwrap();
@@ -236,10 +214,7 @@ mod tests {
         fs::write(&path, damaged).unwrap();
         let error = JsonLines::resume(&path).unwrap().truncate_after(1).unwrap_err();
         assert!(matches!(error, Error::Line { line: 2, .. }), "{error}");
-        assert!(matches!(
-            read_json_lines::<Row>(&path),
-            Err(Error::Line { line: 2, .. })
-        ));
+        assert!(matches!(read_json_lines::<Row>(&path), Err(Error::Line { line: 2, .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), damaged);
     }
 

@@ -55,11 +55,7 @@ pub enum Error {
 impl Error {
     /// Wraps a system error; for `map_err`.
     fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
-        move |source| Self::Io {
-            action,
-            path: path.to_owned(),
-            source,
-        }
+        move |source| Self::Io { action, path: path.to_owned(), source }
     }
 }
 
@@ -90,11 +86,7 @@ pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFil
 /// Forces `file` to disk and gives it the name `path`, replacing what was there in one step.
 pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
     file.as_file().sync_all().map_err(Error::io("write", path))?;
-    file.persist(path).map_err(|e| Error::Io {
-        action: "replace",
-        path: path.to_owned(),
-        source: e.error,
-    })?;
+    file.persist(path).map_err(|e| Error::Io { action: "replace", path: path.to_owned(), source: e.error })?;
     // The rename itself survives a power cut only once the folder is on disk; not every file system can do that.
     if let Ok(folder) = File::open(folder_of(path)) {
         let _ = folder.sync_all();
@@ -104,9 +96,7 @@ pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
 
 /// The folder a file lies in; `.` for a bare file name.
 fn folder_of(path: &Path) -> &Path {
-    path.parent()
-        .filter(|p| !p.as_os_str().is_empty())
-        .unwrap_or(Path::new("."))
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// A file that grows by whole records: one write each, undone if it fails half-way.
@@ -126,11 +116,7 @@ impl Appender {
             Some(len) => file.set_len(len).map(|()| len),
             None => file.metadata().map(|m| m.len()),
         };
-        Ok(Self {
-            len: len.map_err(Error::io("open", path))?,
-            file,
-            path: path.to_owned(),
-        })
+        Ok(Self { len: len.map_err(Error::io("open", path))?, file, path: path.to_owned() })
     }
 
     /// Appends one record and hands it to the operating system, so that killing this process cannot lose it.
@@ -139,11 +125,7 @@ impl Appender {
             // Cut off what was written, or the next record would continue a broken one. Should this fail as well, the
             // error to report is the first.
             let _ = self.file.set_len(self.len);
-            return Err(Error::Io {
-                action: "append to",
-                path: self.path.clone(),
-                source,
-            });
+            return Err(Error::Io { action: "append to", path: self.path.clone(), source });
         }
         self.len += record.len() as u64;
         Ok(())
@@ -162,10 +144,7 @@ mod tests {
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {
-        fs::read_dir(folder)
-            .unwrap()
-            .map(|e| e.unwrap().file_name().into_string().unwrap())
-            .collect()
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
     }
 
     #[test]
@@ -199,10 +178,7 @@ mod tests {
     fn a_missing_folder_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("no/such/file");
-        for error in [
-            write_atomic(&path, b"x").unwrap_err(),
-            JsonLines::create(&path).unwrap_err(),
-        ] {
+        for error in [write_atomic(&path, b"x").unwrap_err(), JsonLines::create(&path).unwrap_err()] {
             assert!(error.to_string().contains("no/such/file"), "{error}");
             assert!(matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound));
         }

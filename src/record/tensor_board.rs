@@ -31,11 +31,7 @@ impl TensorBoard {
         let mut now = now();
         // TensorBoard knows event files by the part `tfevents` and reads them in the order of their names.
         let appender = loop {
-            let path = folder.join(format!(
-                "events.out.tfevents.{:010}.{:09}.iwol",
-                now.as_secs(),
-                now.subsec_nanos()
-            ));
+            let path = folder.join(format!("events.out.tfevents.{:010}.{:09}.iwol", now.as_secs(), now.subsec_nanos()));
             match Appender::open(&path, OpenOptions::new().create_new(true), None) {
                 Err(Error::Io { source, .. }) if source.kind() == io::ErrorKind::AlreadyExists => {
                     now += Duration::from_nanos(1);
@@ -144,9 +140,7 @@ fn masked_crc(bytes: &[u8]) -> u32 {
 
 /// CRC-32C (Castagnoli), bits reflected.
 fn crc32c(bytes: &[u8]) -> u32 {
-    !bytes
-        .iter()
-        .fold(!0, |crc, &byte| CRC_TABLE[usize::from(crc as u8 ^ byte)] ^ (crc >> 8))
+    !bytes.iter().fold(!0, |crc, &byte| CRC_TABLE[usize::from(crc as u8 ^ byte)] ^ (crc >> 8))
 }
 
 /// Remainder of each byte value.
@@ -190,11 +184,7 @@ mod tests {
         let bytes = fs::read(path).unwrap();
         let mut rest = &bytes[..];
         let mut found = Vec::new();
-        let unmask = |b: &[u8]| {
-            u32::from_le_bytes(b.try_into().unwrap())
-                .wrapping_sub(0xa282_ead8)
-                .rotate_left(15)
-        };
+        let unmask = |b: &[u8]| u32::from_le_bytes(b.try_into().unwrap()).wrapping_sub(0xa282_ead8).rotate_left(15);
         while !rest.is_empty() {
             assert_eq!(unmask(&rest[8..12]), slow_crc(&rest[..8]));
             let length = u64::from_le_bytes(rest[..8].try_into().unwrap()) as usize;
@@ -259,13 +249,8 @@ mod tests {
         for resumed_after in [None, Some(5), Some(7)] {
             TensorBoard::create(folder.path(), resumed_after).unwrap();
         }
-        let starts: Vec<Vec<u8>> = event_files(folder.path())
-            .iter()
-            .map(|p| records(p).get(1).map_or(vec![], |r| r[9..].to_vec()))
-            .collect();
-        assert_eq!(
-            starts,
-            [&b""[..], b"\x10\x06\x3a\x02\x08\x01", b"\x10\x08\x3a\x02\x08\x01"]
-        );
+        let starts: Vec<Vec<u8>> =
+            event_files(folder.path()).iter().map(|p| records(p).get(1).map_or(vec![], |r| r[9..].to_vec())).collect();
+        assert_eq!(starts, [&b""[..], b"\x10\x06\x3a\x02\x08\x01", b"\x10\x08\x3a\x02\x08\x01"]);
     }
 }

@@ -11,12 +11,7 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> Res
     for (net, at) in scenario.nets.iter().zip(&places.nets) {
         let map = net::Net::load(&net.file).map_err(|source| {
             let (line, column) = reader.position(at.file);
-            Error::Net {
-                path: scenario.path.clone(),
-                line,
-                column,
-                source: Box::new(source),
-            }
+            Error::Net { path: scenario.path.clone(), line, column, source: Box::new(source) }
         })?;
         let paths = routes(scenario, &map, places, reader)?;
         spawns(scenario, net, &map, &paths, &at.spawns, reader)?;
@@ -97,9 +92,7 @@ fn spawns(
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let needed = 2.0 * half;
-    let close = taken
-        .windows(2)
-        .find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed - SLACK);
+    let close = taken.windows(2).find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed - SLACK);
     let Some([(lane, first, a), (_, second, b)]) = close else {
         return Ok(());
     };

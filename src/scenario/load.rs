@@ -46,24 +46,15 @@ impl Scenario {
     /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
     /// not go with its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let read = |source| Error::Read {
-            path: path.into(),
-            source,
-        };
+        let read = |source| Error::Read { path: path.into(), source };
         let mut text = String::new();
         let file = File::open(path).map_err(read)?;
         let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
         if bytes as u64 > MAX_BYTES {
-            return Err(Error::TooLarge {
-                path: path.into(),
-                limit: MAX_BYTES,
-            });
+            return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
         let document = document(&text, path)?;
-        let reader = Reader {
-            path,
-            document: &document,
-        };
+        let reader = Reader { path, document: &document };
         let (scenario, places) = reader.scenario()?;
         check::nets(&scenario, &places, &reader)?;
         Ok(scenario)
@@ -75,18 +66,10 @@ impl Scenario {
     /// As [`Scenario::load`], less the nets.
     pub fn parse(text: &str, path: &Path) -> Result<Self, Error> {
         if text.len() as u64 > MAX_BYTES {
-            return Err(Error::TooLarge {
-                path: path.into(),
-                limit: MAX_BYTES,
-            });
+            return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
         let document = document(text, path)?;
-        Reader {
-            path,
-            document: &document,
-        }
-        .scenario()
-        .map(|(scenario, _)| scenario)
+        Reader { path, document: &document }.scenario().map(|(scenario, _)| scenario)
     }
 
     /// The smallest net with a place for each of `agents` agents.
@@ -95,20 +78,13 @@ impl Scenario {
     /// [`Error::Agents`] if the scenario does not take this number.
     pub fn net_for(&self, agents: u32) -> Result<&Net, Error> {
         let AgentRange { min, max, .. } = self.agents;
-        let refuse = |max| Error::Agents {
-            path: self.path.clone(),
-            agents,
-            min,
-            max,
-        };
+        let refuse = |max| Error::Agents { path: self.path.clone(), agents, min, max };
         if !(min..=max).contains(&agents) {
             return Err(refuse(max));
         }
         let largest = self.nets.iter().map(Net::capacity).max().unwrap_or(0);
         let large_enough = self.nets.iter().filter(|net| net.capacity() >= agents);
-        large_enough
-            .min_by_key(|net| net.capacity())
-            .ok_or_else(|| refuse(largest))
+        large_enough.min_by_key(|net| net.capacity()).ok_or_else(|| refuse(largest))
     }
 }
 
@@ -139,13 +115,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     fn scenario(&self) -> Result<(Scenario, Places), Error> {
         let root = self.document.root_element();
         if !root.has_tag_name("scenario") {
-            return Err(self.unknown(
-                root,
-                "element",
-                root.tag_name().name(),
-                "the file".into(),
-                &["scenario"],
-            ));
+            return Err(self.unknown(root, "element", root.tag_name().name(), "the file".into(), &["scenario"]));
         }
         self.expect(root, &["name"], PARTS)?;
         let part = |name| self.child(root, name);
@@ -154,11 +124,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let (nets, net_places) = self.nets(part("nets")?, &routes)?;
         let agents = self.agents(part("agents")?, &nets)?;
         let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
-        let places = Places {
-            routes: route_places,
-            nets: net_places,
-            lateral: Self::offset(jitter, "lateral"),
-        };
+        let places = Places { routes: route_places, nets: net_places, lateral: Self::offset(jitter, "lateral") };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
         let reward = self.leaf(part("reward")?, REWARD)?;
@@ -200,9 +166,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
                 wreck_time: self.not_negative(termination, "wreckTime")?,
             },
-            communication: Communication {
-                range: self.not_negative(communication, "range")?,
-            },
+            communication: Communication { range: self.not_negative(communication, "range")? },
         };
         Ok((scenario, places))
     }
@@ -235,11 +199,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             let allowed = format!("{min} to {largest}, the number of places of the largest net");
             return Err(self.value(node, "max", allowed));
         }
-        Ok(AgentRange {
-            min,
-            max,
-            default: self.whole(node, "default", min, max)?,
-        })
+        Ok(AgentRange { min, max, default: self.whole(node, "default", min, max)? })
     }
 
     fn routes(&self, node: Node<'a, 'input>) -> Result<(Vec<Route>, Vec<RoutePlaces>), Error> {
@@ -252,20 +212,13 @@ impl<'a, 'input> Reader<'a, 'input> {
                 return Err(self.value(route, "id", "a word without spaces, quotes and any of |\\;,<>&"));
             }
             if !ids.insert(id) {
-                return Err(self.duplicate(
-                    Self::offset(route, "id"),
-                    format!("route with the id `{}`", shorten(id)),
-                ));
+                return Err(self.duplicate(Self::offset(route, "id"), format!("route with the id `{}`", shorten(id))));
             }
             let edges: Vec<String> = self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
             if edges.is_empty() {
                 return Err(self.value(route, "edges", "edge ids separated by spaces"));
             }
-            routes.push(Route {
-                id: id.into(),
-                edges,
-                arrival_pos: self.any(route, "arrivalPos")?,
-            });
+            routes.push(Route { id: id.into(), edges, arrival_pos: self.any(route, "arrivalPos")? });
             places.push(RoutePlaces {
                 edges: Self::offset(route, "edges"),
                 arrival_pos: Self::offset(route, "arrivalPos"),
@@ -298,17 +251,8 @@ impl<'a, 'input> Reader<'a, 'input> {
             if spawns.is_empty() {
                 return Err(self.missing(net, "element", "spawn"));
             }
-            let at = NetPlaces {
-                file: Self::offset(net, "file"),
-                spawns: places,
-            };
-            nets.push((
-                Net {
-                    file: folder.join(file),
-                    spawns,
-                },
-                at,
-            ));
+            let at = NetPlaces { file: Self::offset(net, "file"), spawns: places };
+            nets.push((Net { file: folder.join(file), spawns }, at));
         }
         if nets.is_empty() {
             return Err(self.missing(node, "element", "net"));
@@ -330,14 +274,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             let (line, column) = self.position(Self::offset(node, "route"));
             let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
             let value = shorten(id);
-            return Err(Error::Reference {
-                path: self.path.into(),
-                line,
-                column,
-                key: "route",
-                value,
-                nearest,
-            });
+            return Err(Error::Reference { path: self.path.into(), line, column, key: "route", value, nearest });
         };
         let count = self.whole(node, "count", 1, MAX_PLACES)?;
         if count > room {

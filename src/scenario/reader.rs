@@ -26,12 +26,7 @@ pub(super) struct Reader<'a, 'input> {
 pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, Error> {
     Document::parse(text).map_err(|source| {
         let at = source.pos();
-        Error::Parse {
-            path: path.into(),
-            line: at.row,
-            column: at.col,
-            source,
-        }
+        Error::Parse { path: path.into(), line: at.row, column: at.col, source }
     })
 }
 
@@ -43,10 +38,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             if child.is_element() && !children.iter().any(|&name| child.has_tag_name(name)) {
                 return Err(self.unknown(child, "element", child.tag_name().name(), in_element(node), children));
             }
-            let text = child
-                .text()
-                .map(str::trim)
-                .filter(|text| child.is_text() && !text.is_empty());
+            let text = child.text().map(str::trim).filter(|text| child.is_text() && !text.is_empty());
             if let Some(text) = text {
                 return Err(self.unknown(child, "text", text, in_element(node), &[]));
             }
@@ -117,9 +109,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let Some(text) = node.attribute(key) else {
             return Err(self.missing(node, "attribute", key));
         };
-        finite(text)
-            .filter(|&v| valid(v))
-            .ok_or_else(|| self.value(node, key, allowed))
+        finite(text).filter(|&v| valid(v)).ok_or_else(|| self.value(node, key, allowed))
     }
 
     pub(super) fn whole(&self, node: Node, key: &'static str, least: u32, most: u32) -> Result<u32, Error> {
@@ -145,53 +135,24 @@ impl<'a, 'input> Reader<'a, 'input> {
         let (line, column) = self.position(node.range().start);
         let nearest = nearest(key, valid.iter().copied());
         let key = shorten(key);
-        Error::Unknown {
-            path: self.path.into(),
-            line,
-            column,
-            kind,
-            key,
-            parent,
-            nearest,
-            valid,
-        }
+        Error::Unknown { path: self.path.into(), line, column, kind, key, parent, nearest, valid }
     }
 
     pub(super) fn missing(&self, node: Node, kind: &'static str, key: &'static str) -> Error {
         let (line, column) = self.position(node.range().start);
-        Error::Missing {
-            path: self.path.into(),
-            line,
-            column,
-            kind,
-            key,
-            parent: node.tag_name().name().into(),
-        }
+        Error::Missing { path: self.path.into(), line, column, kind, key, parent: node.tag_name().name().into() }
     }
 
     pub(super) fn duplicate(&self, offset: usize, key: String) -> Error {
         let (line, column) = self.position(offset);
-        Error::Duplicate {
-            path: self.path.into(),
-            line,
-            column,
-            key,
-        }
+        Error::Duplicate { path: self.path.into(), line, column, key }
     }
 
     pub(super) fn value(&self, node: Node, key: &'static str, allowed: impl Display) -> Error {
         let (line, column) = self.position(Self::offset(node, key));
         let value = shorten(node.attribute(key).unwrap_or_default());
         let (element, allowed) = (node.tag_name().name().into(), allowed.to_string());
-        Error::Value {
-            path: self.path.into(),
-            line,
-            column,
-            element,
-            key,
-            value,
-            allowed,
-        }
+        Error::Value { path: self.path.into(), line, column, element, key, value, allowed }
     }
 }
 

@@ -24,19 +24,11 @@ impl Scenario {
         writeln!(xml, "<scenario name=\"{}\" {xsi}>", escape(&self.name))?;
         writeln!(xml, "    <description>{}</description>", escape(&self.description))?;
         let a = self.agents;
-        writeln!(
-            xml,
-            "    <agents min=\"{}\" max=\"{}\" default=\"{}\"/>",
-            a.min, a.max, a.default
-        )?;
+        writeln!(xml, "    <agents min=\"{}\" max=\"{}\" default=\"{}\"/>", a.min, a.max, a.default)?;
         writeln!(xml, "    <routes>")?;
         for route in &self.routes {
             let (id, edges) = (escape(&route.id), escape(&route.edges.join(" ")));
-            writeln!(
-                xml,
-                "        <route id=\"{id}\" edges=\"{edges}\" arrivalPos=\"{}\"/>",
-                route.arrival_pos
-            )?;
+            writeln!(xml, "        <route id=\"{id}\" edges=\"{edges}\" arrivalPos=\"{}\"/>", route.arrival_pos)?;
         }
         writeln!(xml, "    </routes>\n    <nets>")?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
@@ -53,17 +45,9 @@ impl Scenario {
         }
         writeln!(xml, "    </nets>")?;
         let v = self.vehicle;
-        writeln!(
-            xml,
-            "    <vehicle length=\"{}\" width=\"{}\" maxSpeed=\"{}\"/>",
-            v.length, v.width, v.max_speed
-        )?;
+        writeln!(xml, "    <vehicle length=\"{}\" width=\"{}\" maxSpeed=\"{}\"/>", v.length, v.width, v.max_speed)?;
         let j = self.jitter;
-        writeln!(
-            xml,
-            "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>",
-            j.longitudinal, j.lateral
-        )?;
+        writeln!(xml, "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>", j.longitudinal, j.lateral)?;
         let c = &self.control;
         let ControlMode::Throttle = c.mode;
         write!(
@@ -74,33 +58,13 @@ impl Scenario {
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
         writeln!(xml, "brake=\"{}\"/>", brake.join(" "))?;
         let o = self.observation;
-        write!(
-            xml,
-            "    <observation detectionRange=\"{}\" neighbours=\"{}\" ",
-            o.detection_range, o.neighbours
-        )?;
-        writeln!(
-            xml,
-            "conflictStreams=\"{}\" streamVehicles=\"{}\"/>",
-            o.conflict_streams, o.stream_vehicles
-        )?;
+        write!(xml, "    <observation detectionRange=\"{}\" neighbours=\"{}\" ", o.detection_range, o.neighbours)?;
+        writeln!(xml, "conflictStreams=\"{}\" streamVehicles=\"{}\"/>", o.conflict_streams, o.stream_vehicles)?;
         let r = self.reward;
-        write!(
-            xml,
-            "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ",
-            r.progress, r.speed, r.arrive
-        )?;
-        writeln!(
-            xml,
-            "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>",
-            r.out_of_road, r.crash, r.cooperation
-        )?;
+        write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
+        writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;
         let t = self.termination;
-        writeln!(
-            xml,
-            "    <termination horizon=\"{}\" wreckTime=\"{}\"/>",
-            t.horizon, t.wreck_time
-        )?;
+        writeln!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"/>", t.horizon, t.wreck_time)?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;
         writeln!(xml, "</scenario>")
     }

@@ -90,11 +90,7 @@ impl Batch {
     /// Has the variables of an object reported now and after each step from now on; replaces an earlier
     /// subscription of the object. No variables: ends the subscription.
     pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[u8]) {
-        let answer = if variables.is_empty() {
-            Answer::Nothing
-        } else {
-            Answer::Subscription { context: false }
-        };
+        let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context: false } };
         self.push(domain.subscribe, answer, 16, |w| {
             w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
             write_variables(w, variables);
@@ -104,11 +100,7 @@ impl Batch {
     /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object. SUMO 1.15
     /// dies if the object is a vehicle that TraCI removes while the subscription lasts: end it first.
     pub fn subscribe_context(&mut self, domain: Domain, object: &str, around: Domain, range: f64, variables: &[u8]) {
-        let answer = if variables.is_empty() {
-            Answer::Nothing
-        } else {
-            Answer::Subscription { context: true }
-        };
+        let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context: true } };
         self.push(domain.context, answer, 16, |w| {
             w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
             w.u8(around.get).f64(range);
@@ -121,11 +113,7 @@ impl Batch {
         use std::fmt::Write as _;
         let mut text = std::mem::take(&mut self.text);
         self.set(Domain::VEHICLE, c::ADD_FULL, vehicle, |w| {
-            w.compound(14)
-                .string(departure.route)
-                .string(departure.vehicle_type)
-                .string("now")
-                .string("first");
+            w.compound(14).string(departure.route).string(departure.vehicle_type).string("now").string("first");
             for number in [departure.position, departure.speed] {
                 text.clear();
                 // Writing to a `String` cannot fail.
@@ -133,12 +121,7 @@ impl Batch {
                 w.string(&text);
             }
             // Arrival on any lane, at the end of the route, at any speed; no zones, no line.
-            w.string("current")
-                .string("max")
-                .string("current")
-                .string("")
-                .string("")
-                .string("");
+            w.string("current").string("max").string("current").string("").string("").string("");
             // No person capacity, no persons.
             w.integer(0).integer(0);
         });
@@ -235,15 +218,8 @@ impl Batch {
 
     /// The error for a command that SUMO refused.
     pub(super) fn refusal(&self, index: usize, message: &str) -> Error {
-        let (command, id) = self
-            .queued
-            .get(index)
-            .map_or((0, ""), |queued| (queued.command, self.object(queued)));
-        Error::Refused {
-            command,
-            id: id.to_owned(),
-            message: message.to_owned(),
-        }
+        let (command, id) = self.queued.get(index).map_or((0, ""), |queued| (queued.command, self.object(queued)));
+        Error::Refused { command, id: id.to_owned(), message: message.to_owned() }
     }
 
     fn push(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
@@ -253,11 +229,7 @@ impl Batch {
 
     fn push_raw(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
         let range = self.writer.command(command, content);
-        self.queued.push(Queued {
-            command,
-            answer,
-            object: range.start + before_object..range.end,
-        });
+        self.queued.push(Queued { command, answer, object: range.start + before_object..range.end });
     }
 }
 
@@ -287,14 +259,8 @@ mod tests {
         batch.seal(Some(0.0)).unwrap();
         let (queued, stepped) = batch.sealed();
         assert!(stepped);
-        assert_eq!(
-            queued.iter().map(|q| q.command).collect::<Vec<_>>(),
-            [0xc4, 0xc4, c::CMD_SIMSTEP]
-        );
-        assert_eq!(
-            queued.iter().map(|q| batch.object(q)).collect::<Vec<_>>(),
-            ["a", "b", ""]
-        );
+        assert_eq!(queued.iter().map(|q| q.command).collect::<Vec<_>>(), [0xc4, 0xc4, c::CMD_SIMSTEP]);
+        assert_eq!(queued.iter().map(|q| batch.object(q)).collect::<Vec<_>>(), ["a", "b", ""]);
         batch.seal(None).unwrap();
         assert_eq!(batch.sealed().0.len(), 2);
         batch.clear();

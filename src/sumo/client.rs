@@ -86,12 +86,7 @@ impl Client {
             stream.set_read_timeout(Some(timeout))
         };
         set().map_err(|source| Error::Io { doing, source })?;
-        Ok(Client {
-            stream,
-            input: Vec::new(),
-            timeout,
-            time_s: 0.0,
-        })
+        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0 })
     }
 
     pub(super) fn stream(&self) -> &TcpStream {
@@ -115,18 +110,12 @@ impl Client {
         self.receive(&batch, &mut sink)?;
         match sink.0 {
             Some(version) if version.api >= c::MINIMUM_API_VERSION => Ok(version),
-            Some(Version { api, software }) => Err(Error::Version {
-                found: api,
-                minimum: c::MINIMUM_API_VERSION,
-                peer: software,
-            }),
+            Some(Version { api, software }) => {
+                Err(Error::Version { found: api, minimum: c::MINIMUM_API_VERSION, peer: software })
+            }
             None => {
                 let found = "a refusal".to_owned();
-                Err(Error::Protocol {
-                    expected: "a TraCI version",
-                    found,
-                    at_byte: 4,
-                })
+                Err(Error::Protocol { expected: "a TraCI version", found, at_byte: 4 })
             }
         }
     }
@@ -140,10 +129,7 @@ impl Client {
         fill(&mut batch);
         match <[Outcome; 1]>::try_from(self.run(&mut batch)?) {
             Ok([outcome]) => outcome,
-            Err(outcomes) => Err(Error::invalid(format!(
-                "a call holds one command, not {}",
-                outcomes.len()
-            ))),
+            Err(outcomes) => Err(Error::invalid(format!("a call holds one command, not {}", outcomes.len()))),
         }
     }
 
@@ -173,10 +159,7 @@ impl Client {
     fn exchange(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<StepReply, Error> {
         self.send(batch, until)?;
         let (queued, _) = batch.sealed();
-        let mut sink = Collector {
-            batch,
-            reply: StepReply::default(),
-        };
+        let mut sink = Collector { batch, reply: StepReply::default() };
         sink.reply.outcomes.extend(queued.iter().map(|_| Ok(None)));
         self.receive(batch, &mut sink)?;
         let reply = sink.reply;
@@ -250,10 +233,7 @@ impl Client {
             }
             match self.stream.read(&mut self.input[filled..]) {
                 Ok(0) => {
-                    return Err(Error::Closed {
-                        command,
-                        sim_time_s: self.time_s,
-                    });
+                    return Err(Error::Closed { command, sim_time_s: self.time_s });
                 }
                 Ok(n) => filled += n,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
@@ -266,26 +246,17 @@ impl Client {
         let length = length.unwrap_or(4);
         if filled > length {
             let found = format!("{} bytes after it", filled - length);
-            return Err(Error::Protocol {
-                expected: "the end of the message",
-                found,
-                at_byte: length,
-            });
+            return Err(Error::Protocol { expected: "the end of the message", found, at_byte: length });
         }
         Ok(length)
     }
 
     fn broken(&self, command: &'static str, source: &io::Error) -> Error {
         match source.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => Error::Timeout {
-                command,
-                seconds: self.timeout.as_secs_f64(),
-                sim_time_s: self.time_s,
-            },
-            _ => Error::Closed {
-                command,
-                sim_time_s: self.time_s,
-            },
+            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+                Error::Timeout { command, seconds: self.timeout.as_secs_f64(), sim_time_s: self.time_s }
+            }
+            _ => Error::Closed { command, sim_time_s: self.time_s },
         }
     }
 }
@@ -296,27 +267,17 @@ fn doing(stepped: bool) -> &'static str {
 
 fn message_length(bytes: &[u8]) -> Result<usize, Error> {
     let claimed = Reader::new(bytes, 0).i32()?;
-    usize::try_from(claimed)
-        .ok()
-        .filter(|n| (4..=c::MAXIMUM_MESSAGE).contains(n))
-        .ok_or_else(|| {
-            let found = format!("a length of {claimed} bytes");
-            Error::Protocol {
-                expected: "a message",
-                found,
-                at_byte: 0,
-            }
-        })
+    usize::try_from(claimed).ok().filter(|n| (4..=c::MAXIMUM_MESSAGE).contains(n)).ok_or_else(|| {
+        let found = format!("a length of {claimed} bytes");
+        Error::Protocol { expected: "a message", found, at_byte: 0 }
+    })
 }
 
 struct VersionSink(Option<Version>);
 
 impl Sink for VersionSink {
     fn answer(&mut self, _: usize, _: u8, _: u8, value: &mut Reader<'_>) -> Result<(), Error> {
-        self.0 = Some(Version {
-            api: value.i32()?,
-            software: value.str()?.to_owned(),
-        });
+        self.0 = Some(Version { api: value.i32()?, software: value.str()?.to_owned() });
         Ok(())
     }
 }

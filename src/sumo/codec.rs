@@ -251,11 +251,7 @@ impl<'a> Reader<'a> {
 
     /// The error "expected this, found that" at the current position.
     pub fn unexpected(&self, expected: &'static str, found: impl Into<String>) -> Error {
-        Error::Protocol {
-            expected,
-            found: found.into(),
-            at_byte: self.position(),
-        }
+        Error::Protocol { expected, found: found.into(), at_byte: self.position() }
     }
 
     /// Takes `n` bytes.
@@ -327,11 +323,7 @@ impl<'a> Reader<'a> {
             Ok(n) if n.checked_mul(item).is_some_and(|bytes| bytes <= self.remaining()) => Ok(n),
             _ => {
                 let found = format!("a length of {count} with {} bytes left", self.remaining());
-                Err(Error::Protocol {
-                    expected,
-                    found,
-                    at_byte,
-                })
+                Err(Error::Protocol { expected, found, at_byte })
             }
         }
     }
@@ -352,11 +344,7 @@ impl<'a> Reader<'a> {
         let content = usize::try_from(length).ok().and_then(|l| l.checked_sub(head));
         let Some(content) = content.filter(|n| *n <= self.remaining()) else {
             let found = format!("a length of {length} with {} bytes left", self.bytes.len() - start);
-            return Err(Error::Protocol {
-                expected: "a command",
-                found,
-                at_byte,
-            });
+            return Err(Error::Protocol { expected: "a command", found, at_byte });
         };
         let base = self.position();
         Ok((id, Reader::new(self.take(content, "a command")?, base)))
@@ -383,11 +371,7 @@ impl<'a> Reader<'a> {
         if found == kind {
             return Ok(());
         }
-        Err(Error::Protocol {
-            expected,
-            found: format!("type {found:#04x}"),
-            at_byte,
-        })
+        Err(Error::Protocol { expected, found: format!("type {found:#04x}"), at_byte })
     }
 
     /// Reads a typed double.
@@ -458,11 +442,9 @@ impl<'a> Reader<'a> {
             c::POSITION_LON_LAT_ALT => Value::LonLatAlt(self.doubles()?),
             c::POSITION_2D => Value::Position2D(self.doubles()?),
             c::POSITION_3D => Value::Position3D(self.doubles()?),
-            c::POSITION_ROADMAP => Value::RoadMap {
-                edge: self.str()?.to_owned(),
-                position: self.f64()?,
-                lane: self.u8()?,
-            },
+            c::POSITION_ROADMAP => {
+                Value::RoadMap { edge: self.str()?.to_owned(), position: self.f64()?, lane: self.u8()? }
+            }
             c::TYPE_POLYGON => {
                 let count = match self.u8()? {
                     0 => self.count(16, "a polygon")?,
@@ -481,19 +463,11 @@ impl<'a> Reader<'a> {
             }
             c::TYPE_COMPOUND => {
                 let found = format!("more than {MAXIMUM_DEPTH} compounds in each other");
-                return Err(Error::Protocol {
-                    expected: "a value",
-                    found,
-                    at_byte,
-                });
+                return Err(Error::Protocol { expected: "a value", found, at_byte });
             }
             other => {
                 let found = format!("type {other:#04x}");
-                return Err(Error::Protocol {
-                    expected: "a known type of value",
-                    found,
-                    at_byte,
-                });
+                return Err(Error::Protocol { expected: "a known type of value", found, at_byte });
             }
         })
     }

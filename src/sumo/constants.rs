@@ -123,11 +123,6 @@ impl Domain {
     pub const SIMULATION: Domain = Domain::numbered(0xb);
 
     const fn numbered(number: u8) -> Self {
-        Domain {
-            get: 0xa0 + number,
-            set: 0xc0 + number,
-            subscribe: 0xd0 + number,
-            context: 0x80 + number,
-        }
+        Domain { get: 0xa0 + number, set: 0xc0 + number, subscribe: 0xd0 + number, context: 0x80 + number }
     }
 }

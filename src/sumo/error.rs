@@ -123,9 +123,9 @@ impl Error {
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {
-            Error::NotFound { binary, .. } => Some(format!(
-                "run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"
-            )),
+            Error::NotFound { binary, .. } => {
+                Some(format!("run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"))
+            }
             Error::Version { .. } => Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned()),
             Error::PortTaken { port } => Some(format!("choose a port other than {port}, or name none")),
             _ => None,
@@ -158,29 +158,16 @@ mod tests {
 
     #[test]
     fn only_refusals_and_bad_requests_leave_the_connection_intact() {
-        let refused = Error::Refused {
-            command: 0xc4,
-            id: "v".into(),
-            message: "no".into(),
-        };
+        let refused = Error::Refused { command: 0xc4, id: "v".into(), message: "no".into() };
         assert!(!refused.is_fatal());
         assert!(!Error::invalid("slot 9 of 8").is_fatal());
-        assert!(
-            Error::Closed {
-                command: "step",
-                sim_time_s: 1.0
-            }
-            .is_fatal()
-        );
+        assert!(Error::Closed { command: "step", sim_time_s: 1.0 }.is_fatal());
         assert!(Error::PortTaken { port: 1 }.is_fatal());
     }
 
     #[test]
     fn a_missing_sumo_names_the_folders_and_the_way_out() {
-        let error = Error::NotFound {
-            binary: "sumo".into(),
-            looked_in: vec!["/a".into(), "/b".into()],
-        };
+        let error = Error::NotFound { binary: "sumo".into(), looked_in: vec!["/a".into(), "/b".into()] };
         assert_eq!(error.to_string(), "sumo was not found; looked in `/a`, `/b`");
         assert!(error.hint().is_some_and(|h| h.contains("scripts/bootstrap")));
     }

@@ -132,18 +132,12 @@ impl Net {
     /// # Errors
     /// [`NetError`] if the file cannot be read, is no net, or refers to edges and lanes that it does not have.
     pub fn load(path: &FilePath) -> Result<Self, NetError> {
-        let read = |source| NetError::Read {
-            path: path.into(),
-            source,
-        };
+        let read = |source| NetError::Read { path: path.into(), source };
         let mut text = String::new();
         let file = File::open(path).map_err(read)?;
         let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
         if bytes as u64 > MAX_BYTES {
-            return Err(NetError::TooLarge {
-                path: path.into(),
-                limit: MAX_BYTES,
-            });
+            return Err(NetError::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
         Self::parse(&text, path)
     }
@@ -155,18 +149,9 @@ impl Net {
     pub fn parse(text: &str, path: &FilePath) -> Result<Self, NetError> {
         let document = Document::parse(text).map_err(|source| {
             let at = source.pos();
-            NetError::Xml {
-                path: path.into(),
-                line: at.row,
-                column: at.col,
-                source,
-            }
+            NetError::Xml { path: path.into(), line: at.row, column: at.col, source }
         })?;
-        Reader {
-            path,
-            document: &document,
-        }
-        .net()
+        Reader { path, document: &document }.net()
     }
 
     /// Index of an edge in [`Net::edges`].
@@ -176,11 +161,7 @@ impl Net {
 
     /// Connections that leave a lane, given by its index in [`Net::lanes`].
     pub fn connections_from(&self, lane: usize) -> impl Iterator<Item = &Connection> + '_ {
-        self.leaving
-            .get(lane)
-            .into_iter()
-            .flatten()
-            .map(|&c| &self.connections[c])
+        self.leaving.get(lane).into_iter().flatten().map(|&c| &self.connections[c])
     }
 
     /// The centre line of a route: from each edge to the next along a connection, internal lanes included.
@@ -191,17 +172,13 @@ impl Net {
     /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotConnected`] or [`NetError::LaneChange`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
         let lanes = self.route_lanes(edges)?;
-        Path::through(self, &lanes).ok_or_else(|| NetError::EmptyRoute {
-            path: self.path.clone(),
-        })
+        Path::through(self, &lanes).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
     }
 
     /// The lanes of a route in driving order, internal ones between those of the route's edges.
     fn route_lanes(&self, edges: &[String]) -> Result<Vec<usize>, NetError> {
         let Some(last) = edges.len().checked_sub(1) else {
-            return Err(NetError::EmptyRoute {
-                path: self.path.clone(),
-            });
+            return Err(NetError::EmptyRoute { path: self.path.clone() });
         };
         let route: Vec<&Edge> = edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
         // Backwards: for each lane of an edge the best connection from which the route's end can be reached.
@@ -217,24 +194,13 @@ impl Net {
                     ways[i].insert(lane, best);
                 }
             }
-            good = route[i]
-                .lanes
-                .clone()
-                .filter(|lane| ways[i].contains_key(lane))
-                .collect();
+            good = route[i].lanes.clone().filter(|lane| ways[i].contains_key(lane)).collect();
             if !connected {
                 let (from, to) = (edges[i].clone(), edges[i + 1].clone());
-                return Err(NetError::NotConnected {
-                    path: self.path.clone(),
-                    from,
-                    to,
-                });
+                return Err(NetError::NotConnected { path: self.path.clone(), from, to });
             }
         }
-        let lane_change = || NetError::LaneChange {
-            path: self.path.clone(),
-            route: edges.join(" "),
-        };
+        let lane_change = || NetError::LaneChange { path: self.path.clone(), route: edges.join(" ") };
         let mut lane = good.first().copied().ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
         for way in &ways {
@@ -255,21 +221,16 @@ impl Net {
                 break; // a circle, which only a broken net has
             }
             lanes.push(lane);
-            via = self
-                .connections_from(lane)
-                .find(|c| c.to == connection.to)
-                .and_then(|c| c.via);
+            via = self.connections_from(lane).find(|c| c.to == connection.to).and_then(|c| c.via);
         }
     }
 
     fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
-        self.edge_index(id)
-            .map(|i| &self.edges[i])
-            .ok_or_else(|| NetError::NoEdge {
-                path: self.path.clone(),
-                edge: shorten(id),
-                nearest: nearest(id, self.roads().map(|e| e.id.as_str())).map(Into::into),
-            })
+        self.edge_index(id).map(|i| &self.edges[i]).ok_or_else(|| NetError::NoEdge {
+            path: self.path.clone(),
+            edge: shorten(id),
+            nearest: nearest(id, self.roads().map(|e| e.id.as_str())).map(Into::into),
+        })
     }
 
     fn roads(&self) -> impl Iterator<Item = &Edge> {
@@ -289,12 +250,7 @@ impl Reader<'_, '_> {
         if root.tag_name().name() != "net" {
             let (line, column) = self.position(root.range().start);
             let found = shorten(root.tag_name().name());
-            return Err(NetError::NotNet {
-                path: self.path.into(),
-                line,
-                column,
-                found,
-            });
+            return Err(NetError::NotNet { path: self.path.into(), line, column, found });
         }
         let mut net = Net {
             path: self.path.into(),
@@ -343,9 +299,7 @@ impl Reader<'_, '_> {
     }
 
     fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
-        let location = elements(root, "location")
-            .next()
-            .ok_or_else(|| self.missing(root, "the element <location>"))?;
+        let location = elements(root, "location").next().ok_or_else(|| self.missing(root, "the element <location>"))?;
         let text = self.text(location, "convBoundary")?;
         let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
         match numbers.as_deref() {
@@ -415,8 +369,7 @@ impl Reader<'_, '_> {
     }
 
     fn text<'n>(&self, node: Node<'n, '_>, key: &str) -> Result<&'n str, NetError> {
-        node.attribute(key)
-            .ok_or_else(|| self.missing(node, &format!("the attribute `{key}`")))
+        node.attribute(key).ok_or_else(|| self.missing(node, &format!("the attribute `{key}`")))
     }
 
     fn number(&self, node: Node, key: &str, least: f64) -> Result<f64, NetError> {
@@ -430,18 +383,12 @@ impl Reader<'_, '_> {
     }
 
     fn integer(&self, node: Node, key: &str) -> Result<u32, NetError> {
-        self.text(node, key)?
-            .parse()
-            .map_err(|_| self.value(node, key, "a whole number of at least 0"))
+        self.text(node, key)?.parse().map_err(|_| self.value(node, key, "a whole number of at least 0"))
     }
 
     /// The attribute `shape`: `x,y` or `x,y,z` separated by spaces.
     fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
-        let text = if least == 0 {
-            node.attribute("shape").unwrap_or_default()
-        } else {
-            self.text(node, "shape")?
-        };
+        let text = if least == 0 { node.attribute("shape").unwrap_or_default() } else { self.text(node, "shape")? };
         let point = |text: &str| {
             let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
             matches!(numbers.len(), 2 | 3).then(|| [numbers[0], numbers[1]])
@@ -464,13 +411,7 @@ impl Reader<'_, '_> {
     fn missing(&self, node: Node, what: &str) -> NetError {
         let (line, column) = self.position(node.range().start);
         let element = node.tag_name().name().to_owned();
-        NetError::Missing {
-            path: self.path.into(),
-            line,
-            column,
-            element,
-            what: what.into(),
-        }
+        NetError::Missing { path: self.path.into(), line, column, element, what: what.into() }
     }
 
     fn value(&self, node: Node, key: &str, allowed: &'static str) -> NetError {
@@ -500,20 +441,12 @@ impl Reader<'_, '_> {
 
     fn duplicate(&self, node: Node, kind: &'static str, id: &str) -> NetError {
         let (line, column) = self.attribute_position(node, "id");
-        NetError::Duplicate {
-            path: self.path.into(),
-            line,
-            column,
-            kind,
-            id: shorten(id),
-        }
+        NetError::Duplicate { path: self.path.into(), line, column, kind, id: shorten(id) }
     }
 }
 
 fn elements<'a, 'i>(parent: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
-    parent
-        .children()
-        .filter(move |n| n.is_element() && n.tag_name().name() == name)
+    parent.children().filter(move |n| n.is_element() && n.tag_name().name() == name)
 }
 
 fn finite(text: &str) -> Option<f64> {

@@ -116,10 +116,7 @@ impl Process {
         if let Err(e) = TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)) {
             return Err(match e.kind() {
                 io::ErrorKind::AddrInUse => Error::PortTaken { port },
-                _ => Error::Io {
-                    doing: "open a port for sumo",
-                    source: e,
-                },
+                _ => Error::Io { doing: "open a port for sumo", source: e },
             });
         }
         let mut process = Self::spawn(binary, &options.arguments, port)?;
@@ -132,23 +129,12 @@ impl Process {
     fn spawn(binary: &Path, arguments: &[OsString], port: u16) -> Result<Process, Error> {
         let mut command = Command::new(binary);
         command.args(arguments).arg("--remote-port").arg(port.to_string());
-        command
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
-        let spawn_error = |source| Error::Spawn {
-            binary: binary.to_owned(),
-            source,
-        };
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let spawn_error = |source| Error::Spawn { binary: binary.to_owned(), source };
         let mut child = spawn_from_lasting_thread(command).map_err(spawn_error)?;
         let stderr = Arc::new(Mutex::new(VecDeque::new()));
         let pipe = child.stderr.take();
-        let mut process = Process {
-            child,
-            port,
-            stderr: Arc::clone(&stderr),
-            reader: None,
-        };
+        let mut process = Process { child, port, stderr: Arc::clone(&stderr), reader: None };
         if let Some(pipe) = pipe {
             let reader = thread::Builder::new().name("sumo-stderr".to_owned());
             process.reader = Some(reader.spawn(move || keep_tail(pipe, &stderr)).map_err(spawn_error)?);
@@ -172,11 +158,7 @@ impl Process {
                 return Err(exited);
             }
             if start.elapsed() > options.connect_timeout {
-                return Err(Error::Connect {
-                    port: self.port,
-                    attempts,
-                    source,
-                });
+                return Err(Error::Connect { port: self.port, attempts, source });
             }
             thread::sleep(POLL);
         };
@@ -186,10 +168,7 @@ impl Process {
         let owned = self.owns_other_end(client.stream());
         match (answer, owned) {
             (Ok(version), Ok(true)) => Ok((client, version)),
-            (Ok(_), Err(source)) => Err(Error::Io {
-                doing: "find out whose port it is that answers",
-                source,
-            }),
+            (Ok(_), Err(source)) => Err(Error::Io { doing: "find out whose port it is that answers", source }),
             (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
             (Err(error), _) => Err(self.explain(error)),
         }
@@ -249,10 +228,7 @@ impl Process {
         while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && start.elapsed() < LAST_WORDS {
             thread::sleep(POLL);
         }
-        Some(Error::Exited {
-            status: status.to_string(),
-            stderr_tail: self.stderr_tail(),
-        })
+        Some(Error::Exited { status: status.to_string(), stderr_tail: self.stderr_tail() })
     }
 
     /// Whether SUMO ended because its port was taken.
@@ -267,13 +243,7 @@ impl Process {
 
     /// The last lines that SUMO wrote to its standard error.
     pub fn stderr_tail(&self) -> String {
-        let bytes: Vec<u8> = self
-            .stderr
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .iter()
-            .copied()
-            .collect();
+        let bytes: Vec<u8> = self.stderr.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect();
         let text = String::from_utf8_lossy(&bytes);
         let lines: Vec<&str> = text.lines().map(str::trim_end).filter(|l| !l.is_empty()).collect();
         lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
@@ -315,10 +285,7 @@ fn keep_tail(mut pipe: ChildStderr, tail: &Mutex<VecDeque<u8>>) {
 
 fn free_port() -> Result<u16, Error> {
     let bound = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|listener| listener.local_addr());
-    bound.map(|address| address.port()).map_err(|source| Error::Io {
-        doing: "find a free port",
-        source,
-    })
+    bound.map(|address| address.port()).map_err(|source| Error::Io { doing: "find a free port", source })
 }
 
 type Job = (Command, mpsc::Sender<io::Result<Child>>);
@@ -347,10 +314,7 @@ fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
     result.recv().map_err(gone)?
 }
 
-#[allow(
-    unsafe_code,
-    reason = "the kernel's tie between parent and child can be made in the child only"
-)]
+#[allow(unsafe_code, reason = "the kernel's tie between parent and child can be made in the child only")]
 fn spawn_bound(mut command: Command) -> io::Result<Child> {
     let parent = std::process::id();
     command.process_group(0);
@@ -376,31 +340,18 @@ fn spawn_bound(mut command: Command) -> io::Result<Child> {
 /// # Errors
 /// [`Error::NotFound`], with the folders that were searched.
 pub fn find_sumo() -> Result<PathBuf, Error> {
-    find_in(
-        "sumo",
-        std::env::var_os("SUMO_HOME").as_deref(),
-        std::env::var_os("PATH").as_deref(),
-    )
+    find_in("sumo", std::env::var_os("SUMO_HOME").as_deref(), std::env::var_os("PATH").as_deref())
 }
 
 fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<PathBuf, Error> {
     let home = home.filter(|h| !h.is_empty()).map(|h| Path::new(h).join("bin"));
-    let path = path
-        .map(|p| std::env::split_paths(p).collect::<Vec<_>>())
-        .unwrap_or_default();
-    let looked_in: Vec<PathBuf> = home
-        .into_iter()
-        .chain(path)
-        .filter(|f| !f.as_os_str().is_empty())
-        .collect();
+    let path = path.map(|p| std::env::split_paths(p).collect::<Vec<_>>()).unwrap_or_default();
+    let looked_in: Vec<PathBuf> = home.into_iter().chain(path).filter(|f| !f.as_os_str().is_empty()).collect();
     let found = looked_in
         .iter()
         .map(|folder| folder.join(binary))
         .find(|file| fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0));
-    found.ok_or(Error::NotFound {
-        binary: binary.to_owned(),
-        looked_in,
-    })
+    found.ok_or(Error::NotFound { binary: binary.to_owned(), looked_in })
 }
 
 /// Version of a SUMO program, for example `1.15.0`, as it says itself.
@@ -409,16 +360,9 @@ fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<P
 /// [`Error::Spawn`] if it cannot be run; [`Error::Exited`] if it names no version.
 pub fn sumo_version(binary: &Path) -> Result<String, Error> {
     let run = Command::new(binary).arg("--version").stdin(Stdio::null()).output();
-    let output = run.map_err(|source| Error::Spawn {
-        binary: binary.to_owned(),
-        source,
-    })?;
+    let output = run.map_err(|source| Error::Spawn { binary: binary.to_owned(), source })?;
     let text = String::from_utf8_lossy(&output.stdout);
-    let version = text
-        .lines()
-        .next()
-        .and_then(|line| line.split_once("Version "))
-        .map(|(_, v)| v.trim().to_owned());
+    let version = text.lines().next().and_then(|line| line.split_once("Version ")).map(|(_, v)| v.trim().to_owned());
     version.filter(|v| !v.is_empty()).ok_or_else(|| Error::Exited {
         status: output.status.to_string(),
         stderr_tail: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
@@ -439,17 +383,10 @@ pub fn traci_version() -> Result<Version, Error> {
 fn empty_net() -> Result<(tempfile::NamedTempFile, Options), Error> {
     let doing = "write a net to a temporary file";
     let mut file = tempfile::NamedTempFile::with_suffix(".net.xml").map_err(|source| Error::Io { doing, source })?;
-    file.write_all(b"<net version=\"1.0\"/>\n")
-        .map_err(|source| Error::Io { doing, source })?;
+    file.write_all(b"<net version=\"1.0\"/>\n").map_err(|source| Error::Io { doing, source })?;
     let words = ["--xml-validation", "never", "--no-step-log", "--net-file"].map(OsString::from);
     let arguments = words.into_iter().chain([file.path().into()]).collect();
-    Ok((
-        file,
-        Options {
-            arguments,
-            ..Options::default()
-        },
-    ))
+    Ok((file, Options { arguments, ..Options::default() }))
 }
 
 #[cfg(test)]

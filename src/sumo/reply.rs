@@ -80,11 +80,8 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
             continue;
         }
         let (id, mut answer) = reader.command()?;
-        let expected = if queued.answer == Answer::Version {
-            c::CMD_GETVERSION
-        } else {
-            queued.command.wrapping_add(0x10)
-        };
+        let expected =
+            if queued.answer == Answer::Version { c::CMD_GETVERSION } else { queued.command.wrapping_add(0x10) };
         if id != expected {
             return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
         }
@@ -159,28 +156,14 @@ fn parse_reports(
         reader.u8()?;
     }
     let variables = reader.u8()?;
-    let objects = if context {
-        reader.count(4, "the number of objects")?
-    } else {
-        1
-    };
+    let objects = if context { reader.count(4, "the number of objects")? } else { 1 };
     for _ in 0..objects {
         let object = if context { reader.str()? } else { centre };
         for _ in 0..variables {
             let variable = reader.u8()?;
             let known = reader.u8()? == c::RTYPE_OK;
             let around = context.then_some(centre);
-            sink.report(
-                Report {
-                    response,
-                    around,
-                    object,
-                    variable,
-                    known,
-                    after_step,
-                },
-                reader,
-            )?;
+            sink.report(Report { response, around, object, variable, known, after_step }, reader)?;
         }
     }
     Ok(())

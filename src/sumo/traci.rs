@@ -54,10 +54,7 @@ impl TraciSimulation {
             names: (0..slots).map(|slot| format!("w0s{slot}")).collect(),
             known: vec![false; slots],
             next: vec![false; slots],
-            snapshot: Snapshot {
-                vehicles: vec![None; slots],
-                ..Snapshot::default()
-            },
+            snapshot: Snapshot { vehicles: vec![None; slots], ..Snapshot::default() },
             awaiting: false,
             config,
         };
@@ -113,34 +110,18 @@ impl TraciSimulation {
 
     /// Puts the commands into the batch; `self.next` becomes what SUMO will know.
     fn encode(&mut self, commands: &[Command]) -> Result<(), Error> {
-        let Self {
-            batch,
-            names,
-            next,
-            config,
-            ..
-        } = self;
+        let Self { batch, names, next, config, .. } = self;
         batch.clear();
         next.copy_from_slice(&self.known);
         let place = |world: u32, slot: u32| {
             if world == 0 && slot < config.slots {
                 return Ok(slot as usize);
             }
-            Err(Error::invalid(format!(
-                "there is no slot {slot} in world {world}: world 0 has {}",
-                config.slots
-            )))
+            Err(Error::invalid(format!("there is no slot {slot} in world {world}: world 0 has {}", config.slots)))
         };
         for command in commands {
             match *command {
-                Command::Add {
-                    world,
-                    slot,
-                    route,
-                    vehicle_type,
-                    depart_pos,
-                    depart_speed,
-                } => {
+                Command::Add { world, slot, route, vehicle_type, depart_pos, depart_speed } => {
                     let slot = place(world, slot)?;
                     if next[slot] {
                         return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
@@ -155,12 +136,7 @@ impl TraciSimulation {
                         Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
                     })?;
                     let (route, vehicle_type) = (route.id.as_str(), kind.id.as_str());
-                    let departure = Departure {
-                        route,
-                        vehicle_type,
-                        position: depart_pos,
-                        speed: depart_speed,
-                    };
+                    let departure = Departure { route, vehicle_type, position: depart_pos, speed: depart_speed };
                     batch.vehicle_add(&names[slot], departure);
                     batch.subscribe(Domain::VEHICLE, &names[slot], &VEHICLE_VARIABLES);
                     next[slot] = true;
@@ -200,9 +176,7 @@ impl Simulation for TraciSimulation {
             return Err(Error::invalid("the answer to the last send has not been received"));
         }
         self.encode(commands)?;
-        self.client
-            .send(&mut self.batch, Some(0.0))
-            .map_err(|e| self.process.explain(e))?;
+        self.client.send(&mut self.batch, Some(0.0)).map_err(|e| self.process.explain(e))?;
         self.awaiting = true;
         Ok(())
     }
@@ -214,12 +188,7 @@ impl Simulation for TraciSimulation {
         self.snapshot.vehicles.fill(None);
         self.snapshot.collisions.clear();
         self.known.fill(false);
-        let mut sink = StepSink {
-            snapshot: &mut self.snapshot,
-            known: &mut self.known,
-            slot: 0,
-            refused: None,
-        };
+        let mut sink = StepSink { snapshot: &mut self.snapshot, known: &mut self.known, slot: 0, refused: None };
         let received = self.client.receive(&self.batch, &mut sink);
         let refused = sink.refused;
         received.map_err(|e| self.process.explain(e))?;
@@ -289,12 +258,7 @@ impl Sink for StepSink<'_> {
                 let [x, y] = value.position_2d()?;
                 // A vehicle that waits to be put on the road has no position.
                 let on_road = x != c::INVALID_DOUBLE_VALUE;
-                *vehicle = on_road.then_some(VehicleState {
-                    x,
-                    y,
-                    heading: 0.0,
-                    speed: 0.0,
-                });
+                *vehicle = on_road.then_some(VehicleState { x, y, heading: 0.0, speed: 0.0 });
                 Ok(())
             }
             c::VAR_ANGLE => {
@@ -331,11 +295,7 @@ fn read_collisions(value: &mut Reader<'_>, slots: usize, collisions: &mut Vec<Co
         value.string()?;
         value.double()?;
         if let (Some(collider), Some(victim)) = (collider, victim) {
-            collisions.push(Collision {
-                world: 0,
-                collider: collider as u32,
-                victim: victim as u32,
-            });
+            collisions.push(Collision { world: 0, collider: collider as u32, victim: victim as u32 });
         }
     }
     Ok(())
@@ -352,18 +312,11 @@ fn heading(navigational: f64) -> f64 {
 }
 
 fn finite(what: &str, value: f64) -> Result<(), Error> {
-    if value.is_finite() {
-        Ok(())
-    } else {
-        Err(Error::invalid(format!("{what} must be a number, not {value}")))
-    }
+    if value.is_finite() { Ok(()) } else { Err(Error::invalid(format!("{what} must be a number, not {value}"))) }
 }
 
 fn launch(config: &SimulationConfig) -> Result<(Process, Client, Version), Error> {
-    Process::start(&Options {
-        arguments: arguments(config)?,
-        ..Options::default()
-    })
+    Process::start(&Options { arguments: arguments(config)?, ..Options::default() })
 }
 
 /// SUMO's command line.
@@ -413,13 +366,9 @@ mod tests {
 
     #[test]
     fn navigational_angles_become_headings() {
-        for (angle, expected) in [
-            (90.0, 0.0),
-            (0.0, FRAC_PI_2),
-            (180.0, -FRAC_PI_2),
-            (270.0, PI),
-            (360.0, -3.0 * FRAC_PI_2),
-        ] {
+        for (angle, expected) in
+            [(90.0, 0.0), (0.0, FRAC_PI_2), (180.0, -FRAC_PI_2), (270.0, PI), (360.0, -3.0 * FRAC_PI_2)]
+        {
             let difference = heading(angle) - expected;
             assert!((difference / (2.0 * PI)).fract().abs() < 1e-12, "{angle}");
             assert!(heading(angle) > -PI && heading(angle) <= PI, "{angle}");
@@ -431,24 +380,12 @@ mod tests {
         let mut w = Writer::default();
         w.compound(19).integer(2);
         for pair in [["w0s1", "w0s0"], ["w0s1", "w0s2"]] {
-            w.string(pair[0])
-                .string(pair[1])
-                .string("car")
-                .string("car")
-                .double(1.0)
-                .double(2.0);
+            w.string(pair[0]).string(pair[1]).string("car").string("car").double(1.0).double(2.0);
             w.string("junction").string(":c_0_0").double(3.0);
         }
         let mut found = Vec::new();
         read_collisions(&mut Reader::new(&w.bytes()[4..], 4), 2, &mut found).unwrap();
-        assert_eq!(
-            found,
-            [Collision {
-                world: 0,
-                collider: 1,
-                victim: 0
-            }]
-        );
+        assert_eq!(found, [Collision { world: 0, collider: 1, victim: 0 }]);
         let mut w = Writer::default();
         w.compound(1).integer(i32::MAX);
         assert!(read_collisions(&mut Reader::new(&w.bytes()[4..], 4), 2, &mut found).is_err());

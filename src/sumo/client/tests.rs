@@ -26,14 +26,7 @@ fn dialogue() -> (Batch, Vec<u8>) {
     };
     let context = |w: &mut Writer| {
         w.command(0x99, |w| {
-            w.str("j")
-                .u8(0xa4)
-                .u8(1)
-                .i32(1)
-                .str("a")
-                .u8(c::VAR_SPEED)
-                .u8(0)
-                .double(2.5);
+            w.str("j").u8(0xa4).u8(1).i32(1).str("a").u8(c::VAR_SPEED).u8(0).double(2.5);
         });
     };
     status(&mut w, 0xc4, 0, "");
@@ -57,10 +50,7 @@ fn dialogue() -> (Batch, Vec<u8>) {
 }
 
 fn collect(message: &[u8], batch: &Batch) -> Result<StepReply, Error> {
-    let mut sink = Collector {
-        batch,
-        reply: StepReply::default(),
-    };
+    let mut sink = Collector { batch, reply: StepReply::default() };
     sink.reply.outcomes.extend(batch.sealed().0.iter().map(|_| Ok(None)));
     parse_reply(message, batch, &mut sink)?;
     Ok(sink.reply)
@@ -72,37 +62,19 @@ fn each_command_gets_its_own_result() {
     let reply = collect(&message, &batch).unwrap();
     assert!(matches!(reply.outcomes[0], Ok(None)));
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
-    let Err(Error::Refused { command, id, message }) = &reply.outcomes[4] else {
-        panic!("{:?}", reply.outcomes)
-    };
-    assert_eq!(
-        (*command, id.as_str(), message.as_str()),
-        (0xc4, "b", "Vehicle 'b' is not known")
-    );
-    let values: Vec<_> = reply
-        .subscriptions
-        .iter()
-        .map(|o| (o.object.as_str(), o.around.as_deref(), &o.value))
-        .collect();
+    let Err(Error::Refused { command, id, message }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
+    assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
+    let values: Vec<_> =
+        reply.subscriptions.iter().map(|o| (o.object.as_str(), o.around.as_deref(), &o.value)).collect();
     let speed = Ok(Value::Double(2.5));
-    assert_eq!(
-        values,
-        [
-            ("a", None, &speed),
-            ("a", Some("j"), &speed),
-            ("b", None, &Err("gone".to_owned()))
-        ]
-    );
+    assert_eq!(values, [("a", None, &speed), ("a", Some("j"), &speed), ("b", None, &Err("gone".to_owned()))]);
 }
 
 #[test]
 fn every_truncation_of_a_reply_is_an_error() {
     let (batch, message) = dialogue();
     for cut in 0..message.len() {
-        assert!(
-            matches!(collect(&message[..cut], &batch), Err(Error::Protocol { .. })),
-            "cut at {cut}"
-        );
+        assert!(matches!(collect(&message[..cut], &batch), Err(Error::Protocol { .. })), "cut at {cut}");
     }
     let longer: Vec<u8> = message.iter().copied().chain([0]).collect();
     assert!(collect(&longer, &batch).is_err());

@@ -88,10 +88,7 @@ fn a_claimed_length_beyond_the_bytes_is_refused_before_anything_is_allocated() {
         for length in [i32::MAX, -1, i32::MIN, 5] {
             let mut bytes = vec![kind];
             bytes.extend(length.to_be_bytes());
-            assert!(matches!(
-                Reader::new(&bytes, 0).value(),
-                Err(Error::Protocol { at_byte: 1, .. })
-            ));
+            assert!(matches!(Reader::new(&bytes, 0).value(), Err(Error::Protocol { at_byte: 1, .. })));
         }
     }
 }
@@ -113,8 +110,5 @@ fn a_command_shorter_than_its_head_is_refused() {
 #[test]
 fn text_that_is_not_utf8_is_refused_where_it_begins() {
     let bytes = [0, 0, 0, 3, b'a', 0xff, b'b'];
-    assert!(matches!(
-        Reader::new(&bytes, 10).str(),
-        Err(Error::Protocol { at_byte: 15, .. })
-    ));
+    assert!(matches!(Reader::new(&bytes, 10).str(), Err(Error::Protocol { at_byte: 15, .. })));
 }

@@ -172,13 +172,8 @@ pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> O
         return None;
     }
     let within = (letters / 3).max(2);
-    let similar = valid
-        .filter(|v| v.len() <= 400)
-        .map(|v| (strsim::osa_distance(name, v), v));
-    similar
-        .filter(|&(distance, _)| distance <= within)
-        .min()
-        .map(|(_, v)| v)
+    let similar = valid.filter(|v| v.len() <= 400).map(|v| (strsim::osa_distance(name, v), v));
+    similar.filter(|&(distance, _)| distance <= within).min().map(|(_, v)| v)
 }
 
 /// A value for a message: at most 80 characters, control characters escaped.

@@ -97,11 +97,7 @@ impl Path {
     /// `s` of a SUMO lane position \[m\] on one of [`Path::edges`]; a negative position counts from the edge's end.
     /// `None` if there is no such edge.
     pub fn arc(&self, edge: usize, pos: f64) -> Option<f64> {
-        let (start, length, scale) = (
-            self.edge_start.get(edge)?,
-            self.edge_length.get(edge)?,
-            self.scale.get(edge)?,
-        );
+        let (start, length, scale) = (self.edge_start.get(edge)?, self.edge_length.get(edge)?, self.scale.get(edge)?);
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
@@ -123,13 +119,10 @@ impl Path {
         let mut best = self.project_on(point, segment);
         loop {
             let neighbours = [segment + 1, segment.wrapping_sub(1)];
-            let nearer = neighbours
-                .into_iter()
-                .filter(|&i| i <= self.last_segment())
-                .find_map(|i| {
-                    let projected = self.project_on(point, i);
-                    (projected.1.abs() < best.1.abs()).then_some((i, projected))
-                });
+            let nearer = neighbours.into_iter().filter(|&i| i <= self.last_segment()).find_map(|i| {
+                let projected = self.project_on(point, i);
+                (projected.1.abs() < best.1.abs()).then_some((i, projected))
+            });
             match nearer {
                 Some((i, projected)) => (segment, best) = (i, projected),
                 None => return (best.0, best.1, segment),
@@ -164,11 +157,7 @@ impl Path {
         let (px, py) = (point[0] - x, point[1] - y);
         let (along, left) = (px * dx + py * dy, dx * py - dy * px);
         let least = if segment == 0 { f64::NEG_INFINITY } else { 0.0 };
-        let most = if segment == self.last_segment() {
-            f64::INFINITY
-        } else {
-            length
-        };
+        let most = if segment == self.last_segment() { f64::INFINITY } else { length };
         let clamped = along.max(least).min(most);
         let lateral = (along - clamped).hypot(left).copysign(left);
         (self.cumulative[segment] + clamped, lateral)

@@ -43,48 +43,22 @@ fn broken(from: &str, to: &str) -> String {
 #[test]
 fn reads_every_part() {
     let net = parse(NET).unwrap();
-    assert_eq!(
-        (
-            net.lanes.len(),
-            net.edges.len(),
-            net.junctions.len(),
-            net.connections.len()
-        ),
-        (7, 6, 1, 4)
-    );
+    assert_eq!((net.lanes.len(), net.edges.len(), net.junctions.len(), net.connections.len()), (7, 6, 1, 4));
     assert_eq!(net.boundary, [[0.0, 0.0], [30.0, 30.0]]);
     let a = &net.edges[net.edge_index("a").unwrap()];
-    assert_eq!(
-        (a.from.as_deref(), a.to.as_deref(), a.function),
-        (Some("w"), Some("j"), EdgeFunction::Normal)
-    );
-    let [first, second] = &net.lanes[a.lanes.clone()] else {
-        panic!("two lanes")
-    };
+    assert_eq!((a.from.as_deref(), a.to.as_deref(), a.function), (Some("w"), Some("j"), EdgeFunction::Normal));
+    let [first, second] = &net.lanes[a.lanes.clone()] else { panic!("two lanes") };
     assert_eq!((first.width, second.width, second.index), (DEFAULT_LANE_WIDTH, 3.5, 1));
     assert_eq!(second.shape, [[0.0, 0.0], [10.0, 0.0]], "heights are dropped");
     let over = net.connections_from(a.lanes.start + 1).next().unwrap();
-    assert_eq!(
-        (net.lanes[over.via.unwrap()].id.as_str(), over.dir.as_str()),
-        (":j_0_0", "l")
-    );
+    assert_eq!((net.lanes[over.via.unwrap()].id.as_str(), over.dir.as_str()), (":j_0_0", "l"));
     assert_eq!(net.junctions[0].kind, "priority");
 }
 
 #[test]
 fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
     let path = route(&["a", "c"]).unwrap();
-    assert_eq!(
-        path.points,
-        [
-            [0.0, 0.0],
-            [10.0, 0.0],
-            [15.0, 0.0],
-            [20.0, 0.0],
-            [20.0, 10.0],
-            [20.0, 30.0]
-        ]
-    );
+    assert_eq!(path.points, [[0.0, 0.0], [10.0, 0.0], [15.0, 0.0], [20.0, 0.0], [20.0, 10.0], [20.0, 30.0]]);
     assert_eq!(path.cumulative, [0.0, 10.0, 15.0, 20.0, 30.0, 50.0]);
     assert_eq!(path.widths, [3.5, 3.2, 3.2, 3.2, 3.2]);
     assert_eq!(
@@ -95,10 +69,7 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
     assert_eq!(path.at(40.0), ([20.0, 20.0], FRAC_PI_2));
     assert_eq!(path.arc(0, 4.0), Some(4.0));
     // `c` is 40 m long for SUMO and 20 m in its shape.
-    assert_eq!(
-        (path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)),
-        (Some(35.0), Some(45.0), None)
-    );
+    assert_eq!((path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)), (Some(35.0), Some(45.0), None));
 }
 
 #[test]
@@ -114,14 +85,8 @@ fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
 #[test]
 fn routes_that_cannot_be_driven_are_refused() {
     assert!(matches!(route(&[]), Err(NetError::EmptyRoute { .. })));
-    assert_eq!(
-        route(&["a", "cc"]).unwrap_err().to_string(),
-        "x.net.xml: the net has no edge `cc`; did you mean `c`?"
-    );
-    assert_eq!(
-        route(&["b", "c"]).unwrap_err().to_string(),
-        "x.net.xml: the edge `b` does not lead to `c`"
-    );
+    assert_eq!(route(&["a", "cc"]).unwrap_err().to_string(), "x.net.xml: the net has no edge `cc`; did you mean `c`?");
+    assert_eq!(route(&["b", "c"]).unwrap_err().to_string(), "x.net.xml: the edge `b` does not lead to `c`");
     // `a` leads to `c` from lane 1 only, and lane 1 cannot be reached from a lane of `z`.
     let z = r#"<edge id="z"><lane id="z_0" index="0" speed="1" length="1" shape="0,0 1,0"/></edge>
         <connection from="z" to="a" fromLane="0" toLane="0"/></net>"#;

@@ -23,12 +23,7 @@ fn sumo_home_goes_before_path_and_files_must_be_executable() {
         Err(Error::NotFound { looked_in, .. }) => assert_eq!(looked_in, [PathBuf::from("/nowhere/bin"), plain]),
         other => panic!("{other:?}"),
     }
-    assert!(
-        find_in("sumo", None, None)
-            .unwrap_err()
-            .to_string()
-            .contains("SUMO_HOME")
-    );
+    assert!(find_in("sumo", None, None).unwrap_err().to_string().contains("SUMO_HOME"));
 }
 
 #[test]
@@ -70,19 +65,14 @@ fn a_stranger_that_answers_like_sumo_is_not_mistaken_for_it() {
     let stranger = thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let _ = stream.read(&mut [0; 64]);
-        let answer = [
-            0, 0, 0, 24, 7, 0, 0, 0, 0, 0, 0, 13, 0, 0, 0, 0, 20, 0, 0, 0, 3, b'a', b'b', b'c',
-        ];
+        let answer = [0, 0, 0, 24, 7, 0, 0, 0, 0, 0, 0, 13, 0, 0, 0, 0, 20, 0, 0, 0, 3, b'a', b'b', b'c'];
         stream.write_all(&answer).unwrap();
         // Holds the connection until the other end closes it.
         let _ = stream.read(&mut [0; 64]);
     });
     let sleeper = Process::spawn(Path::new("/bin/sh"), &["-c".into(), "sleep 60".into()], port);
     let mut process = sleeper.unwrap();
-    assert!(matches!(
-        process.connect(&Options::default()),
-        Err(Error::PortTaken { .. })
-    ));
+    assert!(matches!(process.connect(&Options::default()), Err(Error::PortTaken { .. })));
     stranger.join().unwrap();
 }
 
