@@ -223,14 +223,14 @@ impl<'a> PolicyDriver<'a> {
                     if matches!(self.policy, Policy::Gaussian) {
                         rng::fill_normal(&mut rng, actions);
                     } else {
-                        actions.iter_mut().for_each(|a| *a = rng.random_range(-1.0..1.0));
+                        actions.fill_with(|| rng.random_range(-1.0..1.0));
                     }
                 }
             }
             Policy::Learned(learner) => {
                 let n = self.task.agents;
                 let copy = |from: &[f32], to: &mut [f32], e: usize| {
-                    to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from)
+                    to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
                 };
                 for (e, world) in worlds.enumerate() {
                     let frame: &Frame = world.frame();

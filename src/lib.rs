@@ -5,7 +5,7 @@
 //!
 //! - [`sumo`]: TraCI client, SUMO processes, nets
 //! - [`scenario`]: what a task is, as data
-//! - [`env`]: the multi-agent environments
+//! - [`mod@env`]: the multi-agent environments
 //! - [`nn`], [`rollout`], [`algo`]: the learners
 //! - [`config`], [`train`], [`evaluate`], [`checkpoint`], [`record`], [`plot`]: running them
 

@@ -22,6 +22,7 @@ impl Seed {
     }
 
     /// The child under a name.
+    #[must_use]
     pub fn child(&self, label: &str) -> Self {
         // FNV-1a; the low bit set keeps names apart from indices.
         let hash =
@@ -30,6 +31,7 @@ impl Seed {
     }
 
     /// The child under a number (below 2⁶³).
+    #[must_use]
     pub fn index(&self, i: u64) -> Self {
         self.derive(i << 1)
     }

@@ -138,7 +138,9 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
         &mut rollout.graph_noise,
     ] {
         rng::fill_normal(&mut rng, array);
-        array.iter_mut().for_each(|x| *x *= 0.5);
+        for x in array.iter_mut() {
+            *x *= 0.5;
+        }
     }
     for e in 0..sizes.envs {
         for i in 0..agents {
@@ -311,9 +313,10 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
                 Tensor::from_slice(x).view([32, 2, 4]),
                 Tensor::ones([32, 2, 2], (Kind::Float, Device::Cpu)),
             );
-            let graph = match learner.samples_graph() {
-                true => Tensor::from_slice(&rollout.graph_noise[rollout.at(t, 2)]).view([32, 2, 2]),
-                false => Tensor::zeros([0], (Kind::Float, Device::Cpu)),
+            let graph = if learner.samples_graph() {
+                Tensor::from_slice(&rollout.graph_noise[rollout.at(t, 2)]).view([32, 2, 2])
+            } else {
+                Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
             let decision = learner
                 .act(&input, &ActMode::Sample { action: &Tensor::from_slice(&eps).view([32, 2, 1]), graph: &graph });

@@ -11,13 +11,13 @@ use tch::{Kind, Tensor};
 
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
-        "scenario = {:?}\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
+        "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
          [train]\nenvs = 3\nsegment = 40\nvalidate_every = 100000\nvalidation_episodes = 1\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
          [env]\nhorizon = 60\n",
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml")
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml").display()
     );
     let document = Document { name: "test".to_owned(), text };
     Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")

@@ -155,12 +155,14 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     Ok(checkpoint)
 }
 
+/// How a metric is written.
+type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
+
 /// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
     let percent = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
     let number = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
     let fine = |e: &Estimate| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
-    type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
     let lines: [(&str, Cell<'_>); 9] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),

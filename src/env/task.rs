@@ -182,7 +182,7 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
     for i in 1..own.points.len() {
         let mut best: Option<(f64, f64)> = None;
         for j in 1..other.points.len() {
-            let middle = (other.cumulative[j - 1] + other.cumulative[j]) / 2.0;
+            let middle = f64::midpoint(other.cumulative[j - 1], other.cumulative[j]);
             if shared.iter().any(|k| (k.from..=k.to).contains(&middle)) {
                 continue;
             }

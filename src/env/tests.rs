@@ -105,7 +105,9 @@ proptest! {
         let mut episodes = 0;
         for _ in 0..400 {
             crate::rng::fill_normal(&mut rng, &mut actions);
-            actions.iter_mut().for_each(|a| *a = if *a > 2.5 { f32::NAN } else { *a + mean });
+            for action in &mut actions {
+                *action = if *action > 2.5 { f32::NAN } else { *action + mean };
+            }
             let before = world.frame().clone();
             exchange(&mut world, &mut rails, &actions);
             let finished = world.take_finished();

@@ -61,6 +61,12 @@ pub(super) struct Slot {
     segment: usize,
     departed: bool,
     wreck_steps: u32,
+    fate: Fate,
+}
+
+/// How an agent ended; several may hold at once.
+#[derive(Debug, Clone, Copy, Default)]
+struct Fate {
     arrived: bool,
     crashed: bool,
     out_of_road: bool,
@@ -78,9 +84,7 @@ const EMPTY: Slot = Slot {
     segment: 0,
     departed: false,
     wreck_steps: 0,
-    arrived: false,
-    crashed: false,
-    out_of_road: false,
+    fate: Fate { arrived: false, crashed: false, out_of_road: false },
 };
 
 /// The vehicles of a world and how they stand to each other; what observations are made from.
@@ -488,26 +492,29 @@ impl World {
         let mut sum = 0.0;
         for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
             let route = &task.routes[slot.route];
-            slot.arrived = slot.s >= route.arrival;
             let lane = route.path.widths[slot.segment];
-            slot.out_of_road = slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN;
-            slot.crashed = self.involved[i];
-            // The first that applies replaces the step's reward; several flags may hold at once.
-            let reward = if slot.arrived {
+            let fate = Fate {
+                arrived: slot.s >= route.arrival,
+                out_of_road: slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN,
+                crashed: self.involved[i],
+            };
+            slot.fate = fate;
+            // The first that applies replaces the step's reward.
+            let reward = if fate.arrived {
                 scenario.reward.arrive
-            } else if slot.out_of_road {
+            } else if fate.out_of_road {
                 scenario.reward.out_of_road
-            } else if slot.crashed {
+            } else if fate.crashed {
                 scenario.reward.crash
             } else {
-                scenario.reward.progress * (slot.s - self.positions[i])
-                    + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT
+                let way = slot.s - self.positions[i];
+                scenario.reward.progress * way + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT
             };
             self.own_rewards[i] = reward;
             sum += reward;
-            if slot.arrived || slot.out_of_road || slot.crashed {
+            if fate.arrived || fate.out_of_road || fate.crashed {
                 self.frame.terminated[i] = 1.0;
-                slot.status = if slot.arrived { Status::Empty } else { Status::Wreck };
+                slot.status = if fate.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
                 slot.speed = 0.0;
             }
@@ -575,15 +582,15 @@ impl World {
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
         let n = self.task.agents as f64;
         let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
-        let success = share(|slot| slot.arrived);
-        let danger = share(|slot| slot.crashed || slot.out_of_road);
+        let success = share(|slot| slot.fate.arrived);
+        let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
         EpisodeRecord {
             episode: self.episode,
             episode_length: self.step,
             success,
             safety: 1.0 - danger,
-            crash: share(|slot| slot.crashed),
-            out_of_road: share(|slot| slot.out_of_road),
+            crash: share(|slot| slot.fate.crashed),
+            out_of_road: share(|slot| slot.fate.out_of_road),
             reward: self.total_reward,
             efficiency: (success - danger) * n / f64::from(self.step.max(1)),
             sumo_collisions: self.sumo_pairs.len() as u32,
