@@ -38,7 +38,7 @@ pub(super) struct Args {
     /// One setting, e.g. --set ppo.gamma=0.995; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Run folder [default: runs/<scenario>/<algorithm>/seed_<n>]
+    /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Go on from the run folder's last checkpoint, with its settings
