@@ -29,6 +29,8 @@ pub struct Progress {
     pub solved: u32,
     /// The next validation is due at this step.
     pub next_validation: u64,
+    /// Step of the last validation.
+    pub validated: u64,
 }
 
 /// What a checkpoint holds.
@@ -64,7 +66,7 @@ impl Checkpoint {
             entries.push((format!("world/{i}"), Dtype::F32, vec![world.actions.len()], f32_bytes(&world.actions)));
         }
         entries.push(("memory".to_owned(), Dtype::F32, vec![self.memory.len()], f32_bytes(&self.memory)));
-        let episodes: Vec<u64> = self.worlds.iter().map(|world| world.episode).collect();
+        let episodes: Vec<(u64, bool)> = self.worlds.iter().map(|world| (world.episode, world.interrupted)).collect();
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("algorithm".to_owned(), self.algorithm.clone()),
@@ -101,9 +103,14 @@ impl Checkpoint {
         if format != FORMAT {
             return Err(damaged(format!("its format is `{format}`, this program reads `{FORMAT}`")));
         }
-        let progress = serde_json::from_str(&text("progress")?).map_err(|e| damaged(format!("progress: {e}")))?;
-        let episodes: Vec<u64> =
+        let progress: Progress =
+            serde_json::from_str(&text("progress")?).map_err(|e| damaged(format!("progress: {e}")))?;
+        let episodes: Vec<(u64, bool)> =
             serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
+        let counters = [progress.iteration, progress.step, progress.next_validation, progress.validated];
+        if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
+            return Err(damaged("a counter in it is out of range".to_owned()));
+        }
         let floats = |name: &str| -> Result<Vec<f32>, Error> {
             let view = tensors.tensor(name).map_err(|e| damaged(format!("{name}: {e}")))?;
             if view.dtype() != Dtype::F32 {
@@ -114,7 +121,9 @@ impl Checkpoint {
         let worlds = episodes
             .iter()
             .enumerate()
-            .map(|(i, &episode)| Ok(WorldState { episode, actions: floats(&format!("world/{i}"))? }))
+            .map(|(i, &(episode, interrupted))| {
+                Ok(WorldState { episode, interrupted, actions: floats(&format!("world/{i}"))? })
+            })
             .collect::<Result<_, Error>>()?;
         let mut learner = Vec::new();
         for (name, view) in tensors.iter() {

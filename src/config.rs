@@ -3,6 +3,7 @@
 //! The scenario's own numbers appear as the table `[env]`, so that the resolved configuration is complete, is stored with
 //! the run, and is itself a valid `--config`. Every mistake names the file, line and column, and the nearest valid key.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -197,7 +198,8 @@ impl Config {
         let mut scenario = Scenario::load(Path::new(path))?;
 
         let mut table = Self::defaults(&scenario);
-        merge(&mut table, parsed.get_ref(), &[], name, text)?;
+        let mut places = HashMap::new();
+        merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
         for set in &layers.sets {
             let place = Place::Set(set).to_string();
             let (key, value) = set.split_once('=').ok_or_else(|| Error::Value {
@@ -208,17 +210,26 @@ impl Config {
             // Bare words are strings: `network.encoder=mlp` needs no quotes.
             let value = parse_value(value.trim()).unwrap_or_else(|| Value::String(value.trim().to_owned()));
             let keys: Vec<&str> = key.trim().split('.').collect();
-            assign(&mut table, &keys, value, &place)?;
+            assign(&mut table, &mut places, &keys, value, place)?;
         }
         for (key, value) in &layers.flags {
             let place = Place::Flag(key).to_string();
-            assign(&mut table, &key.split('.').collect::<Vec<_>>(), value.clone(), &place)?;
+            assign(&mut table, &mut places, &key.split('.').collect::<Vec<_>>(), value.clone(), place)?;
         }
         let config: Self = Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
             place: name.clone(),
             key: String::new(),
             message: e.message().to_owned(),
         })?;
+        if let Some((keys, allowed)) = config.out_of_range() {
+            // The first key is the one that breaks the rule; another of the rule may be the one that was set.
+            let place = keys.iter().find_map(|key| places.get(*key)).unwrap_or(name);
+            return Err(Error::Value {
+                place: place.clone(),
+                key: keys[0].to_owned(),
+                message: format!("allowed: {allowed}"),
+            });
+        }
         config.env.apply(&mut scenario);
         scenario.net_for(config.agents)?;
         Ok((config, scenario))
@@ -256,60 +267,86 @@ impl Config {
         Table::try_from(config).expect("a configuration is plain data")
     }
 
-    /// What is out of range, as `(key, rule)`.
-    fn out_of_range(&self) -> Option<(&'static str, &'static str)> {
+    /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
+    fn out_of_range(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
-        let rules: [(&'static str, bool, &'static str); 42] = [
-            ("agents", self.agents >= 1, "at least 1"),
-            ("seed", i64::try_from(self.seed).is_ok(), "below 2^63"),
-            ("steps", self.steps >= 1, "at least 1"),
-            ("train.envs", (1..=1024).contains(&t.envs), "1 to 1024"),
-            ("train.segment", (1..=100_000).contains(&t.segment), "1 to 100000"),
-            ("train.validate_every", t.validate_every >= 1, "at least 1"),
-            ("train.validation_episodes", (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
-            ("train.stop_success", share(t.stop_success), "0 to 1"),
-            ("train.stop_validations", t.stop_validations >= 1, "at least 1"),
-            ("network.hidden", (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
-            ("network.extra_layers", n.extra_layers <= 16, "0 to 16"),
-            ("network.token_width", (1..=1024).contains(&n.token_width), "1 to 1024"),
+        let finite_range = |v: f64| v.is_finite() && v >= 0.0;
+        // A rollout's observations alone must fit into memory.
+        let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
+        let recurrent = n.encoder == settings::EncoderKind::Gru;
+        let rules: [(&'static [&'static str], bool, &'static str); 52] = [
+            (&["agents"], self.agents >= 1, "at least 1"),
+            (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
+            (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
+            (&["train.envs"], (1..=1024).contains(&t.envs), "1 to 1024"),
+            (&["train.segment"], (1..=100_000).contains(&t.segment), "1 to 100000"),
             (
-                "network.token_heads",
+                &["train.segment", "train.envs", "agents"],
+                samples <= 1 << 24,
+                "2^24 samples per rollout (segment × envs × agents)",
+            ),
+            (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
+            (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
+            (&["train.stop_success"], share(t.stop_success), "0 to 1"),
+            (&["train.stop_validations"], t.stop_validations >= 1, "at least 1"),
+            (&["network.hidden"], (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
+            (&["network.extra_layers"], n.extra_layers <= 16, "0 to 16"),
+            (&["network.token_width"], (1..=1024).contains(&n.token_width), "1 to 1024"),
+            (
+                &["network.token_heads", "network.token_width"],
                 n.token_heads >= 1 && n.token_width % n.token_heads == 0,
                 "a divisor of network.token_width",
             ),
-            ("network.chunk_length", (1..=t.segment).contains(&n.chunk_length), "1 to train.segment"),
-            ("ppo.learning_rate", finite_positive(p.learning_rate) || p.learning_rate == 0.0, "0 or more"),
-            ("ppo.learning_rate_constant", share(p.learning_rate_constant), "0 to 1"),
-            ("ppo.learning_rate_end", share(p.learning_rate_end), "0 to 1"),
-            ("ppo.epochs", (1..=1000).contains(&p.epochs), "1 to 1000"),
-            ("ppo.minibatch", p.minibatch >= 1, "at least 1"),
-            ("ppo.gamma", share(p.gamma), "0 to 1"),
-            ("ppo.gae_lambda", share(p.gae_lambda), "0 to 1"),
-            ("ppo.clip", finite_positive(p.clip), "above 0"),
-            ("ppo.huber_delta", finite_positive(p.huber_delta), "above 0"),
-            ("ppo.entropy", p.entropy.is_finite(), "a finite number"),
-            ("ppo.max_grad_norm", finite_positive(p.max_grad_norm), "above 0"),
-            ("ppo.value_norm_beta", (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
-            ("exploration.log_std_start", (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
-            ("exploration.log_std_end", (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
-            ("exploration.log_std_share", share(x.log_std_share), "0 to 1"),
-            ("exploration.mean_bias", x.mean_bias.is_finite(), "a finite number"),
-            ("iwol.latent", (1..=4096).contains(&i.latent), "1 to 4096"),
-            ("iwol.rounds", (1..=64).contains(&i.rounds), "1 to 64"),
-            ("iwol.heads", i.heads >= 1 && n.hidden % i.heads == 0, "a divisor of network.hidden"),
-            ("iwol.temperature", finite_positive(i.temperature), "above 0"),
-            ("env.detection_range", e.detection_range >= 0.0 && e.detection_range.is_finite(), "0 or more"),
-            ("env.neighbours", e.neighbours <= 16, "0 to 16"),
-            ("env.conflict_streams", e.conflict_streams <= 16, "0 to 16"),
-            ("env.stream_vehicles", e.stream_vehicles <= 16, "0 to 16"),
-            ("env.communication_range", e.communication_range >= 0.0 && e.communication_range.is_finite(), "0 or more"),
-            ("env.cooperation", share(e.cooperation), "0 to 1"),
-            ("env.horizon", (1..=1_000_000).contains(&e.horizon), "1 to 1000000"),
-            ("env.wreck_time", (0.0..=3600.0).contains(&e.wreck_time), "0 to 3600"),
+            (
+                &["network.chunk_length", "train.segment", "network.encoder"],
+                !recurrent || (1..=t.segment).contains(&n.chunk_length),
+                "1 to train.segment",
+            ),
+            (&["ppo.learning_rate"], finite_range(p.learning_rate), "0 or more"),
+            (&["ppo.learning_rate_constant"], share(p.learning_rate_constant), "0 to 1"),
+            (&["ppo.learning_rate_end"], share(p.learning_rate_end), "0 to 1"),
+            (&["ppo.epochs"], (1..=1000).contains(&p.epochs), "1 to 1000"),
+            (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
+            (&["ppo.gamma"], share(p.gamma), "0 to 1"),
+            (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
+            (&["ppo.clip"], finite_positive(p.clip), "above 0"),
+            (&["ppo.huber_delta"], finite_positive(p.huber_delta), "above 0"),
+            (&["ppo.entropy"], p.entropy.is_finite(), "a finite number"),
+            (&["ppo.max_grad_norm"], finite_positive(p.max_grad_norm), "above 0"),
+            (&["ppo.value_norm_beta"], (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
+            (&["exploration.log_std_start"], (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
+            (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
+            (&["exploration.log_std_share"], share(x.log_std_share), "0 to 1"),
+            (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
+            (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
+            (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
+            (&["iwol.heads", "network.hidden"], i.heads >= 1 && n.hidden % i.heads == 0, "a divisor of network.hidden"),
+            (&["iwol.temperature"], finite_positive(i.temperature), "above 0"),
+            (&["iwol.slope"], i.slope.is_finite(), "a finite number"),
+            (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),
+            (&["iwol.lambda_interaction"], finite_range(i.lambda_interaction), "0 or more"),
+            (&["env.detection_range"], finite_range(e.detection_range), "0 or more"),
+            (&["env.neighbours"], e.neighbours <= 16, "0 to 16"),
+            (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
+            (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
+            (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),
+            (&["env.cooperation"], share(e.cooperation), "0 to 1"),
+            (&["env.reward_progress"], e.reward_progress.is_finite(), "a finite number"),
+            (&["env.reward_speed"], e.reward_speed.is_finite(), "a finite number"),
+            (&["env.reward_arrive"], e.reward_arrive.is_finite(), "a finite number"),
+            (&["env.reward_out_of_road"], e.reward_out_of_road.is_finite(), "a finite number"),
+            (&["env.reward_crash"], e.reward_crash.is_finite(), "a finite number"),
+            (&["env.horizon"], (1..=1_000_000).contains(&e.horizon), "1 to 1000000"),
+            (&["env.wreck_time"], (0.0..=3600.0).contains(&e.wreck_time), "0 to 3600"),
+            (
+                &["network.extra_layers"],
+                n.hidden.saturating_mul(n.extra_layers as i64 + 1) <= 1 << 16,
+                "fewer or narrower layers",
+            ),
         ];
-        rules.into_iter().find(|rule| !rule.1).map(|(key, _, allowed)| (key, allowed))
+        rules.into_iter().find(|rule| !rule.1).map(|(keys, _, allowed)| (keys, allowed))
     }
 }
 
@@ -335,21 +372,31 @@ impl std::fmt::Display for Place<'_> {
     }
 }
 
-fn merge(table: &mut Table, layer: &DeTable<'_>, prefix: &[&str], file: &str, text: &str) -> Result<(), Error> {
+/// Where each key was set last.
+type Places = HashMap<String, String>;
+
+fn merge(
+    table: &mut Table,
+    places: &mut Places,
+    layer: &DeTable<'_>,
+    prefix: &[&str],
+    file: &str,
+    text: &str,
+) -> Result<(), Error> {
     for (key, value) in layer {
         let mut keys = prefix.to_vec();
         keys.push(key.get_ref());
         let place = |offset| Place::At { file: file.to_owned(), text, offset }.to_string();
         if let DeValue::Table(inner) = value.get_ref() {
             check_key(table, &keys, &place(key.span().start))?;
-            merge(table, inner, &keys, file, text)?;
+            merge(table, places, inner, &keys, file, text)?;
         } else {
             check_key(table, &keys, &place(key.span().start))?;
             let parsed = parse_value(&text[value.span()]).ok_or_else(|| Error::Syntax {
                 place: place(value.span().start),
                 message: "this value cannot be read".to_owned(),
             })?;
-            assign(table, &keys, parsed, &place(value.span().start))?;
+            assign(table, places, &keys, parsed, place(value.span().start))?;
         }
     }
     Ok(())
@@ -392,9 +439,10 @@ fn list_keys(table: &Table, prefix: &str, out: &mut Vec<String>) {
     }
 }
 
-/// Sets a key and checks the whole, so that a bad value is reported where it stands.
-fn assign(table: &mut Table, keys: &[&str], value: Value, place: &str) -> Result<(), Error> {
-    check_key(table, keys, place)?;
+/// Sets a key and checks its type, so that a bad value is reported where it stands; ranges are checked at the end, since
+/// some depend on other keys.
+fn assign(table: &mut Table, places: &mut Places, keys: &[&str], value: Value, place: String) -> Result<(), Error> {
+    check_key(table, keys, &place)?;
     let (last, folders) = keys.split_last().expect("a key has a name");
     let mut here = &mut *table;
     for key in folders {
@@ -405,7 +453,7 @@ fn assign(table: &mut Table, keys: &[&str], value: Value, place: &str) -> Result
         (_, value) => value,
     };
     here.insert((*last).to_owned(), value);
-    let bad = |message: String| Error::Value { place: place.to_owned(), key: keys.join("."), message };
+    let bad = |message: String| Error::Value { place: place.clone(), key: keys.join("."), message };
     let config: Config =
         Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
     if !algo::NAMES.contains(&config.algorithm.as_str()) {
@@ -417,11 +465,8 @@ fn assign(table: &mut Table, keys: &[&str], value: Value, place: &str) -> Result
             algo::NAMES.join(", ")
         )));
     }
-    match config.out_of_range() {
-        Some((key, allowed)) if key == keys.join(".") => Err(bad(format!("allowed: {allowed}"))),
-        Some((key, allowed)) => Err(bad(format!("{key} is then not valid (allowed: {allowed})"))),
-        None => Ok(()),
-    }
+    places.insert(keys.join("."), place);
+    Ok(())
 }
 
 /// What can be wrong with a configuration.
@@ -500,8 +545,16 @@ mod tests {
 
     #[test]
     fn the_resolved_configuration_is_a_configuration() {
-        let config = resolve("", &["env.cooperation=0.25", "train.envs=3"]).unwrap();
-        assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
+        // Some settings are valid only together: the order in which they are read must not matter.
+        for sets in [
+            ["env.cooperation=0.25", "train.envs=3"],
+            ["network.hidden=96", "iwol.heads=3"],
+            ["network.token_width=24", "network.token_heads=3"],
+            ["train.segment=256", "network.chunk_length=200"],
+        ] {
+            let config = resolve("", &sets).unwrap();
+            assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
+        }
     }
 
     #[test]
@@ -521,6 +574,11 @@ mod tests {
         );
         assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
         assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
+        assert_eq!(
+            message("[network]\nhidden = 6\n", &[]),
+            "c.toml:2:10: bad value for `iwol.heads`: allowed: a divisor of network.hidden"
+        );
+        assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
         assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
     }
 }

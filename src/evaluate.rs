@@ -18,6 +18,12 @@ use crate::stats::Estimate;
 /// Steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
 
+/// Worlds played at a time. Always as many rows go through a learned policy, whatever the machine and the number of
+/// episodes, so that an episode is the same to the last bit.
+const WORLDS: usize = 16;
+/// How often an episode in which SUMO died is played again.
+const RETRIES: u32 = 2;
+
 /// Who drives.
 pub enum Policy<'a> {
     /// The same throttle in every step.
@@ -114,7 +120,7 @@ pub fn evaluate(
     stop: &AtomicBool,
     report: &mut dyn FnMut(u64),
 ) -> Result<Evaluation, env::Error> {
-    let mut records = play(task, policy, 0..episodes, seed, stop, report)?;
+    let mut records = play(task, policy, 0..episodes, seed, stop, RETRIES, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -126,7 +132,7 @@ pub fn evaluate(
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, stop, &mut |_| {})?);
+        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, stop, RETRIES, &mut |_| {})?);
     }
 }
 
@@ -153,10 +159,10 @@ fn play(
     episodes: Range<u64>,
     seed: Seed,
     stop: &AtomicBool,
+    retries: u32,
     report: &mut dyn FnMut(u64),
 ) -> Result<Vec<EpisodeRecord>, env::Error> {
-    let cores = std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
-    let worlds = (8 * cores as u64).min(episodes.end - episodes.start) as usize;
+    let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
     let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
     let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone() };
     let mut records = Vec::new();
@@ -164,7 +170,7 @@ fn play(
         return Ok(records);
     }
     let mut env = VecEnv::new(task, &options)?;
-    let mut driver = PolicyDriver::new(policy, task, worlds, seed.child("actions"));
+    let mut driver = PolicyDriver::new(policy, task, seed.child("actions"));
     while !env.is_finished() && !stop.load(Ordering::Relaxed) {
         let actions = driver.act(env.worlds());
         env.step(actions)?;
@@ -178,7 +184,10 @@ fn play(
     let again: Vec<u64> = records.iter().filter(|r| r.interrupted).map(|r| r.episode).collect();
     records.retain(|record| !record.interrupted);
     for episode in again {
-        records.extend(play(task, policy, episode..episode + 1, seed, stop, &mut |_| {})?);
+        if retries == 0 {
+            return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
+        }
+        records.extend(play(task, policy, episode..episode + 1, seed, stop, retries - 1, &mut |_| {})?);
     }
     records.sort_by_key(|record| record.episode);
     Ok(records)
@@ -197,8 +206,8 @@ struct PolicyDriver<'a> {
 }
 
 impl<'a> PolicyDriver<'a> {
-    fn new(policy: &'a Policy<'a>, task: &'a Task, worlds: usize, seed: Seed) -> Self {
-        let n = task.agents;
+    fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
+        let (worlds, n) = (WORLDS, task.agents);
         let memory = if let Policy::Learned(learner) = policy { learner.memory() } else { 0 };
         Self {
             policy,

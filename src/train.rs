@@ -159,10 +159,14 @@ impl Trainer {
                 (VecEnv::new(&task, &options)?, vec![0.0; count], first)
             }
             Some(stored) => {
+                same_run(&config, stored)?;
                 let width = task.agents * task.spec.actions;
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
-                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole {
-                    return Err(Error::OtherWorlds { found: stored.worlds.len(), expected: worlds });
+                let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
+                let fits =
+                    carried.is_none_or(|(_, t)| t.size() == [(worlds * task.agents) as i64, config.network.hidden]);
+                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits {
+                    return Err(Error::OtherRun { key: "train.envs".to_owned() });
                 }
                 learner.load(&stored.learner)?;
                 (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
@@ -293,11 +297,26 @@ impl Trainer {
     pub fn run(&mut self, dir: &RunDir, stop: &AtomicBool, report: &mut dyn FnMut(&Report)) -> Result<Outcome, Error> {
         let mut files = Files::open(dir, &self.config, self.progress.step)?;
         let mut validation_success = None;
-        let mut outcome = Outcome::Finished;
-        while self.progress.step < self.config.steps {
+        let outcome = loop {
             if stop.load(Ordering::Relaxed) {
-                outcome = Outcome::Interrupted;
-                break;
+                break Outcome::Interrupted;
+            }
+            let (done, train) = (self.progress.step >= self.config.steps, &self.config.train);
+            // Whether a validation is due follows from where training stands, so that an interrupted one is made up for.
+            let due = self.progress.step >= self.progress.next_validation || done;
+            if due && self.progress.validated < self.progress.step {
+                let evaluation = self.validate(stop)?;
+                if stop.load(Ordering::Relaxed) {
+                    continue;
+                }
+                validation_success = Some(self.judge(&evaluation, dir, &mut files)?);
+                continue;
+            }
+            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
+                break Outcome::Solved;
+            }
+            if done {
+                break Outcome::Finished;
             }
             let before = (self.progress.step, self.progress.seconds);
             self.timers = Timers::default();
@@ -306,21 +325,8 @@ impl Trainer {
             let seconds = self.progress.seconds - before.1;
             let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
             let training_success = files.iteration(self, &losses, steps_per_second)?;
-            if self.progress.step >= self.progress.next_validation || self.progress.step >= self.config.steps {
-                let evaluation = self.validate(stop)?;
-                if stop.load(Ordering::Relaxed) {
-                    continue;
-                }
-                let success = self.judge(&evaluation, dir, &mut files)?;
-                validation_success = Some(success);
-            }
             report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
-            let train = &self.config.train;
-            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
-                outcome = Outcome::Solved;
-                break;
-            }
-        }
+        };
         self.checkpoint().save(&dir.last())?;
         if !dir.best().exists() {
             self.checkpoint().save(&dir.best())?;
@@ -337,10 +343,11 @@ impl Trainer {
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(self.progress.step, evaluation, success, mean(|r| r.safety), window)?;
         let train = &self.config.train;
-        self.progress.solved = if success >= train.stop_success { self.progress.solved + 1 } else { 0 };
-        while self.progress.next_validation <= self.progress.step {
-            self.progress.next_validation += train.validate_every;
-        }
+        let solved = train.stop_success > 0.0 && success >= train.stop_success;
+        self.progress.solved = if solved { self.progress.solved.saturating_add(1) } else { 0 };
+        self.progress.validated = self.progress.step;
+        // The next multiple of the interval.
+        self.progress.next_validation = (self.progress.step / train.validate_every + 1) * train.validate_every;
         if self.progress.best.is_none_or(|best| (success, window) > best) {
             self.progress.best = Some((success, window));
             self.checkpoint().save(&dir.best())?;
@@ -452,6 +459,24 @@ impl Files {
     }
 }
 
+/// Refuses to resume a run whose worlds would not be brought back to where they stood.
+fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
+    let table = |text: &str| toml::from_str::<toml::Table>(text).unwrap_or_default();
+    let (now, then) = (table(&config.to_toml()), table(&stored.config));
+    for key in ["algorithm", "agents", "seed", "env"] {
+        if now.get(key) != then.get(key) {
+            return Err(Error::OtherRun { key: key.to_owned() });
+        }
+    }
+    let train = |table: &toml::Table, key: &str| table.get("train").and_then(|t| t.get(key)).cloned();
+    for key in ["envs", "segment"] {
+        if train(&now, key) != train(&then, key) {
+            return Err(Error::OtherRun { key: format!("train.{key}") });
+        }
+    }
+    Ok(())
+}
+
 /// Row `t` of the rollout: what the worlds show before decision `t`, and the memory that comes with it.
 fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
     let s = rollout.sizes;
@@ -514,14 +539,10 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// A checkpoint is of other worlds.
-    #[error(
-        "the checkpoint holds {found} worlds of another shape than this run's {expected}; resume with the configuration it was made with"
-    )]
-    OtherWorlds {
-        /// In the checkpoint.
-        found: usize,
-        /// In the configuration.
-        expected: usize,
+    /// A checkpoint is of a run with other settings, which would not go on as it went.
+    #[error("the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml")]
+    OtherRun {
+        /// The setting.
+        key: String,
     },
 }

@@ -171,6 +171,12 @@ fn damaged_checkpoints_are_refused() {
     2
     error: `DIR/run` is a run of im-iwol, not of mappo
     "#);
+    // Another number of agents, or seed: the worlds could not be brought back.
+    let mut fewer = iwol(&["train", "--resume", "--agents", "5", "--out"]);
+    assert_snapshot!(tidy(failure(fewer.arg(&run))), @r#"
+    2
+    error: the checkpoint was made with another `agents`; resume with the settings in its run folder's config.toml
+    "#);
     // Another network.
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
     assert_snapshot!(tidy(failure(wider.arg(&run))), @r#"

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{Outcome, RunDir, Trainer};
@@ -12,7 +12,7 @@ use tch::{Kind, Tensor};
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
-         [train]\nenvs = 3\nsegment = 40\nvalidate_every = 100000\nvalidation_episodes = 1\n\
+         [train]\nenvs = 3\nsegment = 40\nvalidate_every = 200\nvalidation_episodes = 1\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
@@ -78,7 +78,9 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         assert_eq!((whole.progress.step, whole.progress.iteration), (480, 4));
         assert_eq!((parts.progress.step, parts.progress.iteration), (480, 4));
         assert!(whole.worlds.iter().any(|w| w.episode >= 3), "episodes ended on the way");
-        for (a, b) in bits(&whole).iter().zip(&bits(&parts)) {
+        let (a, b) = (bits(&whole), bits(&parts));
+        assert_eq!(a.len(), b.len());
+        for (a, b) in a.iter().zip(&b) {
             assert_eq!(a, b, "{algorithm} {encoder}");
         }
     }
@@ -110,7 +112,19 @@ fn a_stopped_run_goes_on_in_its_folder() {
             serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"].as_u64().expect("a step")
         })
         .collect();
-    // Each iteration once, and the validation at the end.
-    assert_eq!(steps, [120, 240, 360, 360]);
+    // Each iteration once, and the validations.
+    assert_eq!(steps, [120, 240, 240, 360, 360]);
     assert!(dir.best().exists());
+
+    // As if nobody had pressed anything.
+    let undisturbed = RunDir::new(folder.path().join("undisturbed"));
+    let (config, scenario) = self::config("im-iwol", "mlp", 360);
+    let mut trainer = Trainer::new(config, scenario).expect("SUMO runs");
+    assert_eq!(trainer.run(&undisturbed, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
+    for file in [RunDir::last, RunDir::best] {
+        let (a, b) = (Checkpoint::load(&file(&dir)), Checkpoint::load(&file(&undisturbed)));
+        let (a, b) = (a.expect("a checkpoint"), b.expect("a checkpoint"));
+        assert_eq!(bits(&a), bits(&b));
+        assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
+    }
 }

@@ -142,7 +142,7 @@ pub enum Error {
         name: String,
     },
     /// Training diverged.
-    #[error("{what} is not finite; the last checkpoint is intact")]
+    #[error("training diverged: {what} is not finite; try a lower ppo.learning_rate")]
     NonFinite {
         /// Which quantity.
         what: &'static str,

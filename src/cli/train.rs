@@ -76,10 +76,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
         _ => Document::default(),
     };
-    let (config, scenario) = Config::resolve(&Layers { document, sets: args.set.clone(), flags: args.flags()? })?;
+    let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
+    let (mut config, mut scenario) = Config::resolve(&layers)?;
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))
     }));
+    if args.resume && args.config.is_none() && args.out.is_none() {
+        // Only now is it known which run; it brings its own settings.
+        layers.document = Document::read(&dir.config())?;
+        (config, scenario) = Config::resolve(&layers)?;
+    }
     if !args.resume && dir.last().exists() {
         bail!("`{}` already holds a run; add --resume to go on with it, or choose another --out", dir.path().display());
     }
@@ -139,7 +145,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     eprintln!(
         "{end} after {} steps in {}; best validation success {}",
         progress.step,
-        human_duration(Duration::from_secs_f64(progress.seconds)),
+        human_duration(Duration::try_from_secs_f64(progress.seconds).unwrap_or_default()),
         progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     println!("{}", dir.path().display());

@@ -161,9 +161,21 @@ pub enum Error {
         /// What happened.
         source: sumo::Error,
     },
-    /// SUMO took a vehicle away that was under control.
+    /// SUMO died while the episodes of a run were played again.
+    #[error("SUMO died while the run's episodes were played again to resume; try once more")]
+    Replay,
+    /// An episode cannot be played: SUMO dies in it again and again.
+    #[error("SUMO died {times} times in episode {episode}; see its messages with -v")]
+    Doomed {
+        /// The episode.
+        episode: u64,
+        /// How often.
+        times: u32,
+    },
+    /// A vehicle under control is not on the road.
     #[error(
-        "slot {slot}: its vehicle vanished from SUMO at step {step} of an episode; is its route shorter than the arrival position?"
+        "slot {slot}: its vehicle is not on SUMO's roads at step {step} of an episode; SUMO had no room at its spawn \
+         place, or its route ends before the arrival position"
     )]
     Vanished {
         /// The slot.

@@ -148,8 +148,7 @@ impl Task {
 fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeometry {
     let path = &paths[a];
     let last = path.edges.len() - 1;
-    let arrival =
-        path.edge_start[last] + if arrival_pos < 0.0 { path.edge_length[last] + arrival_pos } else { arrival_pos };
+    let arrival = path.arc(last, arrival_pos).unwrap_or_else(|| path.length());
     let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
     let mut conflicts = Vec::new();
     let mut apart = Vec::new();

@@ -31,7 +31,7 @@ struct Host {
     commands: Vec<Command>,
     /// What went wrong in the first half of the exchange.
     failed: Option<sumo::Error>,
-    /// Fatal failures in a row.
+    /// Fatal failures since an episode was last played to its end.
     failures: u32,
 }
 
@@ -77,6 +77,9 @@ impl VecEnv {
         for t in 0..=longest {
             for (e, world) in env.worlds_mut().enumerate() {
                 let wait = longest - steps[e];
+                if states[e].interrupted {
+                    continue;
+                }
                 if t == wait {
                     world.reset(states[e].episode);
                 } else if t > wait {
@@ -86,8 +89,14 @@ impl VecEnv {
             }
             env.step(&actions)?;
         }
-        for world in env.worlds_mut() {
+        for (e, world) in env.worlds_mut().enumerate() {
             world.take_finished();
+            if states[e].interrupted {
+                world.reset(states[e].episode);
+            }
+        }
+        if env.restarts > 0 {
+            return Err(Error::Replay);
         }
         Ok(env)
     }
@@ -164,8 +173,8 @@ impl VecEnv {
 
     /// One decision of all worlds; `actions` is `[E, N, A]`.
     ///
-    /// A SUMO that dies costs its worlds' episodes (they are truncated and flagged) and is replaced once;
-    /// when the fresh one dies before completing a step as well, the error is returned.
+    /// A SUMO that dies costs its worlds' episodes (they are truncated and flagged) and is replaced; when the fresh one
+    /// dies before an episode has come to its end as well, the error is returned.
     ///
     /// # Errors
     /// [`Error`].
@@ -199,7 +208,10 @@ impl Host {
                 for (k, world) in self.worlds.iter_mut().enumerate() {
                     world.observe(k as u32, snapshot)?;
                 }
-                self.failures = 0;
+                // A respawn alone proves nothing: a SUMO that dies in every episode must not be started for ever.
+                if self.worlds.iter().any(World::has_finished) {
+                    self.failures = 0;
+                }
                 Ok(0)
             }
             Err(source) => {

@@ -59,6 +59,9 @@ pub(super) struct Slot {
     pub(super) action: f64,
     /// Segment of the route's polyline where the vehicle was last.
     segment: usize,
+    /// SUMO has been given the vehicle and has not been told to remove it.
+    added: bool,
+    /// SUMO has put the vehicle on the road.
     departed: bool,
     wreck_steps: u32,
     fate: Fate,
@@ -82,6 +85,7 @@ const EMPTY: Slot = Slot {
     lateral: 0.0,
     action: 0.0,
     segment: 0,
+    added: false,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },
@@ -161,6 +165,8 @@ pub struct WorldState {
     pub episode: u64,
     /// Actions since its spawn, `[steps, N]`.
     pub actions: Vec<f32>,
+    /// SUMO died in the last exchange: `episode` is yet to start.
+    pub interrupted: bool,
 }
 
 /// One world.
@@ -190,6 +196,7 @@ pub struct World {
     sumo_pairs: Vec<(u32, u32)>,
     own_pairs: Vec<(u32, u32)>,
     actions: Vec<f32>,
+    interrupted: bool,
     finished: Option<EpisodeRecord>,
 }
 
@@ -233,6 +240,7 @@ impl World {
             sumo_pairs: Vec::new(),
             own_pairs: Vec::new(),
             actions: Vec::new(),
+            interrupted: false,
             finished: None,
             task,
         }
@@ -246,6 +254,11 @@ impl World {
     /// The episode that the last step ended, if it did.
     pub fn take_finished(&mut self) -> Option<EpisodeRecord> {
         self.finished.take()
+    }
+
+    /// Whether the last step ended an episode as it should.
+    pub(super) fn has_finished(&self) -> bool {
+        self.finished.as_ref().is_some_and(|record| !record.interrupted)
     }
 
     /// Number of the current episode in its stream.
@@ -265,7 +278,10 @@ impl World {
 
     /// Place in the episodes, for a checkpoint.
     pub fn state(&self) -> WorldState {
-        WorldState { episode: self.episode, actions: self.actions.clone() }
+        if self.interrupted {
+            return WorldState { episode: self.next_episode, actions: Vec::new(), interrupted: true };
+        }
+        WorldState { episode: self.episode, actions: self.actions.clone(), interrupted: false }
     }
 
     /// Lets the coming exchange start `episode`, whatever is on the road now.
@@ -296,15 +312,15 @@ impl World {
                         }
                         Status::Wreck if slot.wreck_steps == 0 => {
                             slot.status = Status::Empty;
-                            slot.departed = false;
+                            slot.added = false;
                             commands.push(Command::Remove { world, slot: at });
                         }
                         Status::Wreck => {
                             slot.wreck_steps -= 1;
                             commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
                         }
-                        Status::Empty if slot.departed => {
-                            slot.departed = false;
+                        Status::Empty if slot.added => {
+                            slot.added = false;
                             commands.push(Command::Remove { world, slot: at });
                         }
                         _ => {}
@@ -316,6 +332,7 @@ impl World {
 
     fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
         let task = Arc::clone(&self.task);
+        self.interrupted = false;
         if self.next_episode >= self.end {
             self.phase = Phase::Idle;
             return;
@@ -338,15 +355,25 @@ impl World {
         };
         for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
             let at = i as u32;
-            if slot.departed {
+            if slot.added {
                 commands.push(Command::Remove { world, slot: at });
             }
             let place = task.places[places[i]];
             let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
             let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
-            let (point, heading) = task.routes[place.route].path.at(s);
+            let path = &task.routes[place.route].path;
+            let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
             let pose = offset(point, heading, lateral);
-            *slot = Slot { status: Status::Active, route: place.route, pose, before: pose, s, lateral, ..EMPTY };
+            *slot = Slot {
+                status: Status::Active,
+                route: place.route,
+                pose,
+                before: pose,
+                s,
+                lateral,
+                added: true,
+                ..EMPTY
+            };
             commands.push(Command::Add {
                 world,
                 slot: at,
@@ -424,6 +451,7 @@ impl World {
 
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
     pub fn interrupt(&mut self) {
+        self.interrupted = true;
         if self.phase == Phase::Running {
             self.finished = Some(self.record(true));
             for (truncated, active) in self.frame.truncated.iter_mut().zip(&mut self.frame.active) {
@@ -437,7 +465,9 @@ impl World {
             self.next_episode = self.episode;
         }
         // The fresh SUMO is empty: nothing is left to remove.
-        self.traffic.slots.iter_mut().for_each(|slot| slot.departed = false);
+        for slot in &mut self.traffic.slots {
+            slot.added = false;
+        }
         self.phase = Phase::Ended;
     }
 
@@ -453,7 +483,7 @@ impl World {
             }
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
                 // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
-                if slot.departed {
+                if slot.departed || self.driver == Driver::Agents {
                     return Err(Error::Vanished { slot: i, step: self.step });
                 }
                 continue;

@@ -48,6 +48,21 @@ fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader)
                 allowed: format!("{} to {length} m on edge `{edge}`", -length),
             });
         }
+        // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
+        let ahead = scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
+        let left = if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
+        if left < ahead - SLACK {
+            let (line, column) = reader.position(at.arrival_pos);
+            return Err(Error::Value {
+                path: scenario.path.clone(),
+                line,
+                column,
+                element: "route".into(),
+                key: "arrivalPos",
+                value: route.arrival_pos.to_string(),
+                allowed: format!("at least {ahead:.2} m before the end: half a vehicle and the way of one step"),
+            });
+        }
         paths.push(path);
     }
     Ok(paths)
