@@ -41,6 +41,11 @@ impl RunDir {
         self.0.join("config.toml")
     }
 
+    /// How and with what the run was started.
+    pub fn meta(&self) -> PathBuf {
+        self.0.join("meta.json")
+    }
+
     /// A line per iteration, and one per validation.
     pub fn metrics(&self) -> PathBuf {
         self.0.join("metrics.jsonl")

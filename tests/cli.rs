@@ -115,9 +115,14 @@ fn damaged_checkpoints_are_refused() {
     let output = train.output().expect("it ran");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), run.display().to_string());
-    for file in
-        ["config.toml", "metrics.jsonl", "eval.jsonl", "checkpoints/best.safetensors", "checkpoints/last.safetensors"]
-    {
+    for file in [
+        "config.toml",
+        "meta.json",
+        "metrics.jsonl",
+        "eval.jsonl",
+        "checkpoints/best.safetensors",
+        "checkpoints/last.safetensors",
+    ] {
         assert!(run.join(file).exists(), "{file}");
     }
     assert!(

@@ -140,11 +140,11 @@ fn check_torch(findings: &mut Findings) {
     findings.row(
         "device",
         if tch::Cuda::is_available() {
-            format!("cuda ({} visible), cpu", tch::Cuda::device_count())
+            format!("cpu (CUDA sees {} devices; training does not use them yet)", tch::Cuda::device_count())
         } else if with_cuda {
             "cpu (libtorch has CUDA, but sees no device: does `nvidia-smi` list one?)".to_owned()
         } else {
-            "cpu (for a GPU run `scripts/bootstrap --gpu` and build again)".to_owned()
+            "cpu".to_owned()
         },
     );
 }

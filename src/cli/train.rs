@@ -3,13 +3,14 @@
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
+use iwol_sumo::{record, sumo};
 use toml::Value;
 
 use super::Verdict;
@@ -69,6 +70,23 @@ impl Args {
     }
 }
 
+/// What somebody needs to know who finds the folder in a year.
+fn write_meta(dir: &RunDir) -> anyhow::Result<()> {
+    let sumo = sumo::find_sumo()?;
+    let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let meta = serde_json::json!({
+        "iwol": env!("CARGO_PKG_VERSION"),
+        "command": std::env::args().collect::<Vec<_>>(),
+        "started_unix_s": started,
+        "sumo": sumo::sumo_version(&sumo)?,
+        "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+        "torch_threads": tch::get_num_threads(),
+    });
+    std::fs::create_dir_all(dir.path())
+        .with_context(|| format!("cannot make the run folder `{}`", dir.path().display()))?;
+    Ok(record::write_atomic(&dir.meta(), format!("{meta:#}\n").as_bytes())?)
+}
+
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let document = match (&args.config, &args.out) {
         (Some(path), _) => Document::read(path)?,
@@ -109,6 +127,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         all,
         deployed
     );
+    write_meta(&dir)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(
         ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")
