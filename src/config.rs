@@ -373,11 +373,11 @@ impl std::fmt::Display for Place<'_> {
 }
 
 /// Where each key was set last.
-type Places = HashMap<String, String>;
+type SetAt = HashMap<String, String>;
 
 fn merge(
     table: &mut Table,
-    places: &mut Places,
+    places: &mut SetAt,
     layer: &DeTable<'_>,
     prefix: &[&str],
     file: &str,
@@ -441,7 +441,7 @@ fn list_keys(table: &Table, prefix: &str, out: &mut Vec<String>) {
 
 /// Sets a key and checks its type, so that a bad value is reported where it stands; ranges are checked at the end, since
 /// some depend on other keys.
-fn assign(table: &mut Table, places: &mut Places, keys: &[&str], value: Value, place: String) -> Result<(), Error> {
+fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, place: String) -> Result<(), Error> {
     check_key(table, keys, &place)?;
     let (last, folders) = keys.split_last().expect("a key has a name");
     let mut here = &mut *table;

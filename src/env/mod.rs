@@ -9,6 +9,8 @@ mod dynamics;
 mod geometry;
 mod metrics;
 mod observation;
+mod routes;
+mod slots;
 mod state;
 mod task;
 mod vec;
@@ -21,7 +23,8 @@ pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
 pub use geometry::{Pose, boxes_overlap};
 pub use metrics::EpisodeRecord;
-pub use task::{Conflict, RouteGeometry, Task};
+pub use routes::{Conflict, RouteGeometry};
+pub use task::Task;
 pub use vec::{VecEnv, VecOptions};
 pub use world::{Driver, Frame, World, WorldState};
 

@@ -4,8 +4,8 @@
 //! describe, for each route that crosses or merges with the agent's own, the vehicles next to the meeting point:
 //! a description that does not depend on the number of vehicles and reads the same from every arm.
 
-use super::task::Task;
-use super::world::{CLEARED, Status, Traffic};
+use super::routes::RouteGeometry;
+use super::slots::{CLEARED, Status, Traffic};
 use super::{Features, Writer};
 use crate::scenario::Scenario;
 
@@ -87,11 +87,11 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
 }
 
 /// Writes the observation of the agent in `slot`, `[O]`.
-pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]) {
-    let settings = &task.scenario.observation;
+pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Traffic, slot: usize, out: &mut [f32]) {
+    let settings = &scenario.observation;
     let range = settings.detection_range;
     let own = &traffic.slots[slot];
-    let route = &task.routes[own.route];
+    let route = &routes[own.route];
     let seen = |j: usize| j != slot && traffic.distance(slot, j) <= range;
     let mut w = Writer::new(out);
 
@@ -123,7 +123,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         f64::from(ahead) / COUNT,
     ]);
     if let Some((centre_gap, j)) = leader {
-        let gap = centre_gap - task.scenario.vehicle.length;
+        let gap = centre_gap - scenario.vehicle.length;
         let other = &traffic.slots[j];
         w.put([gap / 10.0, gap / FAR, (other.speed - own.speed) / 10.0, moving(other.status), 1.0]);
     } else {
@@ -133,7 +133,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     let mut nearest = [(f64::INFINITY, usize::MAX); 16];
     let k = settings.neighbours.min(nearest.len());
     if k > 0 {
-        for j in (0..task.agents).filter(|&j| traffic.slots[j].status != Status::Empty && seen(j)) {
+        for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && seen(j)) {
             let d = traffic.distance(slot, j);
             if d < nearest[k - 1].0 {
                 let at = nearest[..k].partition_point(|entry| entry.0 <= d);
@@ -179,7 +179,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     }
     if settings.conflict_streams > 0 {
         let others = route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
-        let distances = others.map(|(r, j)| (task.routes[r].to_first_conflict(traffic.slots[j].s), j));
+        let distances = others.map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j));
         put_vehicles(
             &mut w,
             traffic,

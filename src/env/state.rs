@@ -5,8 +5,8 @@
 //! settings only, never on the number of vehicles, so that one checkpoint serves any number.
 
 use super::observation::{COUNT, SPEED, moving};
-use super::task::Task;
-use super::world::{CLEARED, Status, Traffic};
+use super::routes::RouteGeometry;
+use super::slots::{CLEARED, Status, Traffic};
 use super::{Features, Writer};
 use crate::scenario::Scenario;
 
@@ -51,11 +51,18 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
     features
 }
 
-/// Writes the privileged state as seen from `slot`, `[S]`.
-pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]) {
+/// Writes the privileged state as seen from `slot`, `[S]`; `bounds` are the net's `[x_min, y_min, x_max, y_max]` \[m\].
+pub(super) fn write(
+    scenario: &Scenario,
+    routes: &[RouteGeometry],
+    bounds: [f64; 4],
+    traffic: &Traffic,
+    slot: usize,
+    out: &mut [f32],
+) {
     let own = &traffic.slots[slot];
-    let route = &task.routes[own.route];
-    let [x0, y0, x1, y1] = task.bounds;
+    let route = &routes[own.route];
+    let [x0, y0, x1, y1] = bounds;
     let (sin, cos) = own.pose.heading.sin_cos();
     let centred = |v: f64, low: f64, high: f64| (2.0 * v - low - high) / (high - low).max(1.0);
     let mut w = Writer::new(out);
@@ -75,7 +82,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     put(&mut w, traffic, queue[..place].iter().rev().map(gap), OWN_LANE);
     put(&mut w, traffic, queue[(place + 1).min(queue.len())..].iter().map(gap), OWN_LANE);
     put_counts(&mut w, traffic, queue.iter().copied());
-    for stream in 0..task.scenario.observation.conflict_streams.max(1) {
+    for stream in 0..scenario.observation.conflict_streams.max(1) {
         let Some(conflict) = route.conflicts.get(stream) else {
             w.skip(PER_STREAM * VEHICLE.len() + COUNTS.len());
             continue;
@@ -86,7 +93,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         put_counts(&mut w, traffic, queue.iter().copied());
     }
     let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
-    put(&mut w, traffic, apart().map(|(r, j)| (task.routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);
+    put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);
     put_counts(&mut w, traffic, apart().map(|(_, j)| j));
     debug_assert_eq!(w.at, w.out.len());
 }

@@ -1,7 +1,6 @@
 //! One world: an episode's slots, from spawn to arrival or wreck. It needs no simulator: commands go out, a snapshot comes in.
 //!
-//! Life of a slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
-//! while, then empty). No slot revives within an episode. An episode that has ended stays visible for one frame, whose
+//! An episode that has ended stays visible for one frame, whose
 //! agents are observed but do not act: a truncated agent's last observation, from which its return is bootstrapped.
 //! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
 
@@ -10,14 +9,13 @@ use std::sync::Arc;
 use super::comm::physical_mask;
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
+use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
 use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
 use crate::rng::{self, Seed};
 use crate::scenario::Reward;
 use crate::sumo::{Command, Snapshot};
 
-/// A vehicle this far behind a meeting point has left it, body and all \[m\].
-pub(super) const CLEARED: f64 = 7.0;
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
@@ -34,96 +32,6 @@ pub enum Driver {
     Agents,
     /// SUMO's own driver and right of way; actions are ignored.
     Sumo,
-}
-
-/// What a slot holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Status {
-    Empty,
-    Active,
-    Wreck,
-}
-
-#[derive(Debug, Clone)]
-pub(super) struct Slot {
-    pub(super) status: Status,
-    pub(super) route: usize,
-    /// Pose of the centre.
-    pub(super) pose: Pose,
-    before: Pose,
-    /// Position of the centre along the route \[m\].
-    pub(super) s: f64,
-    pub(super) speed: f64,
-    /// Offset from the lane's centre line, positive to the left \[m\].
-    pub(super) lateral: f64,
-    pub(super) action: f64,
-    /// Segment of the route's polyline where the vehicle was last.
-    segment: usize,
-    /// SUMO has been given the vehicle and has not been told to remove it.
-    added: bool,
-    /// SUMO has put the vehicle on the road.
-    departed: bool,
-    wreck_steps: u32,
-    fate: Fate,
-}
-
-/// How an agent ended; several may hold at once.
-#[derive(Debug, Clone, Copy, Default)]
-struct Fate {
-    arrived: bool,
-    crashed: bool,
-    out_of_road: bool,
-}
-
-const EMPTY: Slot = Slot {
-    status: Status::Empty,
-    route: 0,
-    pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
-    before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
-    s: 0.0,
-    speed: 0.0,
-    lateral: 0.0,
-    action: 0.0,
-    segment: 0,
-    added: false,
-    departed: false,
-    wreck_steps: 0,
-    fate: Fate { arrived: false, crashed: false, out_of_road: false },
-};
-
-/// The vehicles of a world and how they stand to each other; what observations are made from.
-#[derive(Debug, Clone)]
-pub(super) struct Traffic {
-    pub(super) slots: Vec<Slot>,
-    /// Slots on the road by route, furthest along first.
-    pub(super) by_route: Vec<Vec<usize>>,
-    /// Centre distances, `[N, N]` \[m\].
-    distances: Vec<f64>,
-}
-
-impl Traffic {
-    pub(super) fn distance(&self, i: usize, j: usize) -> f64 {
-        self.distances[i * self.slots.len() + j]
-    }
-
-    fn refresh(&mut self) {
-        let n = self.slots.len();
-        self.by_route.iter_mut().for_each(Vec::clear);
-        for i in 0..n {
-            if self.slots[i].status == Status::Empty {
-                continue;
-            }
-            self.by_route[self.slots[i].route].push(i);
-            for j in 0..i {
-                let d = self.slots[i].pose.distance(&self.slots[j].pose);
-                self.distances[i * n + j] = d;
-                self.distances[j * n + i] = d;
-            }
-        }
-        for queue in &mut self.by_route {
-            queue.sort_unstable_by(|&a, &b| self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b)));
-        }
-    }
 }
 
 /// What agents and learners get from a world after an exchange. Reused from step to step.
@@ -215,11 +123,7 @@ impl World {
             next_episode: first,
             phase: Phase::Idle,
             step: 0,
-            traffic: Traffic {
-                slots: vec![EMPTY; n],
-                by_route: vec![Vec::with_capacity(n); task.routes.len()],
-                distances: vec![0.0; n * n],
-            },
+            traffic: Traffic::new(n, task.routes.len()),
             frame: Frame {
                 observation: vec![0.0; n * o],
                 state: vec![0.0; n * s],
@@ -435,8 +339,8 @@ impl World {
             let (seen, known) =
                 (&mut self.frame.observation[i * o..(i + 1) * o], &mut self.frame.state[i * s..(i + 1) * s]);
             if self.present[i] {
-                observation::write(&self.task, &self.traffic, i, seen);
-                state::write(&self.task, &self.traffic, i, known);
+                observation::write(&self.task.scenario, &self.task.routes, &self.traffic, i, seen);
+                state::write(&self.task.scenario, &self.task.routes, self.task.bounds, &self.traffic, i, known);
             } else {
                 seen.fill(0.0);
                 known.fill(0.0);

@@ -1,10 +1,33 @@
 //! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
 
-use super::{Error, Net, Scenario, load::Places, reader::Reader};
+use super::{Error, Net, Scenario, reader::Reader};
 use crate::sumo::net::{self, Path};
 
 /// Slack of comparisons of positions \[m\].
 const SLACK: f64 = 1e-6;
+
+/// Where in the text the parts stand that are checked against the nets: byte offsets.
+pub(super) struct Places {
+    /// Per route.
+    pub(super) routes: Vec<RoutePlaces>,
+    /// Per net.
+    pub(super) nets: Vec<NetPlaces>,
+    /// Of the jitter's `lateral`.
+    pub(super) lateral: usize,
+}
+
+/// Where the parts of a route stand.
+pub(super) struct RoutePlaces {
+    pub(super) edges: usize,
+    pub(super) arrival_pos: usize,
+}
+
+/// Where the parts of a net stand.
+pub(super) struct NetPlaces {
+    pub(super) file: usize,
+    /// Of each spawn row.
+    pub(super) spawns: Vec<usize>,
+}
 
 /// Reads every net of a scenario and checks what the scenario says about it.
 pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<(), Error> {
@@ -35,33 +58,22 @@ fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader)
             }
         })?;
         let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
-        if route.arrival_pos.abs() > length + SLACK {
+        let refused = |allowed: String| {
             let (line, column) = reader.position(at.arrival_pos);
+            let (path, value) = (scenario.path.clone(), route.arrival_pos.to_string());
+            Error::Value { path, line, column, element: "route".into(), key: "arrivalPos", value, allowed }
+        };
+        if route.arrival_pos.abs() > length + SLACK {
             let edge = route.edges.last().map_or("", String::as_str);
-            return Err(Error::Value {
-                path: scenario.path.clone(),
-                line,
-                column,
-                element: "route".into(),
-                key: "arrivalPos",
-                value: route.arrival_pos.to_string(),
-                allowed: format!("{} to {length} m on edge `{edge}`", -length),
-            });
+            return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
         }
         // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
         let ahead = scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
         let left = if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
         if left < ahead - SLACK {
-            let (line, column) = reader.position(at.arrival_pos);
-            return Err(Error::Value {
-                path: scenario.path.clone(),
-                line,
-                column,
-                element: "route".into(),
-                key: "arrivalPos",
-                value: route.arrival_pos.to_string(),
-                allowed: format!("at least {ahead:.2} m before the end: half a vehicle and the way of one step"),
-            });
+            return Err(refused(format!(
+                "at least {ahead:.2} m before the end: half a vehicle and the way of one step"
+            )));
         }
         paths.push(path);
     }

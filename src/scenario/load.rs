@@ -12,6 +12,7 @@ use roxmltree::Node;
 use super::{
     AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, Reward, Route, Scenario,
     SpawnRow, Termination, Vehicle, check,
+    check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
 use crate::sumo::net::{nearest, shorten};
@@ -88,29 +89,6 @@ impl Scenario {
     }
 }
 
-/// Where in the text the parts stand that are checked against the nets: byte offsets.
-pub(super) struct Places {
-    /// Per route.
-    pub(super) routes: Vec<RoutePlaces>,
-    /// Per net.
-    pub(super) nets: Vec<NetPlaces>,
-    /// Of the jitter's `lateral`.
-    pub(super) lateral: usize,
-}
-
-/// Where the parts of a route stand.
-pub(super) struct RoutePlaces {
-    pub(super) edges: usize,
-    pub(super) arrival_pos: usize,
-}
-
-/// Where the parts of a net stand.
-pub(super) struct NetPlaces {
-    pub(super) file: usize,
-    /// Of each spawn row.
-    pub(super) spawns: Vec<usize>,
-}
-
 impl<'a, 'input> Reader<'a, 'input> {
     fn scenario(&self) -> Result<(Scenario, Places), Error> {
         let root = self.document.root_element();
@@ -150,9 +128,9 @@ impl<'a, 'input> Reader<'a, 'input> {
             control: self.control(part("control")?)?,
             observation: Observation {
                 detection_range: self.positive(observation, "detectionRange")?,
-                neighbours: self.whole(observation, "neighbours", 0, 64)? as usize,
-                conflict_streams: self.whole(observation, "conflictStreams", 0, 64)? as usize,
-                stream_vehicles: self.whole(observation, "streamVehicles", 0, 64)? as usize,
+                neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
+                conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
+                stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
             },
             reward: Reward {
                 progress: self.any(reward, "progress")?,

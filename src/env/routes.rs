@@ -1,0 +1,124 @@
+//! The routes' centre lines and how they meet: shared lanes, crossings and merges.
+
+use crate::sumo::net::Path;
+
+/// A route's centre line and its relation to the others. All positions are arc lengths from the route's start \[m\].
+#[derive(Debug, Clone)]
+pub struct RouteGeometry {
+    /// Centre line.
+    pub path: Path,
+    /// An agent whose centre is here or further has arrived.
+    pub arrival: f64,
+    /// Routes that cross or merge with this one, in the order in which this one meets them.
+    pub conflicts: Vec<Conflict>,
+    /// Routes that never meet this one.
+    pub apart: Vec<usize>,
+    /// For every route: stretches that it shares with this one.
+    shared: Vec<Vec<Shared>>,
+}
+
+/// Where another route first meets this one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Conflict {
+    /// The other route.
+    pub route: usize,
+    /// Position of the meeting point on this route.
+    pub own: f64,
+    /// Position of the meeting point on the other route.
+    pub other: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Shared {
+    /// Stretch on the other route.
+    from: f64,
+    to: f64,
+    /// Added to a position on the other route gives the position on this one.
+    shift: f64,
+}
+
+impl RouteGeometry {
+    /// Position on this route of something at `s` on `route`, if it is on a lane that both use.
+    pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {
+        self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
+    }
+
+    /// Distance from `s` to the first conflict point, or to the arrival where there is none \[m\].
+    pub fn to_first_conflict(&self, s: f64) -> f64 {
+        self.conflicts.first().map_or(self.arrival, |c| c.own) - s
+    }
+}
+
+/// Route number `a` of `paths`, on whose last edge `arrival_pos` is the finish.
+pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeometry {
+    let path = &paths[a];
+    let last = path.edges.len() - 1;
+    let arrival = path.arc(last, arrival_pos).unwrap_or_else(|| path.length());
+    let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
+    let mut conflicts = Vec::new();
+    let mut apart = Vec::new();
+    for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
+        match first_meeting(path, other, &shared[b]) {
+            Some((own, on_other)) => conflicts.push(Conflict { route: b, own, other: on_other }),
+            None => apart.push(b),
+        }
+    }
+    conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
+    RouteGeometry { path: path.clone(), arrival, conflicts, apart, shared }
+}
+
+fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
+    if same {
+        return vec![Shared { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 }];
+    }
+    let mut stretches = Vec::new();
+    for (i, edge) in own.edges.iter().enumerate() {
+        if let Some(j) = other.edges.iter().position(|e| e == edge) {
+            let from = other.edge_start[j];
+            stretches.push(Shared { from, to: from + other.edge_length[j], shift: own.edge_start[i] - from });
+        }
+    }
+    stretches
+}
+
+/// First point, in driving order of `own`, where `other`'s centre line meets it outside the lanes that both use.
+fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
+    for i in 1..own.points.len() {
+        let mut best: Option<(f64, f64)> = None;
+        for j in 1..other.points.len() {
+            let middle = f64::midpoint(other.cumulative[j - 1], other.cumulative[j]);
+            if shared.iter().any(|k| (k.from..=k.to).contains(&middle)) {
+                continue;
+            }
+            if let Some((t, u)) = crossing(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j]) {
+                let at = |path: &Path, k: usize, t: f64| {
+                    path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
+                };
+                let found = (at(own, i, t), at(other, j, u));
+                // Two routes that fork from one lane touch at the fork; that is no meeting.
+                let fork = shared.iter().any(|k| (found.1 - k.to).abs() < 0.5);
+                if !fork && best.is_none_or(|b| found.0 < b.0) {
+                    best = Some(found);
+                }
+            }
+        }
+        if best.is_some() {
+            return best;
+        }
+    }
+    None
+}
+
+/// Where segments `ab` and `cd` cross, as fractions of both; parallel segments do not.
+fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
+    let (r, s) = ([b[0] - a[0], b[1] - a[1]], [d[0] - c[0], d[1] - c[1]]);
+    let cross = r[0] * s[1] - r[1] * s[0];
+    if cross.abs() < 1e-12 {
+        return None;
+    }
+    let q = [c[0] - a[0], c[1] - a[1]];
+    let t = (q[0] * s[1] - q[1] * s[0]) / cross;
+    let u = (q[0] * r[1] - q[1] * r[0]) / cross;
+    let inside = |x: f64| (-1e-9..=1.0 + 1e-9).contains(&x);
+    (inside(t) && inside(u)).then_some((t, u))
+}

@@ -1,0 +1,109 @@
+//! The vehicle slots of a world, and how their vehicles stand to each other: what observations and rewards are made from.
+//!
+//! Life of a slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
+//! while, then empty). No slot revives within an episode.
+
+use super::geometry::Pose;
+
+/// A vehicle this far behind a meeting point has left it, body and all \[m\].
+pub(super) const CLEARED: f64 = 7.0;
+/// What a slot holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Status {
+    Empty,
+    Active,
+    Wreck,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Slot {
+    pub(super) status: Status,
+    pub(super) route: usize,
+    /// Pose of the centre.
+    pub(super) pose: Pose,
+    pub(super) before: Pose,
+    /// Position of the centre along the route \[m\].
+    pub(super) s: f64,
+    pub(super) speed: f64,
+    /// Offset from the lane's centre line, positive to the left \[m\].
+    pub(super) lateral: f64,
+    pub(super) action: f64,
+    /// Segment of the route's polyline where the vehicle was last.
+    pub(super) segment: usize,
+    /// SUMO has been given the vehicle and has not been told to remove it.
+    pub(super) added: bool,
+    /// SUMO has put the vehicle on the road.
+    pub(super) departed: bool,
+    pub(super) wreck_steps: u32,
+    pub(super) fate: Fate,
+}
+
+/// How an agent ended; several may hold at once.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Fate {
+    pub(super) arrived: bool,
+    pub(super) crashed: bool,
+    pub(super) out_of_road: bool,
+}
+
+pub(super) const EMPTY: Slot = Slot {
+    status: Status::Empty,
+    route: 0,
+    pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
+    before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
+    s: 0.0,
+    speed: 0.0,
+    lateral: 0.0,
+    action: 0.0,
+    segment: 0,
+    added: false,
+    departed: false,
+    wreck_steps: 0,
+    fate: Fate { arrived: false, crashed: false, out_of_road: false },
+};
+
+/// The vehicles of a world and how they stand to each other; what observations are made from.
+#[derive(Debug, Clone)]
+pub(super) struct Traffic {
+    pub(super) slots: Vec<Slot>,
+    /// Slots on the road by route, furthest along first.
+    pub(super) by_route: Vec<Vec<usize>>,
+    /// Centre distances, `[N, N]` \[m\].
+    distances: Vec<f64>,
+}
+
+impl Traffic {
+    /// No vehicle anywhere.
+    pub(super) fn new(agents: usize, routes: usize) -> Self {
+        Self {
+            slots: vec![EMPTY; agents],
+            by_route: vec![Vec::with_capacity(agents); routes],
+            distances: vec![0.0; agents * agents],
+        }
+    }
+
+    /// Centre distance \[m\].
+    pub(super) fn distance(&self, i: usize, j: usize) -> f64 {
+        self.distances[i * self.slots.len() + j]
+    }
+
+    /// Queues and distances from the slots' poses.
+    pub(super) fn refresh(&mut self) {
+        let n = self.slots.len();
+        self.by_route.iter_mut().for_each(Vec::clear);
+        for i in 0..n {
+            if self.slots[i].status == Status::Empty {
+                continue;
+            }
+            self.by_route[self.slots[i].route].push(i);
+            for j in 0..i {
+                let d = self.slots[i].pose.distance(&self.slots[j].pose);
+                self.distances[i * n + j] = d;
+                self.distances[j * n + i] = d;
+            }
+        }
+        for queue in &mut self.by_route {
+            queue.sort_unstable_by(|&a, &b| self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b)));
+        }
+    }
+}
