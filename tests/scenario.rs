@@ -277,7 +277,7 @@ prop_compose! {
         n in prop::collection::vec(number(), 5),
         steps in prop::collection::vec((0.01..1.0, 0.01..5.0), 1..5),
         milliseconds in 1_u32..10_000,
-        counts in prop::collection::vec(0_usize..=64, 3),
+        counts in prop::collection::vec(0_usize..=16, 3),
         horizon in 1_u32..=1_000_000,
     ) -> Scenario {
         let max = nets.iter().map(Net::capacity).max().unwrap();
