@@ -159,7 +159,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let end = match outcome {
         Outcome::Finished => "finished",
         Outcome::Solved => "stopped, solved",
-        Outcome::Interrupted => "interrupted; go on with --resume",
+        Outcome::Interrupted => "interrupted",
     };
     eprintln!(
         "{end} after {} steps in {}; best validation success {}",
@@ -167,6 +167,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         human_duration(Duration::try_from_secs_f64(progress.seconds).unwrap_or_default()),
         progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
+    if outcome == Outcome::Interrupted {
+        eprintln!("go on with: iwol train --resume --out {}", dir.path().display());
+    }
     println!("{}", dir.path().display());
     Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })
 }
