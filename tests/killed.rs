@@ -65,7 +65,7 @@ fn a_killed_sumo_costs_its_episode_only() {
         env.step(&actions).expect("a step");
         undisturbed.step(&actions).expect("a step");
     }
-    // The first of the six belongs to `env`; which of its worlds it hosts is seen from what happens.
+    // One of the six; which environment and world it hosts is seen from what happens.
     signal(sumo_children(std::process::id())[0], "KILL");
     let mut interrupted = Vec::new();
     for _ in 0..3 {
