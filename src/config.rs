@@ -5,6 +5,7 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use toml::de::{DeTable, DeValue};
@@ -13,6 +14,7 @@ use toml::{Table, Value};
 use crate::algo::{self, settings};
 use crate::scenario::{self, Scenario};
 use crate::suggest::nearest;
+use crate::sumo::{Backend, Hosting};
 
 /// Everything that defines a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,6 +32,8 @@ pub struct Config {
     pub steps: u64,
     /// The training loop.
     pub train: Train,
+    /// Where the worlds run; results do not depend on it.
+    pub simulation: Simulation,
     /// Networks.
     pub network: settings::Network,
     /// Proximal policy optimisation.
@@ -70,6 +74,25 @@ impl Default for Train {
             stop_success: 0.0,
             stop_validations: 3,
         }
+    }
+}
+
+/// Where the worlds run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Simulation {
+    /// `traci`: SUMO processes; `libsumo`: SUMO inside this process.
+    pub backend: Backend,
+    /// SUMO processes over which the worlds are spread; 0: as many as there are cores.
+    pub processes: usize,
+    /// A SUMO that takes longer for an answer counts as dead \[s\].
+    pub timeout: f64,
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        let Hosting { backend, processes, timeout } = Hosting::default();
+        Self { backend, processes, timeout: timeout.as_secs_f64() }
     }
 }
 
@@ -245,6 +268,12 @@ impl Config {
         }
     }
 
+    /// Where the worlds run.
+    pub fn hosting(&self) -> Hosting {
+        let Simulation { backend, processes, timeout } = self.simulation;
+        Hosting { backend, processes, timeout: Duration::from_secs_f64(timeout) }
+    }
+
     /// As TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).expect("a configuration is plain data")
@@ -258,6 +287,7 @@ impl Config {
             seed: 0,
             steps: 400_000,
             train: Train::default(),
+            simulation: Simulation::default(),
             network: settings::Network::default(),
             ppo: settings::Ppo::default(),
             exploration: settings::Exploration::default(),
@@ -276,7 +306,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 52] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 54] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -291,6 +321,8 @@ impl Config {
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.stop_validations"], t.stop_validations >= 1, "at least 1"),
+            (&["simulation.processes"], self.simulation.processes <= 1024, "0 to 1024"),
+            (&["simulation.timeout"], (0.1..=86_400.0).contains(&self.simulation.timeout), "0.1 to 86400"),
             (&["network.hidden"], (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
             (&["network.extra_layers"], n.extra_layers <= 16, "0 to 16"),
             (&["network.token_width"], (1..=1024).contains(&n.token_width), "1 to 1024"),

@@ -14,6 +14,7 @@ use crate::algo::{ActMode, Algorithm, Observation};
 use crate::env::{self, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
+use crate::sumo::Hosting;
 
 /// Steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
@@ -117,10 +118,11 @@ pub fn evaluate(
     policy: &Policy<'_>,
     episodes: u64,
     seed: Seed,
+    hosting: &Hosting,
     stop: &AtomicBool,
     report: &mut dyn FnMut(u64),
 ) -> Result<Evaluation, env::Error> {
-    let mut records = play(task, policy, 0..episodes, seed, stop, RETRIES, report)?;
+    let mut records = play(task, policy, 0..episodes, seed, hosting, stop, RETRIES, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -132,7 +134,7 @@ pub fn evaluate(
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, stop, RETRIES, &mut |_| {})?);
+        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, hosting, stop, RETRIES, &mut |_| {})?);
     }
 }
 
@@ -158,13 +160,14 @@ fn play(
     policy: &Policy<'_>,
     episodes: Range<u64>,
     seed: Seed,
+    hosting: &Hosting,
     stop: &AtomicBool,
     retries: u32,
     report: &mut dyn FnMut(u64),
 ) -> Result<Vec<EpisodeRecord>, env::Error> {
     let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
     let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
-    let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone() };
+    let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone(), hosting: *hosting };
     let mut records = Vec::new();
     if worlds == 0 {
         return Ok(records);
@@ -187,7 +190,7 @@ fn play(
         if retries == 0 {
             return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
         }
-        records.extend(play(task, policy, episode..episode + 1, seed, stop, retries - 1, &mut |_| {})?);
+        records.extend(play(task, policy, episode..episode + 1, seed, hosting, stop, retries - 1, &mut |_| {})?);
     }
     records.sort_by_key(|record| record.episode);
     Ok(records)

@@ -144,8 +144,13 @@ impl Trainer {
         let task = Arc::new(Task::new(&scenario, config.agents)?);
         let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"))?;
         let worlds = config.train.envs;
-        let options =
-            VecOptions { worlds, driver: Driver::Agents, seed: seed.child("episodes"), episodes: 0..u64::MAX };
+        let options = VecOptions {
+            worlds,
+            driver: Driver::Agents,
+            seed: seed.child("episodes"),
+            episodes: 0..u64::MAX,
+            hosting: config.hosting(),
+        };
         let sizes = Sizes {
             steps: config.train.segment,
             envs: worlds,
@@ -280,7 +285,7 @@ impl Trainer {
     pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         let policy = Policy::Learned(&*self.learner);
         let episodes = self.config.train.validation_episodes;
-        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), stop, &mut |_| {})?)
+        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), &self.config.hosting(), stop, &mut |_| {})?)
     }
 
     /// Everything needed to go on from here.
@@ -424,11 +429,13 @@ impl Files {
                 ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
             ]);
         }
-        let timers = &trainer.timers;
+        let (timers, resets) = (&trainer.timers, trainer.env.resets());
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
-            ("sumo_restarts", trainer.env.restarts() as f64),
+            ("resets/respawns", resets.respawns as f64),
+            ("resets/loads", resets.loads as f64),
+            ("resets/restarts", resets.restarts as f64),
             ("time/total_s", trainer.progress.seconds),
             ("time/simulate_s", timers.simulate),
             ("time/act_s", timers.act),

@@ -5,7 +5,7 @@ use std::env;
 use std::fmt::{self, Display, Write as _};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use iwol_sumo::scenario::Scenario;
@@ -106,7 +106,16 @@ fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
 /// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
 fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
     let config =
-        SimulationConfig { net, step_length: 0.1, seed: 0, slots: 0, vehicle_types: Vec::new(), routes: Vec::new() };
+        SimulationConfig {
+        net,
+        step_length: 0.1,
+        seed: 0,
+        worlds: 1,
+        slots: 0,
+        vehicle_types: Vec::new(),
+        routes: Vec::new(),
+        timeout: Duration::from_secs(60),
+    };
     let begin = Instant::now();
     let mut simulation = TraciSimulation::start(config)?;
     let started = begin.elapsed();

@@ -107,7 +107,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         bar.set_message(name.clone());
         let seed = Seed::new(args.seed).child("evaluation");
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &stop, &mut |done| bar.set_position(done))
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &config.hosting(), &stop, &mut |done| bar.set_position(done))
             .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {

@@ -1,5 +1,6 @@
 //! The command line: one file per verb. Printing happens here only: data to stdout, everything else to stderr.
 
+mod bench;
 mod doctor;
 mod evaluate;
 mod plot;
@@ -31,6 +32,8 @@ enum Verb {
     Evaluate(evaluate::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
+    /// Measure speed
+    Bench(bench::Args),
     /// Show what is installed, and what is wrong
     Doctor,
 }
@@ -63,6 +66,7 @@ pub fn main() -> ExitCode {
         Verb::Train(args) => train::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Plot(args) => plot::run(args),
+        Verb::Bench(args) => bench::run(args),
         Verb::Doctor => doctor::run().map(|good| if good { Verdict::Good } else { Verdict::Bad }),
     };
     match result {

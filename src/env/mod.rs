@@ -25,7 +25,7 @@ pub use geometry::{Pose, boxes_overlap};
 pub use metrics::EpisodeRecord;
 pub use routes::{Conflict, RouteGeometry};
 pub use task::Task;
-pub use vec::{VecEnv, VecOptions};
+pub use vec::{Resets, VecEnv, VecOptions};
 pub use world::{Driver, Frame, World, WorldState};
 
 use crate::{scenario, sumo};
@@ -174,6 +174,12 @@ pub enum Error {
         episode: u64,
         /// How often.
         times: u32,
+    },
+    /// A defect of this program.
+    #[error("a worker panicked, which is a defect of this program: {message}")]
+    Panicked {
+        /// What the panic said.
+        message: String,
     },
     /// A vehicle under control is not on the road.
     #[error(

@@ -1,6 +1,8 @@
 //! Many worlds in lock-step. Each host is one simulator with one or more worlds; all are set going before the first
 //! answer is awaited, and the work around the exchange runs on all cores.
 
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -8,7 +10,7 @@ use rayon::prelude::*;
 use super::world::{Driver, World, WorldState};
 use super::{EnvSpec, EpisodeRecord, Error, Task};
 use crate::rng::Seed;
-use crate::sumo::{self, Command, Simulation, TraciSimulation};
+use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
 
 /// How to set up a [`VecEnv`].
 #[derive(Debug, Clone)]
@@ -21,6 +23,19 @@ pub struct VecOptions {
     pub seed: Seed,
     /// Which episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …; when they run out it idles.
     pub episodes: std::ops::Range<u64>,
+    /// Where the worlds run. Nothing but speed depends on it.
+    pub hosting: Hosting,
+}
+
+/// How often worlds were emptied for a new episode, and by which means, the cheapest first.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Resets {
+    /// Vehicles removed and added while the simulation goes on.
+    pub respawns: u64,
+    /// SUMO loaded its net again.
+    pub loads: u64,
+    /// SUMO was started again.
+    pub restarts: u64,
 }
 
 struct Host {
@@ -30,8 +45,8 @@ struct Host {
     worlds: Vec<World>,
     commands: Vec<Command>,
     /// What went wrong in the first half of the exchange.
-    failed: Option<sumo::Error>,
-    /// Fatal failures since an episode was last played to its end.
+    failed: Option<Error>,
+    /// Failures since an episode was last played to its end.
     failures: u32,
 }
 
@@ -40,11 +55,12 @@ pub struct VecEnv {
     task: Arc<Task>,
     hosts: Vec<Host>,
     worlds: usize,
+    loads: u64,
     restarts: u64,
 }
 
 impl VecEnv {
-    /// Starts the simulators, one process per world, and plays the first respawn of every world.
+    /// Starts the simulators and plays the first respawn of every world.
     ///
     /// # Errors
     /// When SUMO cannot be started or driven.
@@ -95,36 +111,36 @@ impl VecEnv {
                 world.reset(states[e].episode);
             }
         }
-        if env.restarts > 0 {
+        if env.loads + env.restarts > 0 {
             return Err(Error::Replay);
         }
         Ok(env)
     }
 
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
-        let hosts = (0..options.worlds)
-            .map(|e| {
-                let config = task.simulation_config(options.seed.child("sumo").index(e as u64).word());
-                let simulation = TraciSimulation::start(config).map_err(|source| Error::Sumo {
-                    world: e,
-                    episode: 0,
-                    step: 0,
-                    source,
-                })?;
-                let (first, stride) = (options.episodes.start + e as u64, options.worlds as u64);
-                let world =
-                    World::new(Arc::clone(task), options.driver, options.seed, first, stride, options.episodes.end);
+        let count = options.hosting.hosts(options.worlds);
+        let hosts = (0..count)
+            .map(|h| {
+                let (first, end) = (h * options.worlds / count, (h + 1) * options.worlds / count);
+                let seed = options.seed.child("sumo").index(h as u64).word();
+                let config = task.simulation_config(seed, (end - first) as u32, options.hosting.timeout);
+                let failed = |source| Error::Sumo { world: first, episode: 0, step: 0, source };
+                let simulation = sumo::start(options.hosting.backend, config).map_err(failed)?;
+                let world = |e: usize| {
+                    let (episode, stride) = (options.episodes.start + e as u64, options.worlds as u64);
+                    World::new(Arc::clone(task), options.driver, options.seed, episode, stride, options.episodes.end)
+                };
                 Ok(Host {
-                    simulation: Box::new(simulation),
-                    first: e,
-                    worlds: vec![world],
+                    simulation,
+                    first,
+                    worlds: (first..end).map(world).collect(),
                     commands: Vec::new(),
                     failed: None,
                     failures: 0,
                 })
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds, restarts: 0 })
+        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds, loads: 0, restarts: 0 })
     }
 
     /// Shapes and features.
@@ -142,9 +158,10 @@ impl VecEnv {
         self.worlds == 0
     }
 
-    /// SUMO processes that had to be replaced so far.
-    pub fn restarts(&self) -> u64 {
-        self.restarts
+    /// Resets so far.
+    pub fn resets(&self) -> Resets {
+        let respawns = self.worlds().map(World::respawns).sum();
+        Resets { respawns, loads: self.loads, restarts: self.restarts }
     }
 
     /// Whether every world has played all its episodes.
@@ -173,60 +190,89 @@ impl VecEnv {
 
     /// One decision of all worlds; `actions` is `[E, N, A]`.
     ///
-    /// A SUMO that dies costs its worlds' episodes (they are truncated and flagged) and is replaced; when the fresh one
-    /// dies before an episode has come to its end as well, the error is returned.
+    /// A SUMO that dies, or refuses what it should do, costs its worlds' episodes (they are truncated and flagged) and is
+    /// made fresh; when the fresh one fails before an episode has come to its end as well, the error is returned.
     ///
     /// # Errors
     /// [`Error`].
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
         let width = self.task.agents * self.task.spec.actions;
         self.hosts.par_iter_mut().for_each(|host| {
-            host.commands.clear();
-            for (k, world) in host.worlds.iter_mut().enumerate() {
-                let e = host.first + k;
-                world.act(k as u32, &actions[e * width..(e + 1) * width], &mut host.commands);
-            }
-            host.failed = host.simulation.send(&host.commands).err();
+            host.failed = guarded(|| host.act(actions, width)).err();
         });
-        let results: Vec<Result<u64, Error>> = self.hosts.par_iter_mut().map(Host::finish).collect();
+        let results: Vec<Result<Option<Renewal>, Error>> =
+            self.hosts.par_iter_mut().map(|host| guarded(|| host.finish())).collect();
         for result in results {
-            self.restarts += result?;
+            match result? {
+                None => {}
+                Some(Renewal::Loaded) => self.loads += 1,
+                Some(Renewal::Restarted) => self.restarts += 1,
+            }
         }
         Ok(())
     }
 }
 
+/// Makes an error of a panic, so that a defect in one world ends the run in order: with a message and its files whole.
+fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+    let message = |panic: Box<dyn Any + Send>| {
+        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+        text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+    };
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
+}
+
 impl Host {
-    /// Second half of the exchange; tells how many simulators had to be replaced.
-    fn finish(&mut self) -> Result<u64, Error> {
+    /// First half of the exchange.
+    fn act(&mut self, actions: &[f32], width: usize) -> Result<(), Error> {
+        self.commands.clear();
+        for (k, world) in self.worlds.iter_mut().enumerate() {
+            let e = self.first + k;
+            world.act(k as u32, &actions[e * width..(e + 1) * width], &mut self.commands);
+        }
+        self.simulation.send(&self.commands).map_err(|source| self.place(source))
+    }
+
+    /// Second half of the exchange; tells how the simulator had to be made fresh, if it had to.
+    fn finish(&mut self) -> Result<Option<Renewal>, Error> {
         let outcome = match self.failed.take() {
             Some(error) => Err(error),
-            None => self.simulation.receive(),
+            None => self.take_in(),
         };
         match outcome {
-            Ok(snapshot) => {
-                for (k, world) in self.worlds.iter_mut().enumerate() {
-                    world.observe(k as u32, snapshot)?;
-                }
+            Ok(()) => {
                 // A respawn alone proves nothing: a SUMO that dies in every episode must not be started for ever.
                 if self.worlds.iter().any(World::has_finished) {
                     self.failures = 0;
                 }
-                Ok(0)
+                Ok(None)
             }
-            Err(source) => {
-                let (first, world) = (self.first, &self.worlds[0]);
-                let place =
-                    |source| Error::Sumo { world: first, episode: world.episode(), step: world.step_count(), source };
+            Err(error) => {
                 self.failures += 1;
-                if !source.is_fatal() || self.failures > 1 {
-                    return Err(place(source));
+                if self.failures > 1 || matches!(error, Error::Panicked { .. }) {
+                    return Err(error);
                 }
-                tracing::warn!("world {first}: {source}; its episode is dropped and SUMO is started again");
-                self.simulation.restart().map_err(place)?;
+                let (first, last) = (self.first, self.first + self.worlds.len() - 1);
+                tracing::warn!("{error:#}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh");
+                let renewal = self.simulation.renew().map_err(|source| self.place(source))?;
                 self.worlds.iter_mut().for_each(World::interrupt);
-                Ok(1)
+                Ok(Some(renewal))
             }
         }
+    }
+
+    fn take_in(&mut self) -> Result<(), Error> {
+        match self.simulation.receive() {
+            Ok(snapshot) => {
+                let worlds = self.worlds.par_iter_mut().enumerate();
+                worlds.try_for_each(|(k, world)| world.observe(k as u32, snapshot))
+            }
+            Err(source) => Err(self.place(source)),
+        }
+    }
+
+    fn place(&self, source: sumo::Error) -> Error {
+        let world = &self.worlds[0];
+        Error::Sumo { world: self.first, episode: world.episode(), step: world.step_count(), source }
     }
 }

@@ -105,6 +105,7 @@ pub struct World {
     own_pairs: Vec<(u32, u32)>,
     actions: Vec<f32>,
     interrupted: bool,
+    respawns: u64,
     finished: Option<EpisodeRecord>,
 }
 
@@ -145,6 +146,7 @@ impl World {
             own_pairs: Vec::new(),
             actions: Vec::new(),
             interrupted: false,
+            respawns: 0,
             finished: None,
             task,
         }
@@ -163,6 +165,11 @@ impl World {
     /// Whether the last step ended an episode as it should.
     pub(super) fn has_finished(&self) -> bool {
         self.finished.as_ref().is_some_and(|record| !record.interrupted)
+    }
+
+    /// Episodes that started while the simulation went on.
+    pub fn respawns(&self) -> u64 {
+        self.respawns
     }
 
     /// Number of the current episode in its stream.
@@ -236,11 +243,12 @@ impl World {
 
     fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
         let task = Arc::clone(&self.task);
-        self.interrupted = false;
+        let fresh = std::mem::take(&mut self.interrupted);
         if self.next_episode >= self.end {
             self.phase = Phase::Idle;
             return;
         }
+        self.respawns += u64::from(!fresh);
         self.episode = self.next_episode;
         self.next_episode += self.stride;
         self.step = 0;
@@ -396,12 +404,12 @@ impl World {
             if self.driver == Driver::Sumo {
                 slot.speed = vehicle.speed;
             }
-            let (sin, cos) = vehicle.heading.sin_cos();
-            let centre = [vehicle.x - half * cos, vehicle.y - half * sin];
-            slot.pose = offset(centre, vehicle.heading, slot.lateral);
             let path = &task.routes[slot.route].path;
-            let (s, _, segment) = path.project([vehicle.x, vehicle.y], slot.segment);
-            slot.s = s - half;
+            let front = path.arc_of_distance(vehicle.distance);
+            let (point, heading, segment) = path.body(front, 2.0 * half);
+            let (sin, cos) = heading.sin_cos();
+            slot.pose = offset([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
+            slot.s = front - half;
             slot.segment = segment;
         }
         Ok(())

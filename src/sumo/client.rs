@@ -58,6 +58,8 @@ pub struct Client {
     input: Vec<u8>,
     timeout: Duration,
     time_s: f64,
+    /// Bytes sent and received so far.
+    bytes: (u64, u64),
 }
 
 impl Client {
@@ -86,7 +88,12 @@ impl Client {
             stream.set_read_timeout(Some(timeout))
         };
         set().map_err(|source| Error::Io { doing, source })?;
-        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0 })
+        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0, bytes: (0, 0) })
+    }
+
+    /// Bytes sent and received so far.
+    pub fn bytes(&self) -> (u64, u64) {
+        self.bytes
     }
 
     pub(super) fn stream(&self) -> &TcpStream {
@@ -173,6 +180,7 @@ impl Client {
     /// [`Error::Invalid`] if the message is too long; [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
     pub fn send(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<(), Error> {
         let message = batch.seal(until)?;
+        self.bytes.0 += message.len() as u64;
         let written = self.stream.write_all(message);
         let written = written.map_err(|source| self.broken(doing(until.is_some()), &source));
         self.give_up_on_error(written)
@@ -248,6 +256,7 @@ impl Client {
             let found = format!("{} bytes after it", filled - length);
             return Err(Error::Protocol { expected: "the end of the message", found, at_byte: length });
         }
+        self.bytes.1 += length as u64;
         Ok(length)
     }
 

@@ -80,10 +80,14 @@ pub const VAR_SPEED_FACTOR: u8 = 0x5e;
 pub const VAR_SPEED_DEVIATION: u8 = 0x5f;
 /// Strongest deceleration.
 pub const VAR_EMERGENCY_DECEL: u8 = 0x7b;
+/// Distance that a vehicle has driven since it departed.
+pub const VAR_DISTANCE: u8 = 0x84;
 /// Speed mode bits of a vehicle.
 pub const VAR_SPEEDSETMODE: u8 = 0xb3;
 /// Simulation time in seconds.
 pub const VAR_TIME: u8 = 0x66;
+/// Vehicles that came to the end of their routes in the step.
+pub const VAR_ARRIVED_VEHICLES_IDS: u8 = 0x7a;
 /// Collisions of the step, with all their attributes.
 pub const VAR_COLLISIONS: u8 = 0x23;
 /// Set variable: adds an object.
@@ -92,6 +96,8 @@ pub const ADD: u8 = 0x80;
 pub const REMOVE: u8 = 0x81;
 /// Set variable: adds a vehicle with all attributes.
 pub const ADD_FULL: u8 = 0x85;
+/// Set variable: places a vehicle.
+pub const MOVE_TO_XY: u8 = 0xb4;
 /// Set variable: copies an object.
 pub const COPY: u8 = 0x88;
 /// Reason of a removal: taken out without arriving.

@@ -102,6 +102,26 @@ pub enum Error {
         /// What is wrong and which values are allowed.
         what: String,
     },
+    /// The program was built without this backend.
+    #[error("this program was built without the backend `{backend}`")]
+    NotBuiltIn {
+        /// The backend.
+        backend: super::Backend,
+    },
+    /// libsumo is running a simulation already.
+    #[error("libsumo runs one simulation per process, and it is running one")]
+    Occupied,
+    /// libsumo, or Python around it, failed.
+    #[error("libsumo could not {doing}: {message}")]
+    Libsumo {
+        /// What was being done.
+        doing: &'static str,
+        /// What libsumo or Python said.
+        message: String,
+    },
+    /// The net cannot be read.
+    #[error(transparent)]
+    Net(#[from] Box<super::net::NetError>),
     /// The operating system reported a failure.
     #[error("could not {doing}")]
     Io {
@@ -116,7 +136,10 @@ impl Error {
     /// `false`: the connection is intact and the simulation goes on; `true`: this SUMO instance is gone.
     #[must_use]
     pub fn is_fatal(&self) -> bool {
-        !matches!(self, Error::Refused { .. } | Error::Invalid { .. })
+        !matches!(
+            self,
+            Error::Refused { .. } | Error::Invalid { .. } | Error::Occupied | Error::NotBuiltIn { .. }
+        )
     }
 
     /// What the user can do about it, if anything is known.
@@ -125,6 +148,14 @@ impl Error {
         match self {
             Error::NotFound { binary, .. } => {
                 Some(format!("run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"))
+            }
+            Error::Net(e) => e.hint(),
+            Error::NotBuiltIn { .. } => {
+                Some("build with `--features libsumo` (`make build` does), or use --backend traci".to_owned())
+            }
+            Error::Occupied => Some("use --backend traci, which takes any number of simulations".to_owned()),
+            Error::Libsumo { doing: "import it", .. } => {
+                Some("run `scripts/bootstrap`, which installs SUMO with its Python module".to_owned())
             }
             Error::Version { .. } => Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned()),
             Error::PortTaken { port } => Some(format!("choose a port other than {port}, or name none")),

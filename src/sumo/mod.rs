@@ -7,6 +7,10 @@ pub mod client;
 pub mod codec;
 pub mod constants;
 mod error;
+mod fleet;
+mod hosting;
+#[cfg(feature = "libsumo")]
+mod libsumo;
 pub mod net;
 pub mod process;
 pub mod reply;
@@ -17,6 +21,11 @@ pub use batch::{Batch, Departure, Outcome};
 pub use client::{Client, Version};
 pub use codec::Value;
 pub use error::Error;
+pub use hosting::{Backend, Hosting, available, start};
+#[cfg(feature = "libsumo")]
+pub use libsumo::LibsumoSimulation;
 pub use process::{find_sumo, sumo_version, traci_version};
-pub use simulation::{Collision, Command, Route, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType};
+pub use simulation::{
+    Collision, Command, Meter, Renewal, Route, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
+};
 pub use traci::TraciSimulation;

@@ -8,6 +8,7 @@
 
 mod error;
 mod path;
+mod tile;
 
 use std::{
     collections::{HashMap, HashSet},
@@ -22,6 +23,7 @@ use roxmltree::{Document, Node};
 pub use error::NetError;
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;
+pub use tile::{Tiled, tile, tiled_id};
 
 /// Width of a lane for which the file gives none \[m\].
 pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
@@ -132,6 +134,11 @@ impl Net {
     /// # Errors
     /// [`NetError`] if the file cannot be read, is no net, or refers to edges and lanes that it does not have.
     pub fn load(path: &FilePath) -> Result<Self, NetError> {
+        Self::parse(&Self::text(path)?, path)
+    }
+
+    /// The text of a net file.
+    pub(super) fn text(path: &FilePath) -> Result<String, NetError> {
         let read = |source| NetError::Read { path: path.into(), source };
         let mut text = String::new();
         let file = File::open(path).map_err(read)?;
@@ -139,7 +146,7 @@ impl Net {
         if bytes as u64 > MAX_BYTES {
             return Err(NetError::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
-        Self::parse(&text, path)
+        Ok(text)
     }
 
     /// Reads a net from its text; `path` is for messages only.
@@ -152,6 +159,15 @@ impl Net {
             NetError::Xml { path: path.into(), line: at.row, column: at.col, source }
         })?;
         Reader { path, document: &document }.net()
+    }
+
+    /// Lower left and upper right corner of everything that has a place \[m\].
+    pub fn extent(&self) -> [[f64; 2]; 2] {
+        let shapes = self.lanes.iter().flat_map(|l| &l.shape).chain(self.junctions.iter().flat_map(|j| &j.shape));
+        let points = self.boundary.iter().chain(shapes).copied().chain(self.junctions.iter().map(|j| [j.x, j.y]));
+        points.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], p| {
+            [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
+        })
     }
 
     /// Index of an edge in [`Net::edges`].

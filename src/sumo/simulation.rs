@@ -5,19 +5,21 @@
 //! the environments see world and slot numbers only. One decision is ONE exchange, split in two halves
 //! ([`Simulation::send`], [`Simulation::receive`]) so that many hosts can be set going before the first
 //! answer is awaited.
+//!
+//! A vehicle is reported by its way along the route, not by coordinates: SUMO adds up lengths of lanes, which are the
+//! same numbers in every copy of a net, while coordinates far from the origin are rounded otherwise. So a world's
+//! results are the same, to the bit, however it is hosted.
+
+use std::time::Duration;
 
 use super::Error;
 
-/// State of one vehicle after a step, in SI units and mathematical angles.
+/// State of one vehicle after a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VehicleState {
-    /// Centre of the front bumper, x in the world's coordinates \[m\].
-    pub x: f64,
-    /// Centre of the front bumper, y in the world's coordinates \[m\].
-    pub y: f64,
-    /// Heading \[rad\], counter-clockwise from +x.
-    pub heading: f64,
-    /// Speed along the heading \[m/s\].
+    /// Front bumper, from the start of the route's first edge, as the sum of SUMO's lane lengths \[m\].
+    pub distance: f64,
+    /// Speed \[m/s\].
     pub speed: f64,
 }
 
@@ -64,6 +66,21 @@ pub enum Command {
         /// The bits.
         mode: i32,
     },
+    /// Places the vehicle, from the end of the coming step on (TraCI's `moveToXY`).
+    MoveTo {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// Centre of the front bumper, x in the world's coordinates \[m\].
+        x: f64,
+        /// Centre of the front bumper, y in the world's coordinates \[m\].
+        y: f64,
+        /// Heading \[rad\], counter-clockwise from +x.
+        heading: f64,
+        /// SUMO's bits: 1 maps the place to the vehicle's route only, 2 takes exactly the place, also off the road.
+        keep_route: u8,
+    },
 }
 
 /// A kind of vehicle, made known to SUMO when the simulation starts.
@@ -107,12 +124,38 @@ pub struct SimulationConfig {
     pub step_length: f64,
     /// SUMO's own seed.
     pub seed: u64,
+    /// Worlds, each on its own copy of the net.
+    pub worlds: u32,
     /// Vehicle slots per world.
     pub slots: u32,
     /// Vehicle types, addressed by index.
     pub vehicle_types: Vec<VehicleType>,
     /// Routes, addressed by index.
     pub routes: Vec<Route>,
+    /// How long SUMO may take for an answer before it counts as dead.
+    pub timeout: Duration,
+}
+
+/// How a simulation was brought back to a fresh and empty state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Renewal {
+    /// The instance loaded its net again.
+    Loaded,
+    /// A new instance took its place.
+    Restarted,
+}
+
+/// What has gone over the boundary so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Meter {
+    /// Exchanges with SUMO.
+    pub exchanges: u64,
+    /// Bytes sent; 0 in process.
+    pub sent: u64,
+    /// Bytes received; 0 in process.
+    pub received: u64,
+    /// SUMO's process; `None` where it is this one.
+    pub pid: Option<u32>,
 }
 
 /// A collision as SUMO reports it.
@@ -157,11 +200,15 @@ pub trait Simulation: Send {
     /// [`Error`]; fatal ones mean that this instance is gone.
     fn receive(&mut self) -> Result<&Snapshot, Error>;
 
-    /// Replaces the SUMO instance by a fresh, empty one with the same configuration.
+    /// Makes the simulation fresh and empty: SUMO loads its net again if it still answers, else a new SUMO takes its
+    /// place.
     ///
     /// # Errors
     /// [`Error`] when no new instance can be started.
-    fn restart(&mut self) -> Result<(), Error>;
+    fn renew(&mut self) -> Result<Renewal, Error>;
+
+    /// What has gone over the boundary so far.
+    fn meter(&self) -> Meter;
 
     /// [`Simulation::send`] and [`Simulation::receive`] in one: ONE exchange for all worlds.
     ///

@@ -1,63 +1,44 @@
 //! A [`Simulation`] in a SUMO process of its own, spoken to over TraCI.
 //!
 //! One decision is one message: the setters, then the step; the reply holds the status of each setter
-//! and what the subscriptions report after the step. Vehicle `s` of world `w` is called `w<w>s<s>`;
-//! SUMO lets a name be used again in the very message that removes its former bearer. SUMO moves a
-//! vehicle by its new speed times the step (its default method), so a commanded speed is a mean speed.
-
-use std::{ffi::OsString, fmt::Write as _};
+//! and what the subscriptions report after the step. SUMO lets a name be used again in the very message that removes
+//! its former bearer. SUMO moves a vehicle by its new speed times the step (its default method), so a commanded speed
+//! is a mean speed.
 
 use super::{
-    Batch, Client, Collision, Command, Departure, Error, Simulation, SimulationConfig, Snapshot, VehicleState,
+    Batch, Client, Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     client::Version,
     codec::Reader,
     constants::{self as c, Domain},
+    fleet::{Fleet, Orders, Vehicle},
     process::{Options, Process},
     reply::{Report, Sink, read_collision_count, read_value},
 };
 
-/// What is reported of each vehicle after each step.
-const VEHICLE_VARIABLES: [u8; 3] = [c::VAR_POSITION, c::VAR_ANGLE, c::VAR_SPEED];
-
-/// One world in one SUMO process.
+/// One or more worlds in one SUMO process.
 #[derive(Debug)]
 pub struct TraciSimulation {
-    config: SimulationConfig,
+    fleet: Fleet,
     /// Goes before the process: an open connection is closed before its peer is killed.
     client: Client,
     process: Process,
     version: Version,
     batch: Batch,
-    names: Vec<String>,
-    /// `[slots]`: whether SUMO knows a vehicle of that name, on the road or waiting to be put there.
-    known: Vec<bool>,
-    /// `known` as it will be after the batch under way.
-    next: Vec<bool>,
-    snapshot: Snapshot,
     awaiting: bool,
+    exchanges: u64,
 }
 
 impl TraciSimulation {
     /// Starts SUMO with the net, and makes the vehicle types and routes known to it.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a configuration that SUMO cannot have; [`Error::Refused`] for a type or
-    /// route that SUMO refuses; what [`Process::start`] returns.
+    /// [`Error::Invalid`] for a configuration that SUMO cannot have; [`Error::Net`] for a net that cannot be tiled;
+    /// [`Error::Refused`] for a type or route that SUMO refuses; what [`Process::start`] returns.
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
-        let (process, client, version) = launch(&config)?;
-        let slots = config.slots as usize;
-        let mut simulation = TraciSimulation {
-            client,
-            process,
-            version,
-            batch: Batch::new(),
-            names: (0..slots).map(|slot| format!("w0s{slot}")).collect(),
-            known: vec![false; slots],
-            next: vec![false; slots],
-            snapshot: Snapshot { vehicles: vec![None; slots], ..Snapshot::default() },
-            awaiting: false,
-            config,
-        };
+        let fleet = Fleet::new(config)?;
+        let (process, client, version) = launch(&fleet)?;
+        let mut simulation =
+            TraciSimulation { fleet, client, process, version, batch: Batch::new(), awaiting: false, exchanges: 0 };
         simulation.introduce()?;
         Ok(simulation)
     }
@@ -74,14 +55,14 @@ impl TraciSimulation {
 
     /// What the last step left, also when [`Simulation::receive`] returned a refusal.
     pub fn snapshot(&self) -> &Snapshot {
-        &self.snapshot
+        &self.fleet.snapshot
     }
 
     /// Vehicle types, routes and the subscription of the simulation, in one message.
     fn introduce(&mut self) -> Result<(), Error> {
         let batch = &mut self.batch;
         batch.clear();
-        for kind in &self.config.vehicle_types {
+        for kind in &self.fleet.config().vehicle_types {
             batch.vehicle_type_copy("DEFAULT_VEHTYPE", &kind.id);
             for (variable, value) in [
                 (c::VAR_LENGTH, kind.length),
@@ -100,84 +81,70 @@ impl TraciSimulation {
                 batch.vehicle_type_set(&kind.id, variable, value);
             }
         }
-        for route in &self.config.routes {
+        for route in &self.fleet.routes {
             batch.route_add(&route.id, &route.edges);
         }
-        batch.subscribe(Domain::SIMULATION, "", &[c::VAR_TIME, c::VAR_COLLISIONS]);
+        let of_simulation = [c::VAR_TIME, c::VAR_COLLISIONS, c::VAR_ARRIVED_VEHICLES_IDS];
+        batch.subscribe(Domain::SIMULATION, "", &of_simulation);
+        // One subscription for all vehicles of a world. SUMO takes a time that grows with the square of their number to
+        // begin and end subscriptions, so that one for each vehicle would make respawns slow.
+        for junction in &self.fleet.junctions {
+            batch.subscribe_context(
+                Domain::JUNCTION,
+                junction,
+                Domain::VEHICLE,
+                self.fleet.diagonal,
+                &[c::VAR_DISTANCE, c::VAR_SPEED],
+            );
+        }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
         outcomes.into_iter().try_for_each(|outcome| outcome.map(drop))
     }
+}
 
-    /// Puts the commands into the batch; `self.next` becomes what SUMO will know.
-    fn encode(&mut self, commands: &[Command]) -> Result<(), Error> {
-        let Self { batch, names, next, config, .. } = self;
-        batch.clear();
-        next.copy_from_slice(&self.known);
-        let place = |world: u32, slot: u32| {
-            if world == 0 && slot < config.slots {
-                return Ok(slot as usize);
-            }
-            Err(Error::invalid(format!("there is no slot {slot} in world {world}: world 0 has {}", config.slots)))
-        };
-        for command in commands {
-            match *command {
-                Command::Add { world, slot, route, vehicle_type, depart_pos, depart_speed } => {
-                    let slot = place(world, slot)?;
-                    if next[slot] {
-                        return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
-                    }
-                    finite("a departure position", depart_pos)?;
-                    finite("a departure speed", depart_speed)?;
-                    let route = config.routes.get(route as usize).ok_or_else(|| {
-                        Error::invalid(format!("there is no route {route}: there are {}", config.routes.len()))
-                    })?;
-                    let kind = config.vehicle_types.get(vehicle_type as usize).ok_or_else(|| {
-                        let known = config.vehicle_types.len();
-                        Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
-                    })?;
-                    let (route, vehicle_type) = (route.id.as_str(), kind.id.as_str());
-                    let departure = Departure { route, vehicle_type, position: depart_pos, speed: depart_speed };
-                    batch.vehicle_add(&names[slot], departure);
-                    batch.subscribe(Domain::VEHICLE, &names[slot], &VEHICLE_VARIABLES);
-                    next[slot] = true;
-                }
-                Command::Remove { world, slot } => {
-                    let slot = place(world, slot)?;
-                    if std::mem::take(&mut next[slot]) {
-                        // Ended first, because SUMO complains of a subscription whose vehicle is gone.
-                        batch.subscribe(Domain::VEHICLE, &names[slot], &[]);
-                        batch.vehicle_remove(&names[slot]);
-                    }
-                }
-                Command::SetSpeed { world, slot, speed } => {
-                    finite("a speed", speed)?;
-                    batch.vehicle_set_speed(&names[place(world, slot)?], speed);
-                }
-                Command::SpeedMode { world, slot, mode } => {
-                    batch.vehicle_set_speed_mode(&names[place(world, slot)?], mode);
-                }
-            }
-        }
-        Ok(())
+impl Orders for Batch {
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64) {
+        self.vehicle_add(vehicle.name, Departure { route, vehicle_type, position, speed });
+    }
+
+    fn remove(&mut self, vehicle: Vehicle<'_>) {
+        self.vehicle_remove(vehicle.name);
+    }
+
+    fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64) {
+        self.vehicle_set_speed(vehicle.name, speed);
+    }
+
+    fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
+        self.vehicle_set_speed_mode(vehicle.name, mode);
+    }
+
+    fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {
+        self.set(Domain::VEHICLE, c::MOVE_TO_XY, vehicle.name, |w| {
+            // No edge is hinted at, and no lane of it.
+            w.compound(6).string("").integer(-1).double(x).double(y).double(angle).u8(c::TYPE_BYTE).u8(keep_route);
+        });
     }
 }
 
 impl Simulation for TraciSimulation {
     fn worlds(&self) -> u32 {
-        1
+        self.fleet.config().worlds
     }
 
     fn slots(&self) -> u32 {
-        self.config.slots
+        self.fleet.config().slots
     }
 
     fn send(&mut self, commands: &[Command]) -> Result<(), Error> {
         if self.awaiting {
             return Err(Error::invalid("the answer to the last send has not been received"));
         }
-        self.encode(commands)?;
+        self.batch.clear();
+        self.fleet.order(commands, &mut self.batch)?;
         self.client.send(&mut self.batch, Some(0.0)).map_err(|e| self.process.explain(e))?;
         self.awaiting = true;
+        self.exchanges += 1;
         Ok(())
     }
 
@@ -185,40 +152,41 @@ impl Simulation for TraciSimulation {
         if !std::mem::take(&mut self.awaiting) {
             return Err(Error::invalid("nothing was sent that could be answered"));
         }
-        self.snapshot.vehicles.fill(None);
-        self.snapshot.collisions.clear();
-        self.known.fill(false);
-        let mut sink = StepSink { snapshot: &mut self.snapshot, known: &mut self.known, slot: 0, refused: None };
+        self.fleet.begin_step();
+        let mut sink = StepSink { fleet: &mut self.fleet, distance: None, speed: None, refused: None };
         let received = self.client.receive(&self.batch, &mut sink);
         let refused = sink.refused;
         received.map_err(|e| self.process.explain(e))?;
-        self.client.set_time(self.snapshot.time);
+        self.client.set_time(self.fleet.snapshot.time);
         match refused {
             Some((index, message)) => Err(self.batch.refusal(index, &message)),
-            None => Ok(&self.snapshot),
+            None => Ok(&self.fleet.snapshot),
         }
     }
 
-    fn restart(&mut self) -> Result<(), Error> {
-        let (process, client, version) = launch(&self.config)?;
+    fn renew(&mut self) -> Result<Renewal, Error> {
+        self.awaiting = false;
+        self.fleet.empty();
+        let (process, client, version) = launch(&self.fleet)?;
         self.client = client;
         self.process = process;
         self.version = version;
-        self.known.fill(false);
-        self.snapshot.time = 0.0;
-        self.snapshot.vehicles.fill(None);
-        self.snapshot.collisions.clear();
-        self.awaiting = false;
-        self.introduce()
+        self.introduce()?;
+        Ok(Renewal::Restarted)
+    }
+
+    fn meter(&self) -> Meter {
+        let (sent, received) = self.client.bytes();
+        Meter { exchanges: self.exchanges, sent, received, pid: Some(self.process.pid()) }
     }
 }
 
 /// Reads what one step leaves into the snapshot.
 struct StepSink<'a> {
-    snapshot: &'a mut Snapshot,
-    known: &'a mut [bool],
-    /// Slot of the vehicle that the report of the moment is about.
-    slot: usize,
+    fleet: &'a mut Fleet,
+    /// What was read of the vehicle that the reports of the moment are about.
+    distance: Option<f64>,
+    speed: Option<f64>,
     /// The first command that was refused, and why.
     refused: Option<(usize, String)>,
 }
@@ -234,58 +202,35 @@ impl Sink for StepSink<'_> {
         if !report.after_step || !report.known {
             return read_value(report.response, report.variable, value).map(drop);
         }
-        if report.response == Domain::SIMULATION.subscribe + 0x10 {
-            return match report.variable {
-                c::VAR_TIME => {
-                    self.snapshot.time = value.double()?;
-                    Ok(())
-                }
-                c::VAR_COLLISIONS => read_collisions(value, self.known.len(), &mut self.snapshot.collisions),
-                _ => read_value(report.response, report.variable, value).map(drop),
-            };
-        }
-        if report.variable == c::VAR_POSITION {
-            // The first variable of each vehicle.
-            self.slot = slot_of(report.object).unwrap_or(usize::MAX);
-        }
-        let Some(known) = self.known.get_mut(self.slot) else {
-            return read_value(report.response, report.variable, value).map(drop);
-        };
-        *known = true;
-        let vehicle = &mut self.snapshot.vehicles[self.slot];
+        let of_simulation = report.response == Domain::SIMULATION.subscribe + 0x10;
         match report.variable {
-            c::VAR_POSITION => {
-                let [x, y] = value.position_2d()?;
-                // A vehicle that waits to be put on the road has no position.
-                let on_road = x != c::INVALID_DOUBLE_VALUE;
-                *vehicle = on_road.then_some(VehicleState { x, y, heading: 0.0, speed: 0.0 });
-                Ok(())
-            }
-            c::VAR_ANGLE => {
-                let angle = value.double()?;
-                if let Some(vehicle) = vehicle {
-                    vehicle.heading = heading(angle);
+            c::VAR_TIME if of_simulation => self.fleet.snapshot.time = value.double()?,
+            c::VAR_COLLISIONS if of_simulation => read_collisions(value, self.fleet)?,
+            c::VAR_ARRIVED_VEHICLES_IDS if of_simulation => {
+                value.kind(c::TYPE_STRINGLIST, "the vehicles that arrived")?;
+                for _ in 0..value.count(4, "the vehicles that arrived")? {
+                    self.fleet.arrived(value.str()?);
                 }
-                Ok(())
             }
-            c::VAR_SPEED => {
-                let speed = value.double()?;
-                if let Some(vehicle) = vehicle {
-                    vehicle.speed = speed;
-                }
-                Ok(())
-            }
-            _ => read_value(report.response, report.variable, value).map(drop),
+            c::VAR_DISTANCE => self.distance = Some(value.double()?),
+            c::VAR_SPEED => self.speed = Some(value.double()?),
+            _ => drop(read_value(report.response, report.variable, value)?),
         }
+        if let (Some(distance), Some(speed)) = (self.distance, self.speed) {
+            (self.distance, self.speed) = (None, None);
+            if let Some(vehicle) = self.fleet.vehicle_named(report.object) {
+                self.fleet.report(vehicle, distance, speed);
+            }
+        }
+        Ok(())
     }
 }
 
 /// Reads the collisions between vehicles of ours.
-fn read_collisions(value: &mut Reader<'_>, slots: usize, collisions: &mut Vec<Collision>) -> Result<(), Error> {
+fn read_collisions(value: &mut Reader<'_>, fleet: &mut Fleet) -> Result<(), Error> {
     let count = read_collision_count(value)?;
     for _ in 0..count {
-        let collider = slot_of(value.string()?).filter(|s| *s < slots);
-        let victim = slot_of(value.string()?).filter(|s| *s < slots);
+        fleet.collision(value.string()?, value.string()?);
         // Types, speeds, kind of collision, lane, position.
         value.string()?;
         value.string()?;
@@ -294,84 +239,33 @@ fn read_collisions(value: &mut Reader<'_>, slots: usize, collisions: &mut Vec<Co
         value.string()?;
         value.string()?;
         value.double()?;
-        if let (Some(collider), Some(victim)) = (collider, victim) {
-            collisions.push(Collision { world: 0, collider: collider as u32, victim: victim as u32 });
-        }
     }
     Ok(())
 }
 
-fn slot_of(name: &str) -> Option<usize> {
-    name.strip_prefix("w0s")?.parse().ok()
+fn launch(fleet: &Fleet) -> Result<(Process, Client, Version), Error> {
+    Process::start(&Options {
+        arguments: fleet.arguments()?,
+        reply_timeout: fleet.config().timeout,
+        ..Options::default()
+    })
 }
-
-/// Navigational angle (degrees, clockwise from north) to heading (radians in (-π, π], counter-clockwise from +x).
-fn heading(navigational: f64) -> f64 {
-    let degrees = 90.0 - navigational;
-    (if degrees <= -180.0 { degrees + 360.0 } else { degrees }).to_radians()
-}
-
-fn finite(what: &str, value: f64) -> Result<(), Error> {
-    if value.is_finite() { Ok(()) } else { Err(Error::invalid(format!("{what} must be a number, not {value}"))) }
-}
-
-fn launch(config: &SimulationConfig) -> Result<(Process, Client, Version), Error> {
-    Process::start(&Options { arguments: arguments(config)?, ..Options::default() })
-}
-
-/// SUMO's command line.
-fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
-    let milliseconds = config.step_length * 1000.0;
-    // SUMO counts time in milliseconds.
-    if !((1.0..=1e6).contains(&milliseconds) && (milliseconds - milliseconds.round()).abs() < 1e-6) {
-        let length = config.step_length;
-        return Err(Error::invalid(format!(
-            "the step length must be a whole number of milliseconds of at least 1 ms, not {length} s"
-        )));
-    }
-    // SUMO's seed is a non-negative 32 bit number.
-    let seed = config.seed % (1 << 31);
-    let mut text = String::new();
-    let _ = write!(text, "--step-length {} --seed {seed}", config.step_length);
-    let mut arguments: Vec<OsString> = vec!["--net-file".into(), config.net.clone().into()];
-    arguments.extend(text.split(' ').chain(ALWAYS).map(OsString::from));
-    Ok(arguments)
-}
-
-/// Options that hold for every simulation.
-const ALWAYS: [&str; 13] = [
-    // A vehicle that finds no room to depart does not hold up the others of its edge.
-    "--eager-insert",
-    // "none" would not report collisions; "warn" leaves the vehicles where they are just the same.
-    "--collision.action",
-    "warn",
-    "--collision.check-junctions",
-    // Only overlap counts, not a gap below the minimum.
-    "--collision.mingap-factor",
-    "0",
-    "--time-to-teleport",
-    "-1",
-    "--xml-validation",
-    "never",
-    "--no-warnings",
-    "--no-step-log",
-    "--duration-log.disable",
-];
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sumo::codec::Writer;
-    use std::f64::consts::{FRAC_PI_2, PI};
+    use crate::sumo::{Collision, codec::Writer};
 
-    #[test]
-    fn navigational_angles_become_headings() {
-        for (angle, expected) in
-            [(90.0, 0.0), (0.0, FRAC_PI_2), (180.0, -FRAC_PI_2), (270.0, PI), (360.0, -3.0 * FRAC_PI_2)]
-        {
-            let difference = heading(angle) - expected;
-            assert!((difference / (2.0 * PI)).fract().abs() < 1e-12, "{angle}");
-            assert!(heading(angle) > -PI && heading(angle) <= PI, "{angle}");
+    fn config(step_length: f64) -> SimulationConfig {
+        SimulationConfig {
+            net: "sumo_nets/intersection/arm30.net.xml".into(),
+            step_length,
+            seed: u64::MAX,
+            worlds: 1,
+            slots: 2,
+            vehicle_types: Vec::new(),
+            routes: Vec::new(),
+            timeout: std::time::Duration::from_secs(60),
         }
     }
 
@@ -383,28 +277,21 @@ mod tests {
             w.string(pair[0]).string(pair[1]).string("car").string("car").double(1.0).double(2.0);
             w.string("junction").string(":c_0_0").double(3.0);
         }
-        let mut found = Vec::new();
-        read_collisions(&mut Reader::new(&w.bytes()[4..], 4), 2, &mut found).unwrap();
-        assert_eq!(found, [Collision { world: 0, collider: 1, victim: 0 }]);
+        let mut fleet = Fleet::new(config(0.1)).unwrap();
+        read_collisions(&mut Reader::new(&w.bytes()[4..], 4), &mut fleet).unwrap();
+        assert_eq!(fleet.snapshot.collisions, [Collision { world: 0, collider: 1, victim: 0 }]);
         let mut w = Writer::default();
         w.compound(1).integer(i32::MAX);
-        assert!(read_collisions(&mut Reader::new(&w.bytes()[4..], 4), 2, &mut found).is_err());
+        assert!(read_collisions(&mut Reader::new(&w.bytes()[4..], 4), &mut fleet).is_err());
     }
 
     #[test]
     fn step_lengths_that_sumo_cannot_have_are_refused() {
-        let config = |step_length| SimulationConfig {
-            net: "n.net.xml".into(),
-            step_length,
-            seed: u64::MAX,
-            slots: 1,
-            vehicle_types: Vec::new(),
-            routes: Vec::new(),
-        };
         for bad in [0.0, -0.1, 0.0005, 0.10005, f64::NAN, f64::INFINITY] {
-            assert!(matches!(arguments(&config(bad)), Err(Error::Invalid { .. })), "{bad}");
+            let arguments = Fleet::new(config(bad)).unwrap().arguments();
+            assert!(matches!(arguments, Err(Error::Invalid { .. })), "{bad}");
         }
-        let words = arguments(&config(0.1)).unwrap();
+        let words = Fleet::new(config(0.1)).unwrap().arguments().unwrap();
         assert_eq!(words[2..6], ["--step-length", "0.1", "--seed", "2147483647"]);
     }
 }

@@ -28,6 +28,14 @@ pub struct Path {
     pub lanes: Vec<usize>,
     /// Metres of centre line per metre of SUMO's lane position, for each of [`Path::edges`]; 1 in most nets.
     scale: Vec<f64>,
+    /// Heading of each segment \[rad\].
+    headings: Vec<f64>,
+    /// Where each of [`Path::lanes`] begins in SUMO's count of the distance along the route \[m\].
+    lane_position: Vec<f64>,
+    /// `s` at which each of [`Path::lanes`] begins \[m\].
+    lane_start: Vec<f64>,
+    /// As `scale`, for each of [`Path::lanes`].
+    lane_scale: Vec<f64>,
 }
 
 impl Path {
@@ -41,6 +49,7 @@ impl Path {
     /// The path along lanes of a net; `None` if it has no extent.
     pub(super) fn through(net: &Net, lanes: &[usize]) -> Option<Self> {
         let mut path = Self::empty();
+        let mut position = 0.0;
         for &index in lanes {
             let lane = &net.lanes[index];
             let edge = &net.edges[lane.edge];
@@ -50,6 +59,10 @@ impl Path {
             }
             let start = path.length();
             lane.shape.iter().for_each(|&point| path.push(point, lane.width));
+            path.lane_position.push(position);
+            path.lane_start.push(start);
+            path.lane_scale.push((path.length() - start) / lane.length);
+            position += lane.length;
             if edge.function == super::EdgeFunction::Normal {
                 path.edges.push(edge.id.clone());
                 path.edge_start.push(start);
@@ -71,6 +84,10 @@ impl Path {
             edge_length: Vec::new(),
             lanes: Vec::new(),
             scale: Vec::new(),
+            headings: Vec::new(),
+            lane_position: Vec::new(),
+            lane_start: Vec::new(),
+            lane_scale: Vec::new(),
         }
     }
 
@@ -84,6 +101,7 @@ impl Path {
                 }
                 self.cumulative.push(self.length() + distance);
                 self.widths.push(width);
+                self.headings.push((point[1] - y).atan2(point[0] - x));
             }
         }
         self.points.push(point);
@@ -101,13 +119,42 @@ impl Path {
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
-    /// Point \[m\] and heading \[rad, counter-clockwise from +x\] at `s`.
-    pub fn at(&self, s: f64) -> ([f64; 2], f64) {
+    /// `s` of a place that lies `distance` metres from the start of the route in SUMO's count, which adds up lengths of
+    /// lanes. The same as `distance` where lanes are as long as their shapes.
+    pub fn arc_of_distance(&self, distance: f64) -> f64 {
+        let lane = self.lane_position.partition_point(|&p| p <= distance).saturating_sub(1);
+        match (self.lane_position.get(lane), self.lane_start.get(lane), self.lane_scale.get(lane)) {
+            (Some(position), Some(start), Some(scale)) => start + scale * (distance - position),
+            _ => distance,
+        }
+    }
+
+    /// Point \[m\] and segment at `s`.
+    pub fn locate(&self, s: f64) -> ([f64; 2], usize) {
         let after = self.cumulative.partition_point(|&c| c <= s);
         let segment = after.saturating_sub(1).min(self.last_segment());
         let ([x, y], [dx, dy]) = (self.points[segment], self.direction(segment));
         let along = s - self.cumulative[segment];
-        ([x + along * dx, y + along * dy], dy.atan2(dx))
+        ([x + along * dx, y + along * dy], segment)
+    }
+
+    /// Pose of a body of `length` metres whose front is at `s` and whose back follows on the path: the front point
+    /// \[m\], the heading \[rad\], and the segment of the front. SUMO lays vehicles on lanes in this way.
+    pub fn body(&self, s: f64, length: f64) -> ([f64; 2], f64, usize) {
+        let (front, segment) = self.locate(s);
+        let (back, last) = self.locate(s - length);
+        let heading = if segment == last {
+            self.headings[segment]
+        } else {
+            (front[1] - back[1]).atan2(front[0] - back[0])
+        };
+        (front, heading, segment)
+    }
+
+    /// Point \[m\] and heading \[rad, counter-clockwise from +x\] at `s`.
+    pub fn at(&self, s: f64) -> ([f64; 2], f64) {
+        let (point, segment) = self.locate(s);
+        (point, self.headings[segment])
     }
 
     /// `s`, lateral offset (positive to the left) and segment of the place on the path next to a point.

@@ -1,0 +1,105 @@
+"""The Python side of the libsumo backend: `src/sumo/libsumo.rs` holds this file and runs it in process.
+
+One call of `step` carries out all commands of a decision, takes the step and returns what the environments need, so
+that the boundary between Rust and Python is crossed once. Commands come in runs of one kind, as columns, which `map`
+feeds to libsumo's functions without a Python loop; those of the extension module itself are used, because the ones of
+the package `libsumo` are Python functions around them.
+"""
+
+from collections import deque
+from itertools import repeat
+from operator import length_hint
+
+import libsumo
+from libsumo.libsumo import _libsumo as native
+
+SET = {
+    "add": native.vehicle_add,
+    "remove": native.vehicle_remove,
+    "speed": native.vehicle_setSpeed,
+    "speed_mode": native.vehicle_setSpeedMode,
+    "move": native.vehicle_moveToXY,
+}
+distance_of = native.vehicle_getDistance
+speed_of = native.vehicle_getSpeed
+arrived_ids = native.simulation_getArrivedIDList
+collisions_now = native.simulation_getCollisions
+time_now = native.simulation_getTime
+take_step = native.simulation_step
+
+Refused = libsumo.TraCIException
+
+TYPE_SETTERS = (
+    ("length", native.vehicletype_setLength),
+    ("width", native.vehicletype_setWidth),
+    ("min_gap", native.vehicletype_setMinGap),
+    ("max_speed", native.vehicletype_setMaxSpeed),
+    ("accel", native.vehicletype_setAccel),
+    # Before the comfortable one, which may not exceed it.
+    ("emergency_decel", native.vehicletype_setEmergencyDecel),
+    ("decel", native.vehicletype_setDecel),
+    ("tau", native.vehicletype_setTau),
+    ("imperfection", native.vehicletype_setImperfection),
+    ("speed_factor", native.vehicletype_setSpeedFactor),
+    ("speed_deviation", native.vehicletype_setSpeedDeviation),
+)
+
+
+def start(arguments):
+    """Starts the simulation; `arguments` are those of the program `sumo`. Returns SUMO's TraCI version and name."""
+    libsumo.start(["sumo", *arguments])
+    return libsumo.getVersion()
+
+
+def load(arguments):
+    """Replaces the simulation by a fresh one."""
+    libsumo.load(arguments)
+
+
+def close():
+    libsumo.close()
+
+
+def introduce(types, routes):
+    """Makes vehicle types (dictionaries) and routes (identifier, edges) known. Returns a refusal or None."""
+    for kind in types:
+        native.vehicletype_copy("DEFAULT_VEHTYPE", kind["id"])
+        for key, setter in TYPE_SETTERS:
+            setter(kind["id"], kind[key])
+    for identifier, edges in routes:
+        try:
+            native.route_add(identifier, edges)
+        except Refused as refusal:
+            return identifier, str(refusal)
+    return None
+
+
+def step(orders, vehicles):
+    """Carries out `orders`, a list of (kind, columns…) with the vehicles as first column, and takes one step.
+
+    Returns the time, the vehicles that arrived, the distances and speeds of the other `vehicles` in their order, the
+    pairs of colliding vehicles, and the first refusal as (vehicle, text) or None. A refused command is passed over.
+    """
+    refusal = None
+    for kind, names, *columns in orders:
+        if kind == "add":
+            routes, types, positions, speeds = columns
+            columns = routes, types, repeat("now"), repeat("first"), positions, speeds
+        elif kind == "move":
+            # No edge is hinted at, and no lane of it.
+            columns = repeat(""), repeat(-1), *columns
+        rest = iter(names)
+        calls = map(SET[kind], rest, *columns)
+        while True:
+            try:
+                deque(calls, maxlen=0)
+                break
+            except Refused as refused:
+                if refusal is None:
+                    refusal = names[len(names) - length_hint(rest) - 1], str(refused)
+    take_step(0.0)
+    arrived = arrived_ids()
+    if arrived:
+        vehicles = [name for name in vehicles if name not in arrived]
+    collisions = [(c.collider, c.victim) for c in collisions_now()]
+    return time_now(), arrived, list(map(distance_of, vehicles)), list(map(speed_of, vehicles)), collisions, refusal

@@ -1,0 +1,221 @@
+//! `iwol bench`
+
+mod workload;
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use iwol_sumo::env::Task;
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::{self, Backend, Command, Hosting, Simulation};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Verdict;
+use workload::{Control, EPISODE, Workload};
+
+/// Measure speed.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// SUMO and the way to it: steps per second, the share of SUMO, bytes, resets
+    Sim(Sim),
+}
+
+#[derive(Debug, clap::Args)]
+struct Sim {
+    /// Scenario file
+    #[arg(long, default_value = "scenarios/intersection.xml")]
+    scenario: PathBuf,
+    /// Numbers of vehicles per world
+    #[arg(long, value_delimiter = ',', default_value = "8,48")]
+    agents: Vec<u32>,
+    /// Backends [default: all that are built in]
+    #[arg(long, value_delimiter = ',')]
+    backend: Vec<Backend>,
+    /// What moves the vehicles
+    #[arg(long, value_enum, default_value_t = Control::Throttle)]
+    control: Control,
+    /// Worlds, and over how many SUMO processes they are spread, as WORLDS/PROCESSES; libsumo has one process always
+    #[arg(long, value_delimiter = ',', default_value = "1/1,16/1,16/2,16/16", value_parser = layout)]
+    worlds: Vec<(usize, usize)>,
+    /// Seconds per measurement
+    #[arg(long, default_value_t = 3.0)]
+    seconds: f64,
+    /// Print JSON lines instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+fn layout(text: &str) -> Result<(usize, usize), String> {
+    let parsed = text.split_once('/').and_then(|(w, p)| Some((w.parse().ok()?, p.parse().ok()?)));
+    parsed.filter(|(w, p)| *w >= 1 && *p >= 1 && p <= w).ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())
+}
+
+/// One measurement.
+#[derive(Debug, Serialize)]
+struct Row {
+    backend: Backend,
+    control: &'static str,
+    agents: u32,
+    worlds: usize,
+    processes: usize,
+    /// Of one world each.
+    steps_per_second: f64,
+    /// With all processes together.
+    exchanges_per_second: f64,
+    /// Share of the time that a SUMO process was computing; `None` in process.
+    sumo_share: Option<f64>,
+    /// Bytes per exchange, sent and received.
+    sent: f64,
+    received: f64,
+    /// An exchange that respawns all vehicles of one world per process, beyond one that does not: median \[ms\].
+    respawn_ms: f64,
+    /// Sum of what was reported of world 0 in its first episodes.
+    checksum: f64,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let What::Sim(args) = &args.what;
+    let scenario = Scenario::load(&args.scenario)?;
+    let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
+    let mut text = String::new();
+    if !args.json {
+        println!(
+            "{:8} {:>6} {:>6} {:>9} {:>14} {:>12} {:>10} {:>16} {:>10}",
+            "backend", "agents", "worlds", "processes", "world steps/s", "exchanges/s", "SUMO share", "bytes out/in", "respawn"
+        );
+    }
+    for &agents in &args.agents {
+        let workload = Workload { task: Task::new(&scenario, agents)?, control: args.control };
+        for &backend in &backends {
+            for &(worlds, processes) in &args.worlds {
+                if backend == Backend::Libsumo && processes > 1 {
+                    continue;
+                }
+                let row = measure(&workload, backend, worlds, processes, args.seconds)
+                    .with_context(|| format!("{backend}, {agents} vehicles, {worlds} worlds in {processes} processes"))?;
+                if args.json {
+                    println!("{}", serde_json::to_string(&row)?);
+                    continue;
+                }
+                text.clear();
+                let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
+                write!(
+                    text,
+                    "{:8} {agents:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {:>7.2} ms",
+                    backend.name(),
+                    row.steps_per_second,
+                    row.exchanges_per_second,
+                    format!("{:.0}/{:.0}", row.sent, row.received),
+                    row.respawn_ms
+                )?;
+                println!("{text}");
+            }
+        }
+    }
+    Ok(Verdict::Good)
+}
+
+struct Host {
+    simulation: Box<dyn Simulation>,
+    worlds: u32,
+    commands: Vec<Command>,
+}
+
+fn measure(workload: &Workload, backend: Backend, worlds: usize, processes: usize, seconds: f64) -> anyhow::Result<Row> {
+    let timeout = Hosting::default().timeout;
+    let mut hosts = (0..processes)
+        .map(|h| {
+            let worlds = ((h + 1) * worlds / processes - h * worlds / processes) as u32;
+            let simulation = sumo::start(backend, workload.config(worlds, timeout))?;
+            Ok(Host { simulation, worlds, commands: Vec::new() })
+        })
+        .collect::<Result<Vec<_>, sumo::Error>>()?;
+    let mut step = 0;
+    let mut checksum = 0.0;
+    // Worlds respawn one after the other, as episodes of different lengths do.
+    let mut advance = |hosts: &mut Vec<Host>, step: u32| -> Result<Duration, sumo::Error> {
+        let begin = Instant::now();
+        let each = |host: &mut Host| {
+            host.commands.clear();
+            for world in 0..host.worlds {
+                let late = world * EPISODE / host.worlds;
+                if let Some(own) = step.checked_sub(late) {
+                    workload.commands(world, own, &mut host.commands);
+                }
+            }
+            host.simulation.send(&host.commands)
+        };
+        hosts.par_iter_mut().try_for_each(each)?;
+        hosts.par_iter_mut().try_for_each(|host| host.simulation.receive().map(drop))?;
+        Ok(begin.elapsed())
+    };
+    let warmup = 2 * EPISODE;
+    while step < warmup {
+        advance(&mut hosts, step)?;
+        step += 1;
+    }
+    let before: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
+    let cpu_before: Vec<_> = before.iter().map(|m| m.pid.and_then(cpu_seconds)).collect();
+    let (begin, first) = (Instant::now(), step);
+    let (mut plain, mut respawning) = (Vec::new(), Vec::new());
+    while begin.elapsed().as_secs_f64() < seconds {
+        let took = advance(&mut hosts, step)?.as_secs_f64();
+        let respawns = (0..hosts[0].worlds).any(|w| (step - w * EPISODE / hosts[0].worlds) % EPISODE == 0);
+        if respawns { respawning.push(took) } else { plain.push(took) }
+        step += 1;
+    }
+    let elapsed = begin.elapsed().as_secs_f64();
+    let after: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
+    let share: Option<f64> = after
+        .iter()
+        .zip(&cpu_before)
+        .map(|(m, before)| Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed))
+        .sum::<Option<f64>>()
+        .map(|sum| sum / processes as f64);
+    let steps = f64::from(step - first);
+    let total = |of: fn(&sumo::Meter) -> u64| {
+        after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>()
+    };
+    let exchanges = total(|m| m.exchanges);
+    for slot in 0..workload.task.agents {
+        let snapshot = hosts[0].simulation.step(&[])?;
+        checksum += snapshot.vehicles[slot].map_or(0.0, |vehicle| workload.checksum(slot, &vehicle));
+    }
+    Ok(Row {
+        backend,
+        control: workload.control.name(),
+        agents: workload.task.agents as u32,
+        worlds,
+        processes,
+        steps_per_second: steps * worlds as f64 / elapsed,
+        exchanges_per_second: exchanges / elapsed,
+        sumo_share: share,
+        sent: total(|m| m.sent) / exchanges,
+        received: total(|m| m.received) / exchanges,
+        respawn_ms: 1000.0 * (median(&mut respawning) - median(&mut plain)),
+        checksum,
+    })
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Processor time that a process has used \[s\].
+fn cpu_seconds(pid: u32) -> Option<f64> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // After the name, which may hold anything, the 12th and 13th fields are user and system time in hundredths.
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
+    Some((ticks(11)? + ticks(12)?) / 100.0)
+}

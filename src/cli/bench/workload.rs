@@ -1,0 +1,139 @@
+//! What is simulated when speed is measured: vehicles that drive their routes at changing speeds, and are all put back
+//! every eight seconds. The same commands can be played by other clients.
+
+use std::time::Duration;
+
+use iwol_sumo::env::Task;
+use iwol_sumo::sumo::{Command, SimulationConfig, VehicleState};
+use serde_json::{Value, json};
+
+/// Steps between two respawns of all vehicles.
+pub(super) const EPISODE: u32 = 80;
+/// Speed mode with every check off, as the environments use it.
+const NO_CHECKS: i32 = 32;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Control {
+    /// Speeds; SUMO moves the vehicles
+    Throttle,
+    /// Poses, by moveToXY
+    Steering,
+}
+
+impl Control {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Control::Throttle => "throttle",
+            Control::Steering => "steering",
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Workload {
+    pub(super) task: Task,
+    pub(super) control: Control,
+}
+
+impl Workload {
+    fn speed(agent: u32, step: u32) -> f64 {
+        6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * f64::from(agent)).sin()
+    }
+
+    fn half(&self) -> f64 {
+        self.task.scenario.vehicle.length / 2.0
+    }
+
+    /// Commands of one world in step `step`.
+    pub(super) fn commands(&self, world: u32, step: u32, out: &mut Vec<Command>) {
+        let (agents, episode_step) = (self.task.agents as u32, step % EPISODE);
+        if episode_step == 0 {
+            for slot in 0..agents {
+                if step > 0 {
+                    out.push(Command::Remove { world, slot });
+                }
+                let place = self.task.places[slot as usize];
+                out.push(Command::Add {
+                    world,
+                    slot,
+                    route: place.route as u32,
+                    vehicle_type: 0,
+                    depart_pos: place.pos + self.half(),
+                    depart_speed: 0.0,
+                });
+                out.push(Command::SpeedMode { world, slot, mode: NO_CHECKS });
+            }
+            return;
+        }
+        for slot in 0..agents {
+            match self.control {
+                Control::Throttle => {
+                    out.push(Command::SetSpeed { world, slot, speed: Self::speed(slot, episode_step) });
+                }
+                Control::Steering => {
+                    let place = self.task.places[slot as usize];
+                    let way: f64 = (1..=episode_step).map(|t| Self::speed(slot, t)).sum();
+                    let front = place.pos + self.half() + way * self.task.scenario.control.interval;
+                    let ([x, y], heading, _) =
+                        self.task.routes[place.route].path.body(front, self.task.scenario.vehicle.length);
+                    out.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
+                }
+            }
+        }
+    }
+
+    /// x + y + navigational angle + speed of a vehicle: a number that shows whether two clients did the same.
+    pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
+        let path = &self.task.routes[self.task.places[slot].route].path;
+        let ([x, y], heading, _) =
+            path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
+        x + y + (90.0 - heading.to_degrees()).rem_euclid(360.0) + vehicle.speed
+    }
+
+    pub(super) fn config(&self, worlds: u32, timeout: Duration) -> SimulationConfig {
+        self.task.simulation_config(1, worlds, timeout)
+    }
+
+    /// The commands of one world, for players in other languages.
+    pub(super) fn export(&self, arguments: &[String], warmup: u32, steps: u32) -> Value {
+        let config = self.config(1, Duration::ZERO);
+        let mut commands = Vec::new();
+        let steps: Vec<Value> = (0..warmup + steps)
+            .map(|step| {
+                commands.clear();
+                self.commands(0, step, &mut commands);
+                commands.iter().map(exported).collect()
+            })
+            .collect();
+        let types: Vec<Value> = config
+            .vehicle_types
+            .iter()
+            .map(|t| {
+                json!({
+                    "id": t.id, "length": t.length, "width": t.width, "max_speed": t.max_speed, "accel": t.accel,
+                    "decel": t.decel, "emergency_decel": t.emergency_decel, "min_gap": t.min_gap, "tau": t.tau,
+                })
+            })
+            .collect();
+        let routes: Vec<Value> = config.routes.iter().map(|r| json!({"id": r.id, "edges": r.edges})).collect();
+        let vehicles: Vec<String> = (0..self.task.agents).map(|slot| format!("w0s{slot}")).collect();
+        json!({
+            "arguments": arguments, "vehicle_types": types, "routes": routes, "vehicles": vehicles,
+            "warmup": warmup, "steps": steps,
+        })
+    }
+}
+
+fn exported(command: &Command) -> Value {
+    match *command {
+        Command::Add { slot, route, vehicle_type, depart_pos, depart_speed, .. } => {
+            json!(["add", slot, route, vehicle_type, depart_pos, depart_speed])
+        }
+        Command::Remove { slot, .. } => json!(["remove", slot]),
+        Command::SetSpeed { slot, speed, .. } => json!(["speed", slot, speed]),
+        Command::SpeedMode { slot, mode, .. } => json!(["speed_mode", slot, mode]),
+        Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
+            json!(["move", slot, x, y, (90.0 - heading.to_degrees()).rem_euclid(360.0), keep_route])
+        }
+    }
+}

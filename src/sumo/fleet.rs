@@ -1,0 +1,290 @@
+//! What every kind of host has in common: the names, places and presence of the vehicles of all its worlds.
+//!
+//! Vehicle `s` of world `w` is called `w<w>s<s>`. With more than one world the net is tiled, and routes and coordinates
+//! are those of the world's tile.
+
+use std::{
+    ffi::OsString,
+    fmt::Write as _,
+    fs::File,
+    io::{Seek as _, Write as _},
+    os::fd::AsRawFd as _,
+    path::PathBuf,
+};
+
+use super::{
+    Collision, Command, Error, SimulationConfig, Snapshot, VehicleState, constants as c,
+    net::{Net, tile, tiled_id},
+};
+
+/// A route in one of the tiles.
+#[derive(Debug)]
+pub(super) struct TileRoute {
+    pub(super) id: String,
+    pub(super) edges: Vec<String>,
+}
+
+/// A vehicle of ours.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Vehicle<'a> {
+    /// In the fleet's vectors.
+    pub(super) index: usize,
+    /// In SUMO.
+    pub(super) name: &'a str,
+}
+
+/// Takes checked commands, by SUMO's names.
+pub(super) trait Orders {
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64);
+    fn remove(&mut self, vehicle: Vehicle<'_>);
+    fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
+    fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
+    /// `angle` is navigational \[deg\].
+    fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8);
+}
+
+#[derive(Debug)]
+pub(super) struct Fleet {
+    config: SimulationConfig,
+    /// `[worlds * slots]`, as all vectors of vehicles here.
+    pub(super) names: Vec<String>,
+    /// `[worlds * routes]`.
+    pub(super) routes: Vec<TileRoute>,
+    /// A junction of each world.
+    pub(super) junctions: Vec<String>,
+    /// Within this distance of a junction lies all of its world, and nothing of another \[m\].
+    pub(super) diagonal: f64,
+    offsets: Vec<[f64; 2]>,
+    /// The tiled net; it has no name in any folder, so that nothing is left behind however the program ends.
+    tiled: Option<File>,
+    /// Whether SUMO knows a vehicle of that name, on the road or waiting to be put there.
+    pub(super) known: Vec<bool>,
+    /// `known` as it will be after the exchange under way.
+    next: Vec<bool>,
+    /// Where the vehicles departed \[m\].
+    departed: Vec<f64>,
+    pub(super) snapshot: Snapshot,
+}
+
+impl Fleet {
+    pub(super) fn new(config: SimulationConfig) -> Result<Self, Error> {
+        let (worlds, slots) = (config.worlds, config.slots);
+        if worlds == 0 {
+            return Err(Error::invalid("a simulation hosts at least one world"));
+        }
+        let vehicles = (worlds as usize) * slots as usize;
+        let text = Net::text(&config.net).map_err(Box::new)?;
+        let net = Net::parse(&text, &config.net).map_err(Box::new)?;
+        let (tiled, offsets) = if worlds == 1 { (None, vec![[0.0; 2]]) } else { write_tiles(&config, &text)? };
+        let [low, high] = net.extent();
+        let junctions = net.junctions.first().map(|j| {
+            if worlds == 1 { vec![j.id.clone()] } else { (0..worlds).map(|w| tiled_id(w, &j.id)).collect() }
+        });
+        let routes = (0..worlds).flat_map(|world| {
+            config.routes.iter().map(move |route| {
+                if worlds == 1 {
+                    return TileRoute { id: route.id.clone(), edges: route.edges.clone() };
+                }
+                let edges = route.edges.iter().map(|edge| tiled_id(world, edge)).collect();
+                TileRoute { id: tiled_id(world, &route.id), edges }
+            })
+        });
+        Ok(Fleet {
+            names: (0..worlds).flat_map(|w| (0..slots).map(move |s| format!("w{w}s{s}"))).collect(),
+            routes: routes.collect(),
+            junctions: junctions.unwrap_or_default(),
+            diagonal: (high[0] - low[0]).hypot(high[1] - low[1]).max(0.0),
+            offsets,
+            tiled,
+            known: vec![false; vehicles],
+            next: vec![false; vehicles],
+            departed: vec![0.0; vehicles],
+            snapshot: Snapshot { vehicles: vec![None; vehicles], ..Snapshot::default() },
+            config,
+        })
+    }
+
+    pub(super) fn config(&self) -> &SimulationConfig {
+        &self.config
+    }
+
+    /// Forgets all vehicles, as a fresh SUMO has none.
+    pub(super) fn empty(&mut self) {
+        self.known.fill(false);
+        self.snapshot.time = 0.0;
+        self.snapshot.vehicles.fill(None);
+        self.snapshot.collisions.clear();
+    }
+
+    /// Before the reports of a step are read.
+    pub(super) fn begin_step(&mut self) {
+        self.known.copy_from_slice(&self.next);
+        self.snapshot.vehicles.fill(None);
+        self.snapshot.collisions.clear();
+    }
+
+    /// Takes in what SUMO reports of a vehicle: `distance` is what it has driven since it departed.
+    pub(super) fn report(&mut self, vehicle: usize, distance: f64, speed: f64) {
+        // A vehicle that waits to be put on the road has driven no distance.
+        if distance != c::INVALID_DOUBLE_VALUE {
+            let distance = self.departed[vehicle] + distance;
+            self.snapshot.vehicles[vehicle] = Some(VehicleState { distance, speed });
+        }
+    }
+
+    /// Takes in that a vehicle has come to the end of its route, where SUMO removes it.
+    pub(super) fn arrived(&mut self, name: &str) {
+        if let Some(vehicle) = self.vehicle_named(name) {
+            self.known[vehicle] = false;
+        }
+    }
+
+    /// Takes in a collision of SUMO's report; those with vehicles of others are none of ours.
+    pub(super) fn collision(&mut self, collider: &str, victim: &str) {
+        let (Some(collider), Some(victim)) = (self.vehicle_named(collider), self.vehicle_named(victim)) else {
+            return;
+        };
+        let slots = self.config.slots;
+        let (collider, victim) = (collider as u32, victim as u32);
+        if collider / slots == victim / slots {
+            self.snapshot.collisions.push(Collision {
+                world: collider / slots,
+                collider: collider % slots,
+                victim: victim % slots,
+            });
+        }
+    }
+
+    /// Index of the vehicle of a name, if it is one of ours.
+    pub(super) fn vehicle_named(&self, name: &str) -> Option<usize> {
+        let (world, slot) = name.strip_prefix('w')?.split_once('s')?;
+        let (world, slot): (u32, u32) = (world.parse().ok()?, slot.parse().ok()?);
+        (world < self.config.worlds && slot < self.config.slots).then_some((world * self.config.slots + slot) as usize)
+    }
+
+    /// Checks the commands and passes them on.
+    pub(super) fn order(&mut self, commands: &[Command], orders: &mut impl Orders) -> Result<(), Error> {
+        self.next.copy_from_slice(&self.known);
+        for command in commands {
+            match *command {
+                Command::Add { world, slot, route, vehicle_type, depart_pos, depart_speed } => {
+                    let vehicle = self.vehicle(world, slot)?;
+                    if self.next[vehicle] {
+                        return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
+                    }
+                    finite("a departure position", depart_pos)?;
+                    finite("a departure speed", depart_speed)?;
+                    let known = self.config.routes.len();
+                    if route as usize >= known {
+                        return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
+                    }
+                    let route = &self.routes[world as usize * known + route as usize];
+                    let kind = self.config.vehicle_types.get(vehicle_type as usize).ok_or_else(|| {
+                        let known = self.config.vehicle_types.len();
+                        Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
+                    })?;
+                    orders.add(self.named(vehicle), &route.id, &kind.id, depart_pos, depart_speed);
+                    self.departed[vehicle] = depart_pos;
+                    self.next[vehicle] = true;
+                }
+                Command::Remove { world, slot } => {
+                    let vehicle = self.vehicle(world, slot)?;
+                    if std::mem::take(&mut self.next[vehicle]) {
+                        orders.remove(self.named(vehicle));
+                    }
+                }
+                Command::SetSpeed { world, slot, speed } => {
+                    finite("a speed", speed)?;
+                    orders.set_speed(self.named(self.vehicle(world, slot)?), speed);
+                }
+                Command::SpeedMode { world, slot, mode } => {
+                    orders.set_speed_mode(self.named(self.vehicle(world, slot)?), mode);
+                }
+                Command::MoveTo { world, slot, x, y, heading, keep_route } => {
+                    finite("a coordinate", x)?;
+                    finite("a coordinate", y)?;
+                    finite("a heading", heading)?;
+                    let vehicle = self.vehicle(world, slot)?;
+                    let [dx, dy] = self.offsets[world as usize];
+                    let angle = (90.0 - heading.to_degrees()).rem_euclid(360.0);
+                    orders.move_to(self.named(vehicle), x + dx, y + dy, angle, keep_route);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The vehicles that SUMO will know after the commands.
+    #[cfg(feature = "libsumo")]
+    pub(super) fn expected(&self) -> impl Iterator<Item = usize> {
+        self.next.iter().enumerate().filter(|(_, next)| **next).map(|(vehicle, _)| vehicle)
+    }
+
+    fn named(&self, vehicle: usize) -> Vehicle<'_> {
+        Vehicle { index: vehicle, name: &self.names[vehicle] }
+    }
+
+    fn vehicle(&self, world: u32, slot: u32) -> Result<usize, Error> {
+        let SimulationConfig { worlds, slots, .. } = self.config;
+        if world < worlds && slot < slots {
+            return Ok((world * slots + slot) as usize);
+        }
+        Err(Error::invalid(format!("there is no slot {slot} in world {world}: there are {worlds} worlds of {slots} slots")))
+    }
+
+    /// SUMO's command line, without the program and the port.
+    pub(super) fn arguments(&self) -> Result<Vec<OsString>, Error> {
+        let config = &self.config;
+        let milliseconds = config.step_length * 1000.0;
+        // SUMO counts time in milliseconds.
+        if !((1.0..=1e6).contains(&milliseconds) && (milliseconds - milliseconds.round()).abs() < 1e-6) {
+            let length = config.step_length;
+            return Err(Error::invalid(format!(
+                "the step length must be a whole number of milliseconds of at least 1 ms, not {length} s"
+            )));
+        }
+        // SUMO's seed is a non-negative 32 bit number.
+        let seed = config.seed % (1 << 31);
+        let mut text = String::new();
+        let _ = write!(text, "--step-length {} --seed {seed}", config.step_length);
+        let net = match &self.tiled {
+            Some(file) => PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd())),
+            None => config.net.clone(),
+        };
+        let mut arguments: Vec<OsString> = vec!["--net-file".into(), net.into()];
+        arguments.extend(text.split(' ').chain(ALWAYS).map(OsString::from));
+        Ok(arguments)
+    }
+}
+
+fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Option<File>, Vec<[f64; 2]>), Error> {
+    let io = |source| Error::Io { doing: "write the tiled net to a temporary file", source };
+    let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
+    let mut file = tempfile::tempfile().map_err(io)?;
+    file.write_all(tiled.text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
+    Ok((Some(file), tiled.offsets))
+}
+
+fn finite(what: &str, value: f64) -> Result<(), Error> {
+    if value.is_finite() { Ok(()) } else { Err(Error::invalid(format!("{what} must be a number, not {value}"))) }
+}
+
+/// Options that hold for every simulation.
+const ALWAYS: [&str; 13] = [
+    // A vehicle that finds no room to depart does not hold up the others of its edge.
+    "--eager-insert",
+    // "none" would not report collisions; "warn" leaves the vehicles where they are just the same.
+    "--collision.action",
+    "warn",
+    "--collision.check-junctions",
+    // Only overlap counts, not a gap below the minimum.
+    "--collision.mingap-factor",
+    "0",
+    "--time-to-teleport",
+    "-1",
+    "--xml-validation",
+    "never",
+    "--no-warnings",
+    "--no-step-log",
+    "--duration-log.disable",
+];

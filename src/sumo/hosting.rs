@@ -1,0 +1,93 @@
+//! Where worlds run: by which backend, and in how many SUMO processes.
+
+use std::{fmt, str::FromStr, thread, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Error, Simulation, SimulationConfig, TraciSimulation};
+
+/// How SUMO is spoken to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// SUMO processes, over TCP.
+    Traci,
+    /// SUMO in this process, through Debian's Python module. One simulation per process.
+    Libsumo,
+}
+
+impl Backend {
+    /// All backends.
+    pub const ALL: [Backend; 2] = [Backend::Traci, Backend::Libsumo];
+
+    /// As it is named on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Backend::Traci => "traci",
+            Backend::Libsumo => "libsumo",
+        }
+    }
+}
+
+impl fmt::Display for Backend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Backend {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        let found = Self::ALL.into_iter().find(|backend| backend.name() == name);
+        found.ok_or_else(|| Error::invalid(format!("there is no backend `{name}`: choose traci or libsumo")))
+    }
+}
+
+/// Where worlds run. Nothing but speed depends on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Hosting {
+    /// How SUMO is spoken to.
+    pub backend: Backend,
+    /// SUMO processes over which the worlds are spread; 0: as many as there are cores. libsumo has one, this one.
+    pub processes: usize,
+    /// How long SUMO may take for an answer before it counts as dead; libsumo cannot be timed.
+    pub timeout: Duration,
+}
+
+impl Default for Hosting {
+    fn default() -> Self {
+        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(60) }
+    }
+}
+
+impl Hosting {
+    /// Simulations over which so many worlds are spread.
+    pub fn hosts(&self, worlds: usize) -> usize {
+        let wanted = match (self.backend, self.processes) {
+            (Backend::Libsumo, _) => 1,
+            (Backend::Traci, 0) => thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            (Backend::Traci, processes) => processes,
+        };
+        wanted.min(worlds)
+    }
+}
+
+/// Starts a simulation.
+///
+/// # Errors
+/// What the backend returns.
+pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simulation>, Error> {
+    match backend {
+        Backend::Traci => Ok(Box::new(TraciSimulation::start(config)?)),
+        #[cfg(feature = "libsumo")]
+        Backend::Libsumo => Ok(Box::new(super::LibsumoSimulation::start(config)?)),
+        #[cfg(not(feature = "libsumo"))]
+        Backend::Libsumo => Err(Error::NotBuiltIn { backend }),
+    }
+}
+
+/// The backends that this program was built with.
+pub fn available() -> impl Iterator<Item = Backend> {
+    Backend::ALL.into_iter().filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
+}

@@ -1,0 +1,319 @@
+//! A [`Simulation`] inside this process: SUMO as the library libsumo, through Debian's Python module.
+//!
+//! libsumo holds one simulation per process, so that its worlds are tiles of one net, and a second one is refused.
+//! One decision is one call of `python_bridge/libsumo_bridge.py`, with the commands as columns of numbers and names.
+//! Commands and names are those of TraCI, and so are the results, to the bit.
+
+use std::{
+    ffi::{CStr, CString},
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use pyo3::{
+    prelude::*,
+    types::{PyDict, PyList, PyString},
+};
+
+use super::{
+    Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    constants::{self as c, Domain},
+    fleet::{Fleet, Orders, Vehicle},
+};
+
+static OCCUPIED: AtomicBool = AtomicBool::new(false);
+
+/// The one place that libsumo has; free again when this is dropped.
+#[derive(Debug)]
+struct Place;
+
+impl Place {
+    fn take() -> Result<Self, Error> {
+        if OCCUPIED.swap(true, Ordering::AcqRel) { Err(Error::Occupied) } else { Ok(Place) }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        OCCUPIED.store(false, Ordering::Release);
+    }
+}
+
+/// One or more worlds in the SUMO of this process.
+#[derive(Debug)]
+pub struct LibsumoSimulation {
+    fleet: Fleet,
+    module: Py<PyModule>,
+    step: Py<PyAny>,
+    /// Python's strings for `fleet.names`.
+    names: Vec<Py<PyString>>,
+    /// The vehicles that are asked for after each step, as indices and as Python's list; made anew when they change.
+    asked: Vec<usize>,
+    asked_names: Py<PyList>,
+    columns: Columns,
+    awaiting: bool,
+    exchanges: u64,
+    /// Goes last: the simulation is closed before its place is free.
+    _place: Place,
+}
+
+impl LibsumoSimulation {
+    /// Starts the simulation, and makes the vehicle types and routes known to it.
+    ///
+    /// # Errors
+    /// [`Error::Occupied`] while another one lives; [`Error::Libsumo`] if Python or libsumo fail; otherwise as
+    /// [`super::TraciSimulation::start`].
+    pub fn start(config: SimulationConfig) -> Result<Self, Error> {
+        let place = Place::take()?;
+        let fleet = Fleet::new(config)?;
+        Python::attach(|py| {
+            let importing = |e: PyErr| failed("import it", py, &e);
+            let module = bridge(py).map_err(importing)?;
+            let step = module.getattr("step").map_err(importing)?.unbind();
+            let (api, _): (i32, String) = module
+                .call_method1("start", (fleet.arguments()?,))
+                .and_then(|version| version.extract())
+                .map_err(|e| failed("start", py, &e))?;
+            if api < c::MINIMUM_API_VERSION {
+                let minimum = c::MINIMUM_API_VERSION;
+                return Err(Error::Version { found: api, minimum, peer: "libsumo".to_owned() });
+            }
+            let names = fleet.names.iter().map(|name| PyString::new(py, name).unbind()).collect();
+            let simulation = LibsumoSimulation {
+                fleet,
+                module: module.unbind(),
+                step,
+                names,
+                asked: Vec::new(),
+                asked_names: PyList::empty(py).unbind(),
+                columns: Columns::default(),
+                awaiting: false,
+                exchanges: 0,
+                _place: place,
+            };
+            simulation.introduce(py)?;
+            Ok(simulation)
+        })
+    }
+
+    fn introduce(&self, py: Python<'_>) -> Result<(), Error> {
+        let describe = || -> PyResult<Option<(String, String)>> {
+            let types = PyList::empty(py);
+            for kind in &self.fleet.config().vehicle_types {
+                let attributes = PyDict::new(py);
+                attributes.set_item("id", &kind.id)?;
+                for (key, value) in [
+                    ("length", kind.length),
+                    ("width", kind.width),
+                    ("min_gap", kind.min_gap),
+                    ("max_speed", kind.max_speed),
+                    ("accel", kind.accel),
+                    ("emergency_decel", kind.emergency_decel),
+                    ("decel", kind.decel),
+                    ("tau", kind.tau),
+                    ("imperfection", 0.0),
+                    ("speed_factor", 1.0),
+                    ("speed_deviation", 0.0),
+                ] {
+                    attributes.set_item(key, value)?;
+                }
+                types.append(attributes)?;
+            }
+            let routes = PyList::empty(py);
+            for route in &self.fleet.routes {
+                routes.append((&route.id, &route.edges))?;
+            }
+            self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
+        };
+        match describe().map_err(|e| failed("introduce vehicle types and routes", py, &e))? {
+            Some((id, message)) => Err(Error::Refused { command: Domain::ROUTE.set, id, message }),
+            None => Ok(()),
+        }
+    }
+
+    /// One call across the bridge.
+    fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
+        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Option<(String, String)>);
+        self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
+        let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
+        let reply = self.step.bind(py).call1((orders, &self.asked_names)).and_then(|reply| reply.extract::<Reply>());
+        let (time, arrived, distances, speeds, collisions, refusal) = reply.map_err(|e| failed("step", py, &e))?;
+        self.fleet.begin_step();
+        self.fleet.snapshot.time = time;
+        arrived.iter().for_each(|name| self.fleet.arrived(name));
+        let mut values = distances.into_iter().zip(speeds);
+        for &vehicle in &self.asked {
+            if self.fleet.known[vehicle] && let Some((distance, speed)) = values.next() {
+                self.fleet.report(vehicle, distance, speed);
+            }
+        }
+        collisions.iter().for_each(|(collider, victim)| self.fleet.collision(collider, victim));
+        match refusal {
+            Some((id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, id, message }),
+            None => Ok(()),
+        }
+    }
+
+    /// Brings the list of vehicles to ask for up to what SUMO will know after the commands.
+    fn ask(&mut self, py: Python<'_>) -> PyResult<()> {
+        let wanted = || self.fleet.expected();
+        if !wanted().eq(self.asked.iter().copied()) {
+            self.asked = wanted().collect();
+            let names = self.asked.iter().map(|&vehicle| self.names[vehicle].bind(py));
+            self.asked_names = PyList::new(py, names.collect::<Vec<_>>())?.unbind();
+        }
+        Ok(())
+    }
+}
+
+impl Simulation for LibsumoSimulation {
+    fn worlds(&self) -> u32 {
+        self.fleet.config().worlds
+    }
+
+    fn slots(&self) -> u32 {
+        self.fleet.config().slots
+    }
+
+    fn send(&mut self, commands: &[Command]) -> Result<(), Error> {
+        if self.awaiting {
+            return Err(Error::invalid("the answer to the last send has not been received"));
+        }
+        self.columns.clear();
+        self.fleet.order(commands, &mut self.columns)?;
+        self.awaiting = true;
+        self.exchanges += 1;
+        Ok(())
+    }
+
+    fn receive(&mut self) -> Result<&Snapshot, Error> {
+        if !std::mem::take(&mut self.awaiting) {
+            return Err(Error::invalid("nothing was sent that could be answered"));
+        }
+        Python::attach(|py| self.exchange(py))?;
+        Ok(&self.fleet.snapshot)
+    }
+
+    fn renew(&mut self) -> Result<Renewal, Error> {
+        self.awaiting = false;
+        self.fleet.empty();
+        Python::attach(|py| {
+            let module = self.module.bind(py);
+            let arguments = self.fleet.arguments()?;
+            let loaded = module.call_method1("load", (&arguments,));
+            let renewal = match loaded {
+                Ok(_) => Renewal::Loaded,
+                Err(_) => {
+                    // Nothing may be left to close.
+                    let _ = module.call_method0("close");
+                    module.call_method1("start", (&arguments,)).map_err(|e| failed("start", py, &e))?;
+                    Renewal::Restarted
+                }
+            };
+            self.introduce(py)?;
+            Ok(renewal)
+        })
+    }
+
+    fn meter(&self) -> Meter {
+        Meter { exchanges: self.exchanges, ..Meter::default() }
+    }
+}
+
+impl Drop for LibsumoSimulation {
+    fn drop(&mut self) {
+        Python::attach(|py| {
+            // Nobody is left to hear of an error.
+            let _ = self.module.bind(py).call_method0("close");
+        });
+    }
+}
+
+/// The Python side, run once per process.
+fn bridge(py: Python<'_>) -> PyResult<Bound<'_, PyModule>> {
+    static MODULE: pyo3::sync::PyOnceLock<Py<PyModule>> = pyo3::sync::PyOnceLock::new();
+    const NAME: &CStr = c"iwol_sumo_libsumo_bridge";
+    let run = || {
+        let code = CString::new(include_str!("../../python_bridge/libsumo_bridge.py"))?;
+        PyModule::from_code(py, &code, c"python_bridge/libsumo_bridge.py", NAME).map(Bound::unbind)
+    };
+    Ok(MODULE.get_or_try_init(py, run)?.bind(py).clone())
+}
+
+fn failed(doing: &'static str, py: Python<'_>, error: &PyErr) -> Error {
+    let kind = error.get_type(py).name().map_or_else(|_| String::new(), |name| format!("{name}: "));
+    Error::Libsumo { doing, message: format!("{kind}{}", error.value(py)) }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Add,
+    Remove,
+    Speed,
+    SpeedMode,
+    Move,
+}
+
+/// Commands, in order; consecutive ones of a kind make a run, which goes over the bridge as columns.
+#[derive(Debug, Default)]
+struct Columns {
+    rows: Vec<(Kind, usize, [f64; 4])>,
+    /// Route and type of the vehicles to be added.
+    texts: Vec<[String; 2]>,
+}
+
+impl Columns {
+    fn clear(&mut self) {
+        self.rows.clear();
+        self.texts.clear();
+    }
+
+    /// The list of `(kind, vehicles, columns…)`.
+    fn list<'py>(&self, py: Python<'py>, names: &[Py<PyString>]) -> PyResult<Bound<'py, PyList>> {
+        let orders = PyList::empty(py);
+        let mut texts = self.texts.iter();
+        for run in self.rows.chunk_by(|a, b| a.0 == b.0) {
+            let vehicles = PyList::new(py, run.iter().map(|row| names[row.1].bind(py)))?;
+            let numbers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k]));
+            let integers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k] as i32));
+            match run[0].0 {
+                Kind::Add => {
+                    let (routes, types): (Vec<&str>, Vec<&str>) =
+                        texts.by_ref().take(run.len()).map(|[route, kind]| (route.as_str(), kind.as_str())).unzip();
+                    // SUMO wants these two as text.
+                    let written = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k].to_string()));
+                    orders.append(("add", vehicles, routes, types, written(0)?, written(1)?))?;
+                }
+                Kind::Remove => orders.append(("remove", vehicles))?,
+                Kind::Speed => orders.append(("speed", vehicles, numbers(0)?))?,
+                Kind::SpeedMode => orders.append(("speed_mode", vehicles, integers(0)?))?,
+                Kind::Move => {
+                    orders.append(("move", vehicles, numbers(0)?, numbers(1)?, numbers(2)?, integers(3)?))?;
+                }
+            }
+        }
+        Ok(orders)
+    }
+}
+
+impl Orders for Columns {
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64) {
+        self.rows.push((Kind::Add, vehicle.index, [position, speed, 0.0, 0.0]));
+        self.texts.push([route.to_owned(), vehicle_type.to_owned()]);
+    }
+
+    fn remove(&mut self, vehicle: Vehicle<'_>) {
+        self.rows.push((Kind::Remove, vehicle.index, [0.0; 4]));
+    }
+
+    fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64) {
+        self.rows.push((Kind::Speed, vehicle.index, [speed, 0.0, 0.0, 0.0]));
+    }
+
+    fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
+        self.rows.push((Kind::SpeedMode, vehicle.index, [f64::from(mode), 0.0, 0.0, 0.0]));
+    }
+
+    fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {
+        self.rows.push((Kind::Move, vehicle.index, [x, y, angle, f64::from(keep_route)]));
+    }
+}
