@@ -10,6 +10,7 @@ use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::Hosting;
 use tch::{Device, Kind, Tensor};
 
 fn task(agents: u32) -> Arc<Task> {
@@ -18,7 +19,7 @@ fn task(agents: u32) -> Arc<Task> {
 }
 
 fn env(agents: u32, worlds: usize) -> VecEnv {
-    let options = VecOptions { worlds, driver: Driver::Agents, seed: Seed::new(0), episodes: 0..u64::MAX };
+    let options = VecOptions { worlds, driver: Driver::Agents, seed: Seed::new(0), episodes: 0..u64::MAX, hosting: Hosting::default() };
     VecEnv::new(&task(agents), &options).expect("SUMO runs; else run scripts/bootstrap")
 }
 

@@ -9,13 +9,14 @@ use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{Evaluation, Metrics, Policy, evaluate};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::Hosting;
 
 fn play(policy: &Policy<'_>, agents: u32, episodes: u64) -> (Evaluation, Metrics) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
     let scenario = Scenario::load(&path).expect("the shipped scenario");
     let task = Arc::new(Task::new(&scenario, agents).expect("a task"));
     let seed = Seed::new(0).child("calibration");
-    let evaluation = evaluate(&task, policy, episodes, seed, &AtomicBool::new(false), &mut |_| {})
+    let evaluation = evaluate(&task, policy, episodes, seed, &Hosting::default(), &AtomicBool::new(false), &mut |_| {})
         .expect("SUMO runs; else run scripts/bootstrap");
     assert_eq!(evaluation.episodes.len() as u64, episodes);
     let metrics = evaluation.metrics().expect("episodes");

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::Hosting;
 
 static ALONE: Mutex<()> = Mutex::new(());
 
@@ -57,7 +58,13 @@ fn task() -> Arc<Task> {
 #[test]
 fn a_killed_sumo_costs_its_episode_only() {
     let _alone = ALONE.lock().expect("no test panicked");
-    let options = VecOptions { worlds: 3, driver: Driver::Agents, seed: Seed::new(1), episodes: 0..u64::MAX };
+    let options = VecOptions {
+        worlds: 3,
+        driver: Driver::Agents,
+        seed: Seed::new(1),
+        episodes: 0..u64::MAX,
+        hosting: Hosting { processes: 3, ..Hosting::default() },
+    };
     let mut env = VecEnv::new(&task(), &options).expect("SUMO runs");
     let mut undisturbed = VecEnv::new(&task(), &options).expect("SUMO runs");
     let actions = [0.4; 24];
@@ -75,9 +82,9 @@ fn a_killed_sumo_costs_its_episode_only() {
         interrupted.extend(undisturbed.take_finished());
     }
     assert_eq!(interrupted.iter().filter(|record| record.interrupted).count(), 1);
-    assert_eq!(env.restarts() + undisturbed.restarts(), 1);
-    let (hit, spared) = if env.restarts() == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
-    assert_eq!(spared.restarts(), 0);
+    assert_eq!(env.resets().restarts + undisturbed.resets().restarts, 1);
+    let (hit, spared) = if env.resets().restarts == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
+    assert_eq!(spared.resets().restarts, 0);
     let mut fresh = 0;
     for (world, reference) in hit.worlds().zip(spared.worlds()) {
         if world.episode() == reference.episode() {
@@ -105,6 +112,8 @@ fn train(run: &Path) -> std::process::Child {
             "network.hidden=8",
             "--set",
             "iwol.rounds=1",
+            "--set",
+            "simulation.processes=2",
             "--out",
         ])
         .arg(run)

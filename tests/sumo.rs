@@ -2,7 +2,6 @@
 //! SUMO outlives its owner. A missing SUMO fails these tests.
 
 use std::{
-    f64::consts::FRAC_PI_2,
     io::{Read as _, Write as _},
     net::{Ipv4Addr, SocketAddr, TcpListener},
     path::{Path, PathBuf},
@@ -13,7 +12,7 @@ use std::{
 };
 
 use iwol_sumo::sumo::{
-    Batch, Client, Collision, Command, Departure, Error, Route, Simulation, SimulationConfig, TraciSimulation, Value,
+    Batch, Client, Collision, Command, Departure, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation, Value,
     VehicleState, VehicleType,
     constants::{self as c, Domain},
     find_sumo,
@@ -68,7 +67,9 @@ fn config(slots: u32) -> SimulationConfig {
         net: net().to_owned(),
         step_length: 0.1,
         seed: 7,
+        worlds: 1,
         slots,
+        timeout: Duration::from_secs(60),
         vehicle_types: vec![VehicleType {
             id: "car".into(),
             length: LENGTH,
@@ -142,18 +143,19 @@ fn a_commanded_speed_is_the_speed_of_the_whole_step() {
     let snapshot = simulation.step(&[add(0, EAST, 50.0), add(1, NORTH, 50.0)].concat()).unwrap();
     assert_eq!(snapshot.time, 0.1);
     let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
-    assert_eq!((east.x, east.heading, east.speed), (-100.0, 0.0, 0.0));
-    assert_eq!((north.y, north.heading, north.speed), (-100.0, FRAC_PI_2, 0.0));
-    let (mut x, mut y, mut old) = (east.x, north.y, 0.0);
+    assert_eq!((east.distance, east.speed), (50.0, 0.0));
+    assert_eq!((north.distance, north.speed), (50.0, 0.0));
+    let (mut way, mut old) = (50.0, 0.0);
     for step in 1..100 {
         let new = if step < 50 { old + 0.29 } else { f64::max(old - 0.83, 0.0) };
         let snapshot = simulation.step(&[speed(0, new), speed(1, new)]).unwrap();
-        x += new * 0.1;
-        y += new * 0.1;
+        way += new * 0.1;
         old = new;
         let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
-        assert!((east.x - x).abs() < 1e-9 && (east.speed - new).abs() < 1e-12, "step {step}: {east:?}, x = {x}");
-        assert!((north.y - y).abs() < 1e-9 && (north.speed - new).abs() < 1e-12, "step {step}: {north:?}, y = {y}");
+        for vehicle in [east, north] {
+            let exact = (vehicle.distance - way).abs() < 1e-9 && (vehicle.speed - new).abs() < 1e-12;
+            assert!(exact, "step {step}: {vehicle:?}, not {way} m");
+        }
     }
 }
 
@@ -168,7 +170,7 @@ fn a_queue_departs_complete_and_exact_in_any_order() {
         let snapshot = simulation.step(&commands).unwrap();
         for (slot, vehicle) in (0..).zip(&snapshot.vehicles) {
             let vehicle = vehicle.unwrap_or_else(|| panic!("slot {slot} is empty, backwards: {backwards}"));
-            assert!((vehicle.x - (place(slot) - 150.0)).abs() < 1e-9, "{vehicle:?} in slot {slot}");
+            assert!((vehicle.distance - place(slot)).abs() < 1e-9, "{vehicle:?} in slot {slot}");
         }
         assert_eq!(snapshot.collisions, []);
     }
@@ -185,9 +187,7 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
         let batch: Vec<Command> = [remove(0)].into_iter().chain(add(0, route, place)).chain([speed(1, 1.0)]).collect();
         let snapshot = simulation.step(&batch).unwrap();
         let vehicle = snapshot.vehicles[0].unwrap();
-        let along = if route == EAST { vehicle.x } else { vehicle.y };
-        assert!((along - (place - 150.0)).abs() < 1e-9);
-        assert_eq!(vehicle.heading, if route == EAST { 0.0 } else { FRAC_PI_2 });
+        assert!((vehicle.distance - place).abs() < 1e-9);
         assert!(snapshot.vehicles[1].is_some() && snapshot.vehicles[2].is_none());
     }
     // Emptied, filled, emptied: nobody is left, and the slot is free.
@@ -206,7 +206,7 @@ fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
     assert!(simulation.step(&[]).unwrap().vehicles[1].is_none());
     // Waiting, it can be replaced by one that has room.
     let batch: Vec<Command> = [remove(1)].into_iter().chain(add(1, EAST, 30.0)).collect();
-    assert_eq!(simulation.step(&batch).unwrap().vehicles[1].unwrap().x, -120.0);
+    assert_eq!(simulation.step(&batch).unwrap().vehicles[1].unwrap().distance, 30.0);
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
         steps += 1;
         assert!(steps < 200, "still at {vehicle:?}");
     }
-    assert!(last.x > 140.0 && last.x <= 150.0, "{last:?}");
+    assert!(last.distance > 290.0 && last.distance <= 300.0, "{last:?}");
     assert!(simulation.snapshot().vehicles[1].is_some());
     // The slot is free again.
     assert!(simulation.step(&add(0, EAST, 10.0)).unwrap().vehicles[0].is_some());
@@ -253,7 +253,7 @@ fn the_same_commands_give_the_same_bits() {
             let commands: Vec<Command> = (0..4).map(|s| speed(s, f64::from(step) * 0.1 + f64::from(s))).collect();
             let snapshot = simulation.step(&commands).unwrap();
             for v in snapshot.vehicles.iter().flatten() {
-                bits.push([v.x, v.y, v.heading, v.speed].map(f64::to_bits));
+                bits.push([v.distance, v.speed].map(f64::to_bits));
             }
         }
         bits
@@ -331,24 +331,23 @@ fn a_killed_sumo_is_a_fatal_error_and_a_restart_begins_anew() {
     assert!(matches!(&error, Error::Exited { status, .. } if status.contains('9')), "{error}");
     assert!(error.is_fatal());
     assert!(simulation.step(&[]).is_err_and(|e| e.is_fatal()));
-    simulation.restart().unwrap();
+    assert_eq!(simulation.renew().unwrap(), Renewal::Restarted);
     assert_ne!(simulation.pid(), old);
     let snapshot = simulation.step(&add(0, NORTH, 20.0)).unwrap();
     assert_eq!(snapshot.time, 0.1);
-    assert_eq!(snapshot.vehicles[0].unwrap().y, -130.0);
+    assert_eq!(snapshot.vehicles[0].unwrap().distance, 20.0);
     // A restart in mid-flight is sound as well, and ends the old process.
     let old = simulation.pid();
     simulation.send(&[]).unwrap();
-    simulation.restart().unwrap();
+    simulation.renew().unwrap();
     assert!(!lives(old));
     assert_eq!(simulation.step(&[]).unwrap().vehicles, [None]);
 }
 
 #[test]
 fn what_sumo_says_when_it_dies_is_in_the_error() {
-    let mut bad = config(1);
-    bad.net = "no/such.net.xml".into();
-    match TraciSimulation::start(bad) {
+    let arguments = ["--net-file", "no/such.net.xml"].map(Into::into).to_vec();
+    match Process::start(&Options { arguments, ..Options::default() }) {
         Err(Error::Exited { stderr_tail, .. }) => assert!(stderr_tail.contains("such.net.xml"), "{stderr_tail}"),
         other => panic!("{other:?}"),
     }

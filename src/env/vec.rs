@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::world::{Driver, World, WorldState};
 use super::{EnvSpec, EpisodeRecord, Error, Task};
 use crate::rng::Seed;
-use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
+use crate::sumo::{self, Backend, Command, Hosting, Renewal, Simulation};
 
 /// How to set up a [`VecEnv`].
 #[derive(Debug, Clone)]
@@ -118,14 +118,21 @@ impl VecEnv {
     }
 
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
-        let count = options.hosting.hosts(options.worlds);
+        let hosting = match options.driver {
+            Driver::Agents => options.hosting,
+            // SUMO's driver goes by distances that SUMO takes from coordinates, and those of a tile are rounded otherwise.
+            Driver::Sumo => {
+                Hosting { backend: Backend::Traci, processes: options.worlds, timeout: options.hosting.timeout }
+            }
+        };
+        let count = hosting.hosts(options.worlds);
         let hosts = (0..count)
             .map(|h| {
                 let (first, end) = (h * options.worlds / count, (h + 1) * options.worlds / count);
-                let seed = options.seed.child("sumo").index(h as u64).word();
-                let config = task.simulation_config(seed, (end - first) as u32, options.hosting.timeout);
+                let seed = options.seed.child("sumo").word();
+                let config = task.simulation_config(seed, (end - first) as u32, hosting.timeout);
                 let failed = |source| Error::Sumo { world: first, episode: 0, step: 0, source };
-                let simulation = sumo::start(options.hosting.backend, config).map_err(failed)?;
+                let simulation = sumo::start(hosting.backend, config).map_err(failed)?;
                 let world = |e: usize| {
                     let (episode, stride) = (options.episodes.start + e as u64, options.worlds as u64);
                     World::new(Arc::clone(task), options.driver, options.seed, episode, stride, options.episodes.end)

@@ -142,7 +142,7 @@ fn measure(workload: &Workload, backend: Backend, worlds: usize, processes: usiz
     let mut step = 0;
     let mut checksum = 0.0;
     // Worlds respawn one after the other, as episodes of different lengths do.
-    let mut advance = |hosts: &mut Vec<Host>, step: u32| -> Result<Duration, sumo::Error> {
+    let advance = |hosts: &mut Vec<Host>, step: u32| -> Result<Duration, sumo::Error> {
         let begin = Instant::now();
         let each = |host: &mut Host| {
             host.commands.clear();

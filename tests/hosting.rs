@@ -1,0 +1,109 @@
+//! A world's results do not depend on where it runs: a SUMO process of its own, a tile among others, or libsumo. Compared
+//! bit by bit, over runs with crashes, arrivals and respawns, against the real SUMO.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions};
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::{Backend, Hosting};
+
+/// libsumo holds one simulation per process.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn task(agents: u32) -> Arc<Task> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+    Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), agents).expect("a task"))
+}
+
+fn hosting(backend: Backend, processes: usize) -> Hosting {
+    Hosting { backend, processes, ..Hosting::default() }
+}
+
+/// Bits of everything that learners see, step by step, and the records of the finished episodes.
+fn play(task: &Arc<Task>, driver: Driver, worlds: usize, steps: u64, hosting: Hosting) -> (Vec<u64>, Vec<EpisodeRecord>) {
+    let options = VecOptions { worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
+    let mut env = VecEnv::new(task, &options).expect("SUMO runs");
+    let mut actions = vec![0.0; worlds * task.agents];
+    let (mut bits, mut records) = (Vec::new(), Vec::new());
+    for step in 0..steps {
+        // Around a fair speed, so that vehicles crash, arrive and queue.
+        rng::fill_normal(&mut Seed::new(5).index(step).rng(), &mut actions);
+        actions.iter_mut().for_each(|action| *action = 0.6 + 0.5 * *action);
+        env.step(&actions).expect("a step");
+        for world in env.worlds() {
+            let frame = world.frame();
+            let all = [&frame.observation, &frame.state, &frame.comm, &frame.active, &frame.reward, &frame.terminated];
+            // FNV-1a, so that a long run needs little room.
+            let hash = all.into_iter().flatten().chain(&frame.truncated).fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
+                (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0100_0000_01b3)
+            });
+            bits.push(hash);
+        }
+        records.extend(env.take_finished());
+    }
+    assert_eq!(env.resets().loads + env.resets().restarts, 0);
+    (bits, records)
+}
+
+fn hostings() -> Vec<Hosting> {
+    let mut all = vec![hosting(Backend::Traci, 6), hosting(Backend::Traci, 1), hosting(Backend::Traci, 4)];
+    if cfg!(feature = "libsumo") {
+        all.push(hosting(Backend::Libsumo, 1));
+    }
+    all
+}
+
+fn agree(agents: u32, driver: Driver, steps: u64, least_episodes: usize) {
+    let _alone = ALONE.lock();
+    let task = task(agents);
+    let mut runs = hostings().into_iter().map(|hosting| (hosting, play(&task, driver, 6, steps, hosting)));
+    let (_, (bits, records)) = runs.next().expect("a first hosting");
+    assert!(records.len() >= least_episodes, "only {} episodes", records.len());
+    for (hosting, (other_bits, other_records)) in runs {
+        let first = bits.iter().zip(&other_bits).position(|(a, b)| a != b);
+        assert_eq!(first.map(|i| (i / 6, i % 6)), None, "(step, world) that differs first with {hosting:?}");
+        // Episodes are long to print.
+        assert!(records == other_records, "the records differ with {hosting:?}");
+    }
+}
+
+#[test]
+fn eight_agents_see_the_same_wherever_their_world_runs() {
+    agree(8, Driver::Agents, 600, 20);
+}
+
+#[test]
+fn forty_eight_agents_see_the_same_wherever_their_world_runs() {
+    agree(48, Driver::Agents, 250, 4);
+}
+
+#[test]
+fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
+    agree(8, Driver::Sumo, 400, 4);
+}
+
+#[cfg(feature = "libsumo")]
+#[test]
+fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
+    use iwol_sumo::sumo::{Error, start};
+    use std::time::Duration;
+    let _alone = ALONE.lock();
+    let config = task(8).simulation_config(1, 2, Duration::from_secs(60));
+    let first = start(Backend::Libsumo, config.clone()).expect("libsumo runs");
+    let second = start(Backend::Libsumo, config.clone());
+    assert!(matches!(&second, Err(e @ Error::Occupied) if e.hint().is_some()), "{:?}", second.err());
+    drop(first);
+    start(Backend::Libsumo, config).expect("the place is free again");
+}
+
+#[cfg(not(feature = "libsumo"))]
+#[test]
+fn a_backend_that_is_not_built_in_is_refused_with_advice() {
+    use iwol_sumo::sumo::{Error, start};
+    use std::time::Duration;
+    let config = task(8).simulation_config(1, 2, Duration::from_secs(60));
+    let error = start(Backend::Libsumo, config).err();
+    assert!(matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()), "{error:?}");
+}
