@@ -19,7 +19,13 @@ fn task(agents: u32) -> Arc<Task> {
 }
 
 fn env(agents: u32, worlds: usize) -> VecEnv {
-    let options = VecOptions { worlds, driver: Driver::Agents, seed: Seed::new(0), episodes: 0..u64::MAX, hosting: Hosting::default() };
+    let options = VecOptions {
+        worlds,
+        driver: Driver::Agents,
+        seed: Seed::new(0),
+        episodes: 0..u64::MAX,
+        hosting: Hosting::default(),
+    };
     VecEnv::new(&task(agents), &options).expect("SUMO runs; else run scripts/bootstrap")
 }
 

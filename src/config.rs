@@ -14,7 +14,7 @@ use toml::{Table, Value};
 use crate::algo::{self, settings};
 use crate::scenario::{self, Scenario};
 use crate::suggest::nearest;
-use crate::sumo::{Backend, Hosting};
+use crate::sumo::{Choice, Hosting};
 
 /// Everything that defines a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,18 +81,20 @@ impl Default for Train {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Simulation {
-    /// `traci`: SUMO processes; `libsumo`: SUMO inside this process.
-    pub backend: Backend,
+    /// `traci`: SUMO processes; `libsumo`: SUMO inside this process; `auto`: the faster.
+    pub backend: Choice,
     /// SUMO processes over which the worlds are spread; 0: as many as there are cores.
     pub processes: usize,
     /// A SUMO that takes longer for an answer counts as dead \[s\].
     pub timeout: f64,
+    /// Whether SUMO looks for collisions in junctions, too, to be compared with ours; most of its time at many vehicles.
+    pub audit: bool,
 }
 
 impl Default for Simulation {
     fn default() -> Self {
-        let Hosting { backend, processes, timeout } = Hosting::default();
-        Self { backend, processes, timeout: timeout.as_secs_f64() }
+        let Hosting { processes, timeout, audit, .. } = Hosting::default();
+        Self { backend: Choice::default(), processes, timeout: timeout.as_secs_f64(), audit }
     }
 }
 
@@ -270,8 +272,8 @@ impl Config {
 
     /// Where the worlds run.
     pub fn hosting(&self) -> Hosting {
-        let Simulation { backend, processes, timeout } = self.simulation;
-        Hosting { backend, processes, timeout: Duration::from_secs_f64(timeout) }
+        let Simulation { backend, processes, timeout, audit } = self.simulation;
+        Hosting { backend: backend.backend(), processes, timeout: Duration::from_secs_f64(timeout), audit }
     }
 
     /// As TOML.

@@ -134,7 +134,16 @@ pub fn evaluate(
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(play(task, policy, next..next + missing.div_ceil(mean) as u64, seed, hosting, stop, RETRIES, &mut |_| {})?);
+        extra.extend(play(
+            task,
+            policy,
+            next..next + missing.div_ceil(mean) as u64,
+            seed,
+            hosting,
+            stop,
+            RETRIES,
+            &mut |_| {},
+        )?);
     }
 }
 
@@ -167,7 +176,8 @@ fn play(
 ) -> Result<Vec<EpisodeRecord>, env::Error> {
     let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
     let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
-    let options = VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone(), hosting: *hosting };
+    let options =
+        VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone(), hosting: *hosting };
     let mut records = Vec::new();
     if worlds == 0 {
         return Ok(records);

@@ -285,7 +285,15 @@ impl Trainer {
     pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         let policy = Policy::Learned(&*self.learner);
         let episodes = self.config.train.validation_episodes;
-        Ok(evaluate(&self.task, &policy, episodes, self.seed.child("validation"), &self.config.hosting(), stop, &mut |_| {})?)
+        Ok(evaluate(
+            &self.task,
+            &policy,
+            episodes,
+            self.seed.child("validation"),
+            &self.config.hosting(),
+            stop,
+            &mut |_| {},
+        )?)
     }
 
     /// Everything needed to go on from here.

@@ -22,7 +22,13 @@ fn hosting(backend: Backend, processes: usize) -> Hosting {
 }
 
 /// Bits of everything that learners see, step by step, and the records of the finished episodes.
-fn play(task: &Arc<Task>, driver: Driver, worlds: usize, steps: u64, hosting: Hosting) -> (Vec<u64>, Vec<EpisodeRecord>) {
+fn play(
+    task: &Arc<Task>,
+    driver: Driver,
+    worlds: usize,
+    steps: u64,
+    hosting: Hosting,
+) -> (Vec<u64>, Vec<EpisodeRecord>) {
     let options = VecOptions { worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
     let mut actions = vec![0.0; worlds * task.agents];
@@ -36,9 +42,10 @@ fn play(task: &Arc<Task>, driver: Driver, worlds: usize, steps: u64, hosting: Ho
             let frame = world.frame();
             let all = [&frame.observation, &frame.state, &frame.comm, &frame.active, &frame.reward, &frame.terminated];
             // FNV-1a, so that a long run needs little room.
-            let hash = all.into_iter().flatten().chain(&frame.truncated).fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
-                (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0100_0000_01b3)
-            });
+            let hash =
+                all.into_iter().flatten().chain(&frame.truncated).fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
+                    (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0100_0000_01b3)
+                });
             bits.push(hash);
         }
         records.extend(env.take_finished());
@@ -88,9 +95,8 @@ fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
 #[test]
 fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
     use iwol_sumo::sumo::{Error, start};
-    use std::time::Duration;
     let _alone = ALONE.lock();
-    let config = task(8).simulation_config(1, 2, Duration::from_secs(60));
+    let config = task(8).simulation_config(1, 2, &Hosting::default());
     let first = start(Backend::Libsumo, config.clone()).expect("libsumo runs");
     let second = start(Backend::Libsumo, config.clone());
     assert!(matches!(&second, Err(e @ Error::Occupied) if e.hint().is_some()), "{:?}", second.err());
@@ -102,8 +108,7 @@ fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
 #[test]
 fn a_backend_that_is_not_built_in_is_refused_with_advice() {
     use iwol_sumo::sumo::{Error, start};
-    use std::time::Duration;
-    let config = task(8).simulation_config(1, 2, Duration::from_secs(60));
+    let config = task(8).simulation_config(1, 2, &Hosting::default());
     let error = start(Backend::Libsumo, config).err();
     assert!(matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()), "{error:?}");
 }

@@ -12,8 +12,8 @@ use std::{
 };
 
 use iwol_sumo::sumo::{
-    Batch, Client, Collision, Command, Departure, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation, Value,
-    VehicleState, VehicleType,
+    Batch, Client, Collision, Command, Departure, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation,
+    Value, VehicleState, VehicleType,
     constants::{self as c, Domain},
     find_sumo,
     process::{Options, Process},
@@ -70,6 +70,7 @@ fn config(slots: u32) -> SimulationConfig {
         worlds: 1,
         slots,
         timeout: Duration::from_secs(60),
+        audit: true,
         vehicle_types: vec![VehicleType {
             id: "car".into(),
             length: LENGTH,

@@ -105,8 +105,7 @@ fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
 
 /// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
 fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
-    let config =
-        SimulationConfig {
+    let config = SimulationConfig {
         net,
         step_length: 0.1,
         seed: 0,
@@ -115,6 +114,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
         vehicle_types: Vec::new(),
         routes: Vec::new(),
         timeout: Duration::from_secs(60),
+        audit: true,
     };
     let begin = Instant::now();
     let mut simulation = TraciSimulation::start(config)?;

@@ -42,6 +42,9 @@ pub(super) struct Args {
     /// Seed of the evaluation's episodes
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// How SUMO is spoken to; results do not depend on it
+    #[arg(long, value_name = "auto|traci|libsumo")]
+    backend: Option<String>,
     /// One setting of the task, e.g. --set env.detection_range=20; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -84,6 +87,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if let Some(agents) = args.agents {
         layers.flags.push(("agents", Value::Integer(agents.into())));
     }
+    if let Some(backend) = &args.backend {
+        layers.flags.push(("simulation.backend", Value::String(backend.clone())));
+    }
     let (config, scenario) = Config::resolve(&layers)?;
     let task = Arc::new(Task::new(&scenario, config.agents)?);
     let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
@@ -107,8 +113,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         bar.set_message(name.clone());
         let seed = Seed::new(args.seed).child("evaluation");
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &config.hosting(), &stop, &mut |done| bar.set_position(done))
-            .with_context(|| format!("evaluating {name} stopped"))?;
+        let evaluation =
+            evaluate(&task, policy, args.episodes, seed, &config.hosting(), &stop, &mut |done| bar.set_position(done))
+                .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
             eprintln!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);

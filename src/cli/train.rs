@@ -33,6 +33,9 @@ pub(super) struct Args {
     /// Environment steps (of one world each)
     #[arg(long)]
     steps: Option<u64>,
+    /// How SUMO is spoken to; results do not depend on it
+    #[arg(long, value_name = "auto|traci|libsumo")]
+    backend: Option<String>,
     /// Settings in TOML; a run folder's config.toml is one
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -62,6 +65,9 @@ impl Args {
         }
         if let Some(seed) = self.seed {
             flags.push(("seed", integer(seed)?));
+        }
+        if let Some(backend) = &self.backend {
+            flags.push(("simulation.backend", Value::String(backend.clone())));
         }
         if let Some(steps) = self.steps {
             flags.push(("steps", integer(steps)?));
@@ -127,6 +133,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         all,
         deployed
     );
+    eprintln!("{}", config.hosting().describe(config.train.envs));
     write_meta(&dir)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(

@@ -1,12 +1,10 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
-use std::time::Duration;
-
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
 use crate::scenario::{Scenario, SpawnPlace};
 use crate::sumo::net::Net;
-use crate::sumo::{Route, SimulationConfig, VehicleType};
+use crate::sumo::{Hosting, Route, SimulationConfig, VehicleType};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
@@ -69,7 +67,7 @@ impl Task {
     }
 
     /// What a simulation of `worlds` worlds of this task needs to start.
-    pub fn simulation_config(&self, seed: u64, worlds: u32, timeout: Duration) -> SimulationConfig {
+    pub fn simulation_config(&self, seed: u64, worlds: u32, hosting: &Hosting) -> SimulationConfig {
         let (vehicle, control) = (&self.scenario.vehicle, &self.scenario.control);
         let hardest = control.brake.last().map_or(control.drag, |point| point.1);
         let vehicle_type = |id: &str, min_gap: f64| VehicleType {
@@ -89,7 +87,8 @@ impl Task {
             seed,
             worlds,
             slots: self.agents as u32,
-            timeout,
+            timeout: hosting.timeout,
+            audit: hosting.audit,
             // Agents may spawn as close as the places allow; SUMO's driver keeps a gap, but one that lets
             // vehicles depart from neighbouring places in the worst jitter.
             vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::world::{Driver, World, WorldState};
 use super::{EnvSpec, EpisodeRecord, Error, Task};
 use crate::rng::Seed;
-use crate::sumo::{self, Backend, Command, Hosting, Renewal, Simulation};
+use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
 
 /// How to set up a [`VecEnv`].
 #[derive(Debug, Clone)]
@@ -121,16 +121,14 @@ impl VecEnv {
         let hosting = match options.driver {
             Driver::Agents => options.hosting,
             // SUMO's driver goes by distances that SUMO takes from coordinates, and those of a tile are rounded otherwise.
-            Driver::Sumo => {
-                Hosting { backend: Backend::Traci, processes: options.worlds, timeout: options.hosting.timeout }
-            }
+            Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
         };
         let count = hosting.hosts(options.worlds);
         let hosts = (0..count)
             .map(|h| {
                 let (first, end) = (h * options.worlds / count, (h + 1) * options.worlds / count);
                 let seed = options.seed.child("sumo").word();
-                let config = task.simulation_config(seed, (end - first) as u32, hosting.timeout);
+                let config = task.simulation_config(seed, (end - first) as u32, &hosting);
                 let failed = |source| Error::Sumo { world: first, episode: 0, step: 0, source };
                 let simulation = sumo::start(hosting.backend, config).map_err(failed)?;
                 let world = |e: usize| {
@@ -260,7 +258,9 @@ impl Host {
                     return Err(error);
                 }
                 let (first, last) = (self.first, self.first + self.worlds.len() - 1);
-                tracing::warn!("{error:#}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh");
+                tracing::warn!(
+                    "{error:#}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh"
+                );
                 let renewal = self.simulation.renew().map_err(|source| self.place(source))?;
                 self.worlds.iter_mut().for_each(World::interrupt);
                 Ok(Some(renewal))

@@ -136,10 +136,7 @@ impl Error {
     /// `false`: the connection is intact and the simulation goes on; `true`: this SUMO instance is gone.
     #[must_use]
     pub fn is_fatal(&self) -> bool {
-        !matches!(
-            self,
-            Error::Refused { .. } | Error::Invalid { .. } | Error::Occupied | Error::NotBuiltIn { .. }
-        )
+        !matches!(self, Error::Refused { .. } | Error::Invalid { .. } | Error::Occupied | Error::NotBuiltIn { .. })
     }
 
     /// What the user can do about it, if anything is known.

@@ -77,9 +77,10 @@ impl Fleet {
         let net = Net::parse(&text, &config.net).map_err(Box::new)?;
         let (tiled, offsets) = if worlds == 1 { (None, vec![[0.0; 2]]) } else { write_tiles(&config, &text)? };
         let [low, high] = net.extent();
-        let junctions = net.junctions.first().map(|j| {
-            if worlds == 1 { vec![j.id.clone()] } else { (0..worlds).map(|w| tiled_id(w, &j.id)).collect() }
-        });
+        let junctions = net
+            .junctions
+            .first()
+            .map(|j| if worlds == 1 { vec![j.id.clone()] } else { (0..worlds).map(|w| tiled_id(w, &j.id)).collect() });
         let routes = (0..worlds).flat_map(|world| {
             config.routes.iter().map(move |route| {
                 if worlds == 1 {
@@ -229,7 +230,9 @@ impl Fleet {
         if world < worlds && slot < slots {
             return Ok((world * slots + slot) as usize);
         }
-        Err(Error::invalid(format!("there is no slot {slot} in world {world}: there are {worlds} worlds of {slots} slots")))
+        Err(Error::invalid(format!(
+            "there is no slot {slot} in world {world}: there are {worlds} worlds of {slots} slots"
+        )))
     }
 
     /// SUMO's command line, without the program and the port.
@@ -253,6 +256,9 @@ impl Fleet {
         };
         let mut arguments: Vec<OsString> = vec!["--net-file".into(), net.into()];
         arguments.extend(text.split(' ').chain(ALWAYS).map(OsString::from));
+        if config.audit {
+            arguments.push("--collision.check-junctions".into());
+        }
         Ok(arguments)
     }
 }
@@ -270,13 +276,12 @@ fn finite(what: &str, value: f64) -> Result<(), Error> {
 }
 
 /// Options that hold for every simulation.
-const ALWAYS: [&str; 13] = [
+const ALWAYS: [&str; 12] = [
     // A vehicle that finds no room to depart does not hold up the others of its edge.
     "--eager-insert",
     // "none" would not report collisions; "warn" leaves the vehicles where they are just the same.
     "--collision.action",
     "warn",
-    "--collision.check-junctions",
     // Only overlap counts, not a gap below the minimum.
     "--collision.mingap-factor",
     "0",

@@ -1,14 +1,13 @@
 //! Where worlds run: by which backend, and in how many SUMO processes.
 
-use std::{fmt, str::FromStr, thread, time::Duration};
+use std::{ffi::OsString, fmt, str::FromStr, thread, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Error, Simulation, SimulationConfig, TraciSimulation};
+use super::{Error, Simulation, SimulationConfig, TraciSimulation, fleet::Fleet};
 
 /// How SUMO is spoken to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Backend {
     /// SUMO processes, over TCP.
     Traci,
@@ -44,6 +43,34 @@ impl FromStr for Backend {
     }
 }
 
+/// What a user says about the backend.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Choice {
+    /// The fastest that this program has: libsumo where there is one core, and TraCI with a SUMO on each core elsewhere.
+    #[default]
+    Auto,
+    /// As [`Backend::Traci`].
+    Traci,
+    /// As [`Backend::Libsumo`].
+    Libsumo,
+}
+
+impl Choice {
+    /// The backend to use.
+    pub fn backend(self) -> Backend {
+        match self {
+            Choice::Auto if cores() == 1 && available().any(|b| b == Backend::Libsumo) => Backend::Libsumo,
+            Choice::Auto | Choice::Traci => Backend::Traci,
+            Choice::Libsumo => Backend::Libsumo,
+        }
+    }
+}
+
+fn cores() -> usize {
+    thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
 /// Where worlds run. Nothing but speed depends on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Hosting {
@@ -53,20 +80,37 @@ pub struct Hosting {
     pub processes: usize,
     /// How long SUMO may take for an answer before it counts as dead; libsumo cannot be timed.
     pub timeout: Duration,
+    /// Whether SUMO looks for collisions in junctions, to be compared with ours.
+    pub audit: bool,
 }
 
 impl Default for Hosting {
     fn default() -> Self {
-        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(60) }
+        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(60), audit: true }
     }
 }
 
 impl Hosting {
+    /// For worlds beside others that are hosted like this: libsumo has one place only.
+    #[must_use]
+    pub fn beside(self) -> Self {
+        Hosting { backend: Backend::Traci, ..self }
+    }
+
+    /// In words, for so many worlds.
+    pub fn describe(&self, worlds: usize) -> String {
+        match (self.backend, self.hosts(worlds)) {
+            (Backend::Libsumo, _) => format!("{worlds} worlds in one libsumo, in process"),
+            (Backend::Traci, 1) => format!("{worlds} worlds in one SUMO process (TraCI)"),
+            (Backend::Traci, hosts) => format!("{worlds} worlds in {hosts} SUMO processes (TraCI)"),
+        }
+    }
+
     /// Simulations over which so many worlds are spread.
     pub fn hosts(&self, worlds: usize) -> usize {
         let wanted = match (self.backend, self.processes) {
             (Backend::Libsumo, _) => 1,
-            (Backend::Traci, 0) => thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            (Backend::Traci, 0) => cores(),
             (Backend::Traci, processes) => processes,
         };
         wanted.min(worlds)
@@ -90,4 +134,15 @@ pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simul
 /// The backends that this program was built with.
 pub fn available() -> impl Iterator<Item = Backend> {
     Backend::ALL.into_iter().filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
+}
+
+/// The arguments of the program `sumo`, without the port, for a simulation of a single world.
+///
+/// # Errors
+/// [`Error::Invalid`] for a configuration that SUMO cannot have, or of more worlds; [`Error::Net`].
+pub fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
+    if config.worlds != 1 {
+        return Err(Error::invalid("the tiled net of several worlds ends with its simulation"));
+    }
+    Fleet::new(config.clone())?.arguments()
 }

@@ -142,7 +142,9 @@ impl LibsumoSimulation {
         arrived.iter().for_each(|name| self.fleet.arrived(name));
         let mut values = distances.into_iter().zip(speeds);
         for &vehicle in &self.asked {
-            if self.fleet.known[vehicle] && let Some((distance, speed)) = values.next() {
+            if self.fleet.known[vehicle]
+                && let Some((distance, speed)) = values.next()
+            {
                 self.fleet.report(vehicle, distance, speed);
             }
         }

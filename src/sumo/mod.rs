@@ -21,7 +21,7 @@ pub use batch::{Batch, Departure, Outcome};
 pub use client::{Client, Version};
 pub use codec::Value;
 pub use error::Error;
-pub use hosting::{Backend, Hosting, available, start};
+pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
 #[cfg(feature = "libsumo")]
 pub use libsumo::LibsumoSimulation;
 pub use process::{find_sumo, sumo_version, traci_version};

@@ -134,6 +134,8 @@ pub struct SimulationConfig {
     pub routes: Vec<Route>,
     /// How long SUMO may take for an answer before it counts as dead.
     pub timeout: Duration,
+    /// Whether SUMO looks for collisions in junctions, too. It takes most of SUMO's time where vehicles crowd.
+    pub audit: bool,
 }
 
 /// How a simulation was brought back to a fresh and empty state.

@@ -266,6 +266,7 @@ mod tests {
             vehicle_types: Vec::new(),
             routes: Vec::new(),
             timeout: std::time::Duration::from_secs(60),
+            audit: true,
         }
     }
 

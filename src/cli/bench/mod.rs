@@ -1,15 +1,15 @@
 //! `iwol bench`
 
+mod compare;
 mod workload;
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context as _;
 use iwol_sumo::env::Task;
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{self, Backend, Command, Hosting, Simulation};
+use iwol_sumo::sumo::{self, Backend, Command, Meter, Simulation, Snapshot};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -49,6 +49,18 @@ struct Sim {
     /// Seconds per measurement
     #[arg(long, default_value_t = 3.0)]
     seconds: f64,
+    /// Let SUMO look for collisions in junctions, as the environments do for their audit
+    #[arg(long, default_value_t = true, action = clap::ArgAction::Set, value_name = "true|false")]
+    audit: bool,
+    /// Compare with Python's traci and libsumo and with traci-rs, on the same commands in turn
+    #[arg(long)]
+    compare: bool,
+    /// Timed steps of the comparison
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    steps: u32,
+    /// Repetitions of the comparison
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repetitions: u32,
     /// Print JSON lines instead of a table
     #[arg(long)]
     json: bool,
@@ -56,14 +68,18 @@ struct Sim {
 
 fn layout(text: &str) -> Result<(usize, usize), String> {
     let parsed = text.split_once('/').and_then(|(w, p)| Some((w.parse().ok()?, p.parse().ok()?)));
-    parsed.filter(|(w, p)| *w >= 1 && *p >= 1 && p <= w).ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())
+    parsed
+        .filter(|(w, p)| *w >= 1 && *p >= 1 && p <= w)
+        .ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())
 }
 
 /// One measurement.
 #[derive(Debug, Serialize)]
 struct Row {
-    backend: Backend,
+    backend: &'static str,
     control: &'static str,
+    /// Whether SUMO looks for collisions in junctions.
+    audit: bool,
     agents: u32,
     worlds: usize,
     processes: usize,
@@ -78,46 +94,64 @@ struct Row {
     received: f64,
     /// An exchange that respawns all vehicles of one world per process, beyond one that does not: median \[ms\].
     respawn_ms: f64,
-    /// Sum of what was reported of world 0 in its first episodes.
-    checksum: f64,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let What::Sim(args) = &args.what;
     let scenario = Scenario::load(&args.scenario)?;
+    let mut workloads = Vec::new();
+    for &agents in &args.agents {
+        workloads.push(Workload { task: Task::new(&scenario, agents)?, control: args.control, audit: args.audit });
+    }
+    if args.compare {
+        let mut lines = Vec::new();
+        for workload in &workloads {
+            lines.extend(compare::run(workload, &args.worlds, args.steps, args.repetitions)?);
+        }
+        if args.json {
+            lines.iter().try_for_each(|line| serde_json::to_string(line).map(|text| println!("{text}")))?;
+        } else {
+            print!("{}", compare::table(&lines));
+        }
+        return Ok(Verdict::Good);
+    }
     let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
-    let mut text = String::new();
     if !args.json {
         println!(
             "{:8} {:>6} {:>6} {:>9} {:>14} {:>12} {:>10} {:>16} {:>10}",
-            "backend", "agents", "worlds", "processes", "world steps/s", "exchanges/s", "SUMO share", "bytes out/in", "respawn"
+            "backend",
+            "agents",
+            "worlds",
+            "processes",
+            "world steps/s",
+            "exchanges/s",
+            "SUMO share",
+            "bytes out/in",
+            "respawn"
         );
     }
-    for &agents in &args.agents {
-        let workload = Workload { task: Task::new(&scenario, agents)?, control: args.control };
+    for workload in &workloads {
         for &backend in &backends {
             for &(worlds, processes) in &args.worlds {
                 if backend == Backend::Libsumo && processes > 1 {
                     continue;
                 }
-                let row = measure(&workload, backend, worlds, processes, args.seconds)
-                    .with_context(|| format!("{backend}, {agents} vehicles, {worlds} worlds in {processes} processes"))?;
+                let row = measure(workload, backend, worlds, processes, args.seconds)
+                    .with_context(|| format!("{backend}, {worlds} worlds in {processes} processes"))?;
                 if args.json {
                     println!("{}", serde_json::to_string(&row)?);
-                    continue;
+                } else {
+                    let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
+                    println!(
+                        "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {:>7.2} ms",
+                        backend.name(),
+                        row.agents,
+                        row.steps_per_second,
+                        row.exchanges_per_second,
+                        format!("{:.0}/{:.0}", row.sent, row.received),
+                        row.respawn_ms
+                    );
                 }
-                text.clear();
-                let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
-                write!(
-                    text,
-                    "{:8} {agents:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {:>7.2} ms",
-                    backend.name(),
-                    row.steps_per_second,
-                    row.exchanges_per_second,
-                    format!("{:.0}/{:.0}", row.sent, row.received),
-                    row.respawn_ms
-                )?;
-                println!("{text}");
             }
         }
     }
@@ -130,79 +164,93 @@ struct Host {
     commands: Vec<Command>,
 }
 
-fn measure(workload: &Workload, backend: Backend, worlds: usize, processes: usize, seconds: f64) -> anyhow::Result<Row> {
-    let timeout = Hosting::default().timeout;
-    let mut hosts = (0..processes)
-        .map(|h| {
+impl Host {
+    fn start(workload: &Workload, backend: Backend, worlds: usize, processes: usize) -> Result<Vec<Host>, sumo::Error> {
+        let host = |h: usize| {
             let worlds = ((h + 1) * worlds / processes - h * worlds / processes) as u32;
-            let simulation = sumo::start(backend, workload.config(worlds, timeout))?;
+            let simulation = sumo::start(backend, workload.config(worlds))?;
             Ok(Host { simulation, worlds, commands: Vec::new() })
-        })
-        .collect::<Result<Vec<_>, sumo::Error>>()?;
-    let mut step = 0;
-    let mut checksum = 0.0;
-    // Worlds respawn one after the other, as episodes of different lengths do.
-    let advance = |hosts: &mut Vec<Host>, step: u32| -> Result<Duration, sumo::Error> {
-        let begin = Instant::now();
-        let each = |host: &mut Host| {
-            host.commands.clear();
-            for world in 0..host.worlds {
-                let late = world * EPISODE / host.worlds;
-                if let Some(own) = step.checked_sub(late) {
-                    workload.commands(world, own, &mut host.commands);
-                }
-            }
-            host.simulation.send(&host.commands)
         };
-        hosts.par_iter_mut().try_for_each(each)?;
-        hosts.par_iter_mut().try_for_each(|host| host.simulation.receive().map(drop))?;
-        Ok(begin.elapsed())
+        (0..processes).map(host).collect()
+    }
+
+    /// One exchange of all hosts; `commands` writes those of one world, `read` takes in what one host reports. Returns
+    /// what `read` made of the first host's.
+    fn exchange(
+        hosts: &mut [Host],
+        commands: impl Fn(u32, &mut Vec<Command>) + Sync,
+        read: impl Fn(&Snapshot) -> f64 + Sync,
+    ) -> Result<f64, sumo::Error> {
+        hosts.par_iter_mut().try_for_each(|host| {
+            host.commands.clear();
+            (0..host.worlds).for_each(|world| commands(world, &mut host.commands));
+            host.simulation.send(&host.commands)
+        })?;
+        let values: Result<Vec<f64>, sumo::Error> =
+            hosts.par_iter_mut().map(|host| host.simulation.receive().map(&read)).collect();
+        Ok(values?.first().copied().unwrap_or_default())
+    }
+}
+
+fn measure(
+    workload: &Workload,
+    backend: Backend,
+    worlds: usize,
+    processes: usize,
+    seconds: f64,
+) -> anyhow::Result<Row> {
+    let mut hosts = Host::start(workload, backend, worlds, processes)?;
+    let per_host = hosts[0].worlds;
+    // Worlds respawn one after the other, as episodes of different lengths do.
+    let late = |world: u32| world * EPISODE / per_host;
+    let advance = |hosts: &mut Vec<Host>, step: u32| -> Result<f64, sumo::Error> {
+        let begin = Instant::now();
+        let commands = |world: u32, out: &mut Vec<Command>| {
+            if let Some(own) = step.checked_sub(late(world)) {
+                workload.commands(world, own, out);
+            }
+        };
+        Host::exchange(hosts, commands, |_| 0.0)?;
+        Ok(begin.elapsed().as_secs_f64())
     };
-    let warmup = 2 * EPISODE;
-    while step < warmup {
+    let first = 2 * EPISODE;
+    for step in 0..first {
         advance(&mut hosts, step)?;
-        step += 1;
     }
     let before: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
     let cpu_before: Vec<_> = before.iter().map(|m| m.pid.and_then(cpu_seconds)).collect();
-    let (begin, first) = (Instant::now(), step);
+    let begin = Instant::now();
+    let mut step = first;
     let (mut plain, mut respawning) = (Vec::new(), Vec::new());
     while begin.elapsed().as_secs_f64() < seconds {
-        let took = advance(&mut hosts, step)?.as_secs_f64();
-        let respawns = (0..hosts[0].worlds).any(|w| (step - w * EPISODE / hosts[0].worlds) % EPISODE == 0);
-        if respawns { respawning.push(took) } else { plain.push(took) }
+        let took = advance(&mut hosts, step)?;
+        let respawns = (0..per_host).any(|w| (step - late(w)) % EPISODE == 0);
+        if respawns {
+            respawning.push(took)
+        } else {
+            plain.push(took)
+        }
         step += 1;
     }
     let elapsed = begin.elapsed().as_secs_f64();
     let after: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
-    let share: Option<f64> = after
-        .iter()
-        .zip(&cpu_before)
-        .map(|(m, before)| Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed))
-        .sum::<Option<f64>>()
-        .map(|sum| sum / processes as f64);
-    let steps = f64::from(step - first);
-    let total = |of: fn(&sumo::Meter) -> u64| {
-        after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>()
-    };
+    let cpu = |(m, before): (&Meter, &Option<f64>)| Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed);
+    let share = after.iter().zip(&cpu_before).map(cpu).sum::<Option<f64>>().map(|sum| sum / processes as f64);
+    let total = |of: fn(&Meter) -> u64| after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>();
     let exchanges = total(|m| m.exchanges);
-    for slot in 0..workload.task.agents {
-        let snapshot = hosts[0].simulation.step(&[])?;
-        checksum += snapshot.vehicles[slot].map_or(0.0, |vehicle| workload.checksum(slot, &vehicle));
-    }
     Ok(Row {
-        backend,
+        backend: backend.name(),
         control: workload.control.name(),
+        audit: workload.audit,
         agents: workload.task.agents as u32,
         worlds,
         processes,
-        steps_per_second: steps * worlds as f64 / elapsed,
+        steps_per_second: f64::from(step - first) * worlds as f64 / elapsed,
         exchanges_per_second: exchanges / elapsed,
         sumo_share: share,
         sent: total(|m| m.sent) / exchanges,
         received: total(|m| m.received) / exchanges,
         respawn_ms: 1000.0 * (median(&mut respawning) - median(&mut plain)),
-        checksum,
     })
 }
 

@@ -1,10 +1,8 @@
 //! What is simulated when speed is measured: vehicles that drive their routes at changing speeds, and are all put back
 //! every eight seconds. The same commands can be played by other clients.
 
-use std::time::Duration;
-
 use iwol_sumo::env::Task;
-use iwol_sumo::sumo::{Command, SimulationConfig, VehicleState};
+use iwol_sumo::sumo::{Command, Hosting, SimulationConfig, VehicleState};
 use serde_json::{Value, json};
 
 /// Steps between two respawns of all vehicles.
@@ -33,6 +31,8 @@ impl Control {
 pub(super) struct Workload {
     pub(super) task: Task,
     pub(super) control: Control,
+    /// Whether SUMO looks for collisions in junctions.
+    pub(super) audit: bool,
 }
 
 impl Workload {
@@ -85,18 +85,17 @@ impl Workload {
     /// x + y + navigational angle + speed of a vehicle: a number that shows whether two clients did the same.
     pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
         let path = &self.task.routes[self.task.places[slot].route].path;
-        let ([x, y], heading, _) =
-            path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
+        let ([x, y], heading, _) = path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
         x + y + (90.0 - heading.to_degrees()).rem_euclid(360.0) + vehicle.speed
     }
 
-    pub(super) fn config(&self, worlds: u32, timeout: Duration) -> SimulationConfig {
-        self.task.simulation_config(1, worlds, timeout)
+    pub(super) fn config(&self, worlds: u32) -> SimulationConfig {
+        self.task.simulation_config(1, worlds, &Hosting { audit: self.audit, ..Hosting::default() })
     }
 
     /// The commands of one world, for players in other languages.
     pub(super) fn export(&self, arguments: &[String], warmup: u32, steps: u32) -> Value {
-        let config = self.config(1, Duration::ZERO);
+        let config = self.config(1);
         let mut commands = Vec::new();
         let steps: Vec<Value> = (0..warmup + steps)
             .map(|step| {

@@ -143,11 +143,8 @@ impl Path {
     pub fn body(&self, s: f64, length: f64) -> ([f64; 2], f64, usize) {
         let (front, segment) = self.locate(s);
         let (back, last) = self.locate(s - length);
-        let heading = if segment == last {
-            self.headings[segment]
-        } else {
-            (front[1] - back[1]).atan2(front[0] - back[0])
-        };
+        let heading =
+            if segment == last { self.headings[segment] } else { (front[1] - back[1]).atan2(front[0] - back[0]) };
         (front, heading, segment)
     }
 

@@ -133,9 +133,7 @@ fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 
         | ("junction", "incLanes" | "intLanes")
         | ("connection", "via" | "tl")
         | ("roundabout", "nodes" | "edges") => ids(value),
-        ("prohibition", _) => {
-            value.split("->").map(|edge| tiled_id(world, edge.trim())).collect::<Vec<_>>().join("->")
-        }
+        ("prohibition", _) => value.split("->").map(|edge| tiled_id(world, edge.trim())).collect::<Vec<_>>().join("->"),
         _ => value.to_owned(),
     }
 }

@@ -1,0 +1,214 @@
+//! `iwol bench sim --compare`: other clients on the same commands, in the same run.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::Command as Program;
+use std::time::Instant;
+
+use anyhow::{Context as _, bail, ensure};
+use iwol_sumo::sumo::{self, Backend, Command};
+use serde::{Deserialize, Serialize};
+
+use super::workload::{EPISODE, Workload};
+use super::{Host, median};
+
+/// Steps that are not timed.
+const WARMUP: u32 = 2 * EPISODE;
+/// Debian's own Python, for which its module libsumo is made.
+const PYTHON: &str = "/usr/bin/python3";
+const PLAYERS: &str = include_str!("../../../python_bridge/players.py");
+/// Built apart: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml`.
+const TRACI_RS: &str = "benches/traci_rs/target/release/traci-rs-player";
+/// Sums of the same numbers in another order differ by less.
+const SAME: f64 = 1e-9;
+
+/// What a player prints.
+#[derive(Debug, Deserialize)]
+struct Played {
+    steps: u32,
+    seconds: f64,
+    checksum: f64,
+}
+
+/// One client, over all repetitions.
+#[derive(Debug, Serialize)]
+pub(super) struct Line {
+    pub(super) agents: u32,
+    client: String,
+    /// World steps per second: median, least, most.
+    steps_per_second: f64,
+    least: f64,
+    most: f64,
+}
+
+enum Client {
+    /// Backend, worlds, processes.
+    Ours(Backend, usize, usize),
+    Python(&'static str),
+    TraciRs(&'static str),
+}
+
+impl Client {
+    fn name(&self) -> String {
+        match self {
+            Client::Ours(backend, worlds, processes) => {
+                let worlds = if *worlds == 1 { "1 world".to_owned() } else { format!("{worlds} worlds") };
+                let place = match (backend, *processes) {
+                    (Backend::Libsumo, _) => "in process".to_owned(),
+                    (Backend::Traci, 1) => "1 process".to_owned(),
+                    (Backend::Traci, n) => format!("{n} processes"),
+                };
+                format!("iwol {backend}, {worlds}, {place}")
+            }
+            Client::Python("libsumo") => "Python libsumo".to_owned(),
+            Client::Python("subscribed") => "Python traci, subscribed".to_owned(),
+            Client::Python(_) => "Python traci, plain calls".to_owned(),
+            Client::TraciRs("subscribed") => "traci-rs, subscribed".to_owned(),
+            Client::TraciRs(_) => "traci-rs, plain calls".to_owned(),
+        }
+    }
+
+    /// Plain calls are so slow that fewer steps tell as much.
+    fn steps(&self, steps: u32) -> u32 {
+        match self {
+            Client::Python("traci") | Client::TraciRs("plain") => (steps / 10).max(1),
+            _ => steps,
+        }
+    }
+}
+
+/// Plays `steps` timed steps of the workload with every client, `repetitions` times in turn.
+pub(super) fn run(
+    workload: &Workload,
+    layouts: &[(usize, usize)],
+    steps: u32,
+    repetitions: u32,
+) -> anyhow::Result<Vec<Line>> {
+    let mut clients = vec![Client::Python("traci"), Client::Python("subscribed"), Client::Python("libsumo")];
+    if Path::new(TRACI_RS).exists() {
+        clients.extend([Client::TraciRs("plain"), Client::TraciRs("subscribed")]);
+    } else {
+        eprintln!(
+            "traci-rs is left out: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml` builds its player"
+        );
+    }
+    for &(worlds, processes) in layouts {
+        for backend in sumo::available().filter(|backend| *backend == Backend::Traci || processes == 1) {
+            clients.push(Client::Ours(backend, worlds, processes));
+        }
+    }
+    let config = workload.config(1);
+    let arguments: Vec<String> =
+        sumo::arguments(&config)?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
+    let folder = tempfile::tempdir().context("could not make a temporary folder")?;
+    let file = folder.path().join("workload.json");
+    let players = folder.path().join("players.py");
+    let write = |path: &Path, bytes: &[u8]| {
+        std::fs::File::create(path).and_then(|mut f| f.write_all(bytes)).context("could not write the workload")
+    };
+    write(&file, workload.export(&arguments, WARMUP, steps).to_string().as_bytes())?;
+    write(&players, PLAYERS.as_bytes())?;
+    let mut rates = vec![Vec::new(); clients.len()];
+    let mut checksums: Vec<(u32, f64, String)> = Vec::new();
+    for _ in 0..repetitions {
+        for (client, rates) in clients.iter().zip(&mut rates) {
+            let steps = client.steps(steps);
+            let limit = steps.to_string();
+            let (played, worlds) = match client {
+                Client::Ours(backend, worlds, processes) => {
+                    (play(workload, *backend, *worlds, *processes, steps)?, *worlds)
+                }
+                Client::Python(kind) => {
+                    (external(Program::new(PYTHON).arg(&players).arg(kind).arg(&file).args(["--steps", &limit]))?, 1)
+                }
+                Client::TraciRs(kind) => {
+                    (external(Program::new(TRACI_RS).arg(kind).arg(&file).args(["--steps", &limit]))?, 1)
+                }
+            };
+            match checksums.iter().find(|(steps, ..)| *steps == played.steps) {
+                None => checksums.push((played.steps, played.checksum, client.name())),
+                Some((_, expected, first)) => ensure!(
+                    (played.checksum - expected).abs() <= SAME * expected.abs(),
+                    "{} did not do the same as {first}: its checksum is {}, not {expected}",
+                    client.name(),
+                    played.checksum
+                ),
+            }
+            rates.push(f64::from(played.steps) * worlds as f64 / played.seconds);
+        }
+    }
+    let line = |(client, mut rates): (&Client, Vec<f64>)| {
+        let middle = median(&mut rates);
+        let (least, most) = (rates.first().copied().unwrap_or(middle), rates.last().copied().unwrap_or(middle));
+        Line { agents: workload.task.agents as u32, client: client.name(), steps_per_second: middle, least, most }
+    };
+    Ok(clients.iter().zip(rates).map(line).collect())
+}
+
+/// Ours: all worlds are sent the same commands, and all that is reported is turned into positions and angles.
+fn play(workload: &Workload, backend: Backend, worlds: usize, processes: usize, steps: u32) -> anyhow::Result<Played> {
+    let mut hosts = Host::start(workload, backend, worlds, processes)?;
+    let mut checksum = 0.0;
+    let mut begin = Instant::now();
+    for step in 0..WARMUP + steps {
+        if step == WARMUP {
+            begin = Instant::now();
+        }
+        let sums = Host::exchange(
+            &mut hosts,
+            |world, out: &mut Vec<Command>| workload.commands(world, step, out),
+            |snapshot| {
+                let vehicles = snapshot.vehicles.iter().enumerate();
+                let agents = workload.task.agents;
+                let mut sums =
+                    vehicles.filter_map(|(i, v)| Some((i / agents, workload.checksum(i % agents, v.as_ref()?))));
+                let mut first = 0.0;
+                sums.by_ref().for_each(|(world, sum)| {
+                    if world == 0 {
+                        first += sum
+                    } else {
+                        std::hint::black_box(sum);
+                    }
+                });
+                first
+            },
+        )?;
+        if step >= WARMUP {
+            checksum += sums;
+        }
+    }
+    Ok(Played { steps, seconds: begin.elapsed().as_secs_f64(), checksum })
+}
+
+fn external(program: &mut Program) -> anyhow::Result<Played> {
+    let output = program.output().with_context(|| format!("could not run {program:?}"))?;
+    if !output.status.success() {
+        bail!("{program:?} failed ({}): {}", output.status, String::from_utf8_lossy(&output.stderr).trim());
+    }
+    serde_json::from_slice(&output.stdout).with_context(|| format!("{program:?} printed no result"))
+}
+
+/// As Markdown, with the rates as multiples of the first client's.
+pub(super) fn table(lines: &[Line]) -> String {
+    let mut text =
+        String::from("| client | vehicles | world steps/s | least to most | × plain Python |\n|---|--:|--:|--:|--:|\n");
+    let mut base = f64::NAN;
+    let mut agents = None;
+    for line in lines {
+        if agents != Some(line.agents) {
+            (agents, base) = (Some(line.agents), line.steps_per_second);
+        }
+        let _ = writeln!(
+            text,
+            "| {} | {} | {:.0} | {:.0} to {:.0} | {:.1} |",
+            line.client,
+            line.agents,
+            line.steps_per_second,
+            line.least,
+            line.most,
+            line.steps_per_second / base
+        );
+    }
+    text
+}
