@@ -401,7 +401,7 @@ impl std::fmt::Display for Place<'_> {
                 write!(f, "{file}:{line}:{column}")
             }
             Self::Set(set) => write!(f, "--set {set}"),
-            Self::Flag(key) => write!(f, "--{key}"),
+            Self::Flag(key) => write!(f, "--{}", key.rsplit('.').next().unwrap_or(key)),
         }
     }
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::algo::{ActMode, Algorithm, Observation};
-use crate::env::{self, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
+use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
 use crate::sumo::Hosting;
@@ -87,6 +87,10 @@ pub struct Metrics {
     pub efficiency: Estimate,
     /// Colliding pairs per episode in SUMO's own report.
     pub sumo_collisions: Estimate,
+    /// Colliding pairs per episode by our own test.
+    pub own_collisions: Estimate,
+    /// Sums over all episodes: where the two tests differ, and why.
+    pub audit: Audit,
 }
 
 impl Evaluation {
@@ -103,6 +107,8 @@ impl Evaluation {
             episode_length: Estimate::t(&column(|r| f64::from(r.episode_length)))?,
             efficiency: Estimate::t(&column(|r| r.efficiency))?,
             sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
+            own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
+            audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
         })
     }
 }
@@ -295,6 +301,7 @@ mod tests {
             efficiency: 0.0,
             sumo_collisions: 0,
             own_collisions: 0,
+            audit: Audit::default(),
             interrupted: false,
             step_rewards: rewards.to_vec(),
         }

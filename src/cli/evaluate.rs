@@ -170,7 +170,7 @@ fn table(rows: &[Row]) -> String {
     let percent = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
     let number = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
     let fine = |e: &Estimate| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
-    let lines: [(&str, Cell<'_>); 9] = [
+    let lines: [(&str, Cell<'_>); 10] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),
         ("crash %", &|m| percent(&m.crash)),
@@ -179,6 +179,7 @@ fn table(rows: &[Row]) -> String {
         ("window reward", &|m| number(&m.window_reward)),
         ("episode length", &|m| number(&m.episode_length)),
         ("efficiency", &|m| fine(&m.efficiency)),
+        ("collisions", &|m| fine(&m.own_collisions)),
         ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
     ];
     let mut columns: Vec<Vec<String>> =
@@ -201,6 +202,15 @@ fn table(rows: &[Row]) -> String {
             let _ = if i == 0 { write!(text, "{cell:<width$}") } else { write!(text, "   {cell:>width$}") };
         }
         text.push('\n');
+    }
+    for row in rows {
+        let (audit, mut line) = (&row.metrics.audit, String::new());
+        for (reason, count) in audit.differences() {
+            let _ = write!(line, "; {reason}: {count}");
+        }
+        if !line.is_empty() {
+            let _ = writeln!(text, "audit of {}: {} pairs in both reports{line}", row.policy, audit.agreed);
+        }
     }
     text
 }

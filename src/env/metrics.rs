@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::audit::Audit;
+
 /// One finished episode. Rates are fractions of the episode's N agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
@@ -25,6 +27,8 @@ pub struct EpisodeRecord {
     pub sumo_collisions: u32,
     /// Distinct pairs of overlapping boxes by our own test.
     pub own_collisions: u32,
+    /// Where the two differ, and why.
+    pub audit: Audit,
     /// Cut short because SUMO died; not to be counted.
     pub interrupted: bool,
     /// Mean reward over agents in each step.

@@ -4,6 +4,7 @@
 //! - [`World`]: one episode's traffic, without a simulator: commands out, snapshot in.
 //! - [`VecEnv`]: many worlds in lock-step over the simulators that host them.
 
+mod audit;
 mod comm;
 mod dynamics;
 mod geometry;
@@ -19,6 +20,7 @@ mod world;
 #[cfg(test)]
 mod tests;
 
+pub use audit::Audit;
 pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
 pub use geometry::{Pose, boxes_overlap};

@@ -3,13 +3,23 @@
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
 use crate::scenario::{Scenario, SpawnPlace};
-use crate::sumo::net::Net;
+use crate::sumo::net::{EdgeFunction, Net, Path};
 use crate::sumo::{Hosting, Route, SimulationConfig, VehicleType};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
 /// Index of the type whose speed SUMO's own driver chooses.
 pub(super) const SUMO_TYPE: u32 = 1;
+
+/// A part of a route that lies in a junction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct JunctionStretch {
+    /// Arc length along the route \[m\].
+    pub(super) from: f64,
+    pub(super) to: f64,
+    /// Of SUMO's type `unregulated`, in which SUMO looks for no collisions.
+    pub(super) unregulated: bool,
+}
 
 /// Everything about a task that no episode changes; shared by all worlds.
 #[derive(Debug, Clone)]
@@ -24,6 +34,8 @@ pub struct Task {
     pub routes: Vec<RouteGeometry>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
+    /// Where each route lies in junctions.
+    pub(super) junctions: Vec<Vec<JunctionStretch>>,
     /// Corners of the net's bounding box: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
     net_file: std::path::PathBuf,
@@ -42,6 +54,7 @@ impl Task {
             paths.push(net.route_path(&route.edges)?);
         }
         let routes = (0..paths.len()).map(|a| geometry(&paths, a, scenario.routes[a].arrival_pos)).collect::<Vec<_>>();
+        let junctions = paths.iter().map(|path| junction_stretches(&net, path)).collect();
         let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for point in paths.iter().flat_map(|path| &path.points) {
             for axis in 0..2 {
@@ -59,6 +72,7 @@ impl Task {
             agents: agents as usize,
             places: choice.places().collect(),
             routes,
+            junctions,
             spec,
             bounds,
             net_file: choice.file.clone(),
@@ -100,4 +114,18 @@ impl Task {
                 .collect(),
         }
     }
+}
+
+fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {
+    let stretches = path.lane_stretches().filter_map(|(lane, from, to)| {
+        let edge = &net.edges[net.lanes[lane].edge];
+        if edge.function != EdgeFunction::Internal {
+            return None;
+        }
+        // Internal edges are called after their junction: `:centre_2`.
+        let name = edge.id.strip_prefix(':')?.rsplit_once('_')?.0;
+        let unregulated = net.junctions.iter().any(|j| j.id == name && j.kind == "unregulated");
+        Some(JunctionStretch { from, to, unregulated })
+    });
+    stretches.collect()
 }

@@ -6,20 +6,23 @@
 
 use std::sync::Arc;
 
+use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
-use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
+use super::task::{AGENT_TYPE, JunctionStretch, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
 use crate::rng::{self, Seed};
-use crate::scenario::Reward;
+use crate::scenario::{Reward, Vehicle};
 use crate::sumo::{Command, Snapshot};
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
+/// Boxes that overlap only when this much longer and wider have a gap of at most half of it \[m\].
+const NEAR: f64 = 0.2;
 /// SUMO's speed mode with every check off.
 const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
@@ -101,8 +104,7 @@ pub struct World {
     involved: Vec<bool>,
     total_reward: f64,
     step_rewards: Vec<f32>,
-    sumo_pairs: Vec<(u32, u32)>,
-    own_pairs: Vec<(u32, u32)>,
+    pairs: Pairs,
     actions: Vec<f32>,
     interrupted: bool,
     respawns: u64,
@@ -142,8 +144,7 @@ impl World {
             involved: vec![false; n],
             total_reward: 0.0,
             step_rewards: Vec::new(),
-            sumo_pairs: Vec::new(),
-            own_pairs: Vec::new(),
+            pairs: Pairs::default(),
             actions: Vec::new(),
             interrupted: false,
             respawns: 0,
@@ -254,8 +255,7 @@ impl World {
         self.step = 0;
         self.total_reward = 0.0;
         self.step_rewards.clear();
-        self.sumo_pairs.clear();
-        self.own_pairs.clear();
+        self.pairs.clear();
         self.actions.clear();
         let mut rng = self.seed.index(self.episode).rng();
         let mut places: Vec<usize> = (0..task.places.len()).collect();
@@ -421,12 +421,11 @@ impl World {
             *old = slot.s;
         }
         self.place(world, snapshot)?;
-        self.find_collisions();
+        self.find_collisions(world, snapshot);
         for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
-            let pair = (collision.collider.min(collision.victim), collision.collider.max(collision.victim));
-            if !self.sumo_pairs.contains(&pair) {
-                self.sumo_pairs.push(pair);
-            }
+            let (a, b) = (collision.collider, collision.victim);
+            let (slots, vehicle) = (&self.traffic.slots, &self.task.scenario.vehicle);
+            self.pairs.sumo(a, b, || Self::why_only_sumo(slots, vehicle, a as usize, b as usize));
         }
         let task = &*self.task;
         let scenario = &task.scenario;
@@ -467,7 +466,7 @@ impl World {
     }
 
     /// Boxes of active vehicles against all others on the road, at fractions of the step.
-    fn find_collisions(&mut self) {
+    fn find_collisions(&mut self, world: u32, snapshot: &Snapshot) {
         let slots = &self.traffic.slots;
         let vehicle = &self.task.scenario.vehicle;
         self.involved.fill(false);
@@ -492,12 +491,33 @@ impl World {
                 if hit {
                     self.involved[i] = true;
                     self.involved[j] = true;
-                    let pair = (j as u32, i as u32);
-                    if !self.own_pairs.contains(&pair) {
-                        self.own_pairs.push(pair);
-                    }
+                    let of_pair = |k: u32| k == i as u32 || k == j as u32;
+                    let several = || {
+                        let mut of_world = snapshot.collisions.iter().filter(|c| c.world == world);
+                        of_world.any(|c| of_pair(c.collider) != of_pair(c.victim))
+                    };
+                    let reason = || match why_only_ours(&self.task, &slots[i], &slots[j]) {
+                        Ours::Other if several() => Ours::OneOfSeveral,
+                        reason => reason,
+                    };
+                    self.pairs.ours(j as u32, i as u32, reason);
                 }
             }
+        }
+    }
+
+    /// Why our test would not see what SUMO reports.
+    fn why_only_sumo(slots: &[Slot], vehicle: &Vehicle, a: usize, b: usize) -> Sumos {
+        let (a, b) = (&slots[a], &slots[b]);
+        if a.status == Status::Empty
+            || b.status == Status::Empty
+            || (a.status, b.status) == (Status::Wreck, Status::Wreck)
+        {
+            Sumos::Ended
+        } else if boxes_overlap(&a.pose, &b.pose, vehicle.length + NEAR, vehicle.width + NEAR) {
+            Sumos::Touching
+        } else {
+            Sumos::Other
         }
     }
 
@@ -535,11 +555,39 @@ impl World {
             out_of_road: share(|slot| slot.fate.out_of_road),
             reward: self.total_reward,
             efficiency: (success - danger) * n / f64::from(self.step.max(1)),
-            sumo_collisions: self.sumo_pairs.len() as u32,
-            own_collisions: self.own_pairs.len() as u32,
+            sumo_collisions: self.pairs.of_sumo(),
+            own_collisions: self.pairs.of_ours(),
+            audit: self.pairs.audit(),
             interrupted,
             step_rewards: std::mem::take(&mut self.step_rewards),
         }
+    }
+}
+
+/// Why SUMO would not report what our test sees.
+fn why_only_ours(task: &Task, a: &Slot, b: &Slot) -> Ours {
+    let Vehicle { length, width, .. } = task.scenario.vehicle;
+    let centred = |slot: &Slot| offset([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
+    let front_inside = |slot: &Slot| {
+        let front = slot.s + length / 2.0;
+        task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
+    };
+    let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| {
+        let body = (slot.s - length / 2.0, slot.s + length / 2.0);
+        task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
+    };
+    if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
+        Ours::Unregulated
+    } else if !boxes_overlap(&a.pose, &b.pose, length, width) {
+        Ours::BetweenSteps
+    } else if !boxes_overlap(&centred(a), &centred(b), length, width) {
+        Ours::LateralOffset
+    } else if (touches(a, |_| true) || touches(b, |_| true)) && !(front_inside(a) && front_inside(b)) {
+        Ours::JunctionEdge
+    } else if !boxes_overlap(&a.pose, &b.pose, length - NEAR, width - NEAR) {
+        Ours::Touching
+    } else {
+        Ours::Other
     }
 }
 

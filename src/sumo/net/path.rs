@@ -119,6 +119,12 @@ impl Path {
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
+    /// The lanes passed, as indices into [`Net::lanes`], and the `s` at which each begins and ends.
+    pub fn lane_stretches(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        let ends = self.lane_start.iter().skip(1).copied().chain([self.length()]);
+        self.lanes.iter().zip(&self.lane_start).zip(ends).map(|((lane, start), end)| (*lane, *start, end))
+    }
+
     /// `s` of a place that lies `distance` metres from the start of the route in SUMO's count, which adds up lengths of
     /// lanes. The same as `distance` where lanes are as long as their shapes.
     pub fn arc_of_distance(&self, distance: f64) -> f64 {

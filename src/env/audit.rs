@@ -1,0 +1,163 @@
+//! The audit: an episode's collisions by our own test, compared with those that SUMO reports.
+//!
+//! Ours is the one that counts: boxes of the vehicles at their true poses, five times in a step. SUMO tests once in a
+//! step, with vehicles on the centre lines of their lanes, and in junctions only where it knows who has to yield.
+//! Where the two differ, the reason is worked out from the moment at which the one that saw the collision saw it first.
+
+use serde::{Deserialize, Serialize};
+
+/// Pairs of vehicles that collided in an episode.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Audit {
+    /// Seen by both tests.
+    pub agreed: u32,
+    /// Only ours; the junction is of SUMO's type `unregulated`, in which SUMO never looks.
+    pub ours_unregulated: u32,
+    /// Only ours: the boxes overlapped within a step, and no longer at its end.
+    pub ours_between_steps: u32,
+    /// Only ours: they would not have overlapped on the centre lines of their lanes.
+    pub ours_lateral_offset: u32,
+    /// Only ours: in a junction, with one vehicle's front out of it or not yet in it.
+    pub ours_junction_edge: u32,
+    /// Only ours: an overlap of less than 0.1 m.
+    pub ours_touching: u32,
+    /// Only ours: SUMO reports one of the two with a third vehicle.
+    pub ours_one_of_several: u32,
+    /// Only ours, for no known reason.
+    pub ours_other: u32,
+    /// Only SUMO's: one of the two had ended before, so that ours no longer looked.
+    pub sumo_ended: u32,
+    /// Only SUMO's: a gap of less than 0.1 m.
+    pub sumo_touching: u32,
+    /// Only SUMO's, for no known reason.
+    pub sumo_other: u32,
+}
+
+impl Audit {
+    /// Sums, field by field.
+    #[must_use]
+    pub fn plus(self, other: &Self) -> Self {
+        Self {
+            agreed: self.agreed + other.agreed,
+            ours_unregulated: self.ours_unregulated + other.ours_unregulated,
+            ours_between_steps: self.ours_between_steps + other.ours_between_steps,
+            ours_lateral_offset: self.ours_lateral_offset + other.ours_lateral_offset,
+            ours_junction_edge: self.ours_junction_edge + other.ours_junction_edge,
+            ours_touching: self.ours_touching + other.ours_touching,
+            ours_one_of_several: self.ours_one_of_several + other.ours_one_of_several,
+            ours_other: self.ours_other + other.ours_other,
+            sumo_ended: self.sumo_ended + other.sumo_ended,
+            sumo_touching: self.sumo_touching + other.sumo_touching,
+            sumo_other: self.sumo_other + other.sumo_other,
+        }
+    }
+
+    /// Why the two tests differ, in words, with the number of pairs; empty where they agree.
+    pub fn differences(&self) -> Vec<(&'static str, u32)> {
+        let all = [
+            ("only ours: unregulated junction", self.ours_unregulated),
+            ("only ours: between two steps", self.ours_between_steps),
+            ("only ours: off the lane's centre line", self.ours_lateral_offset),
+            ("only ours: one front outside the junction", self.ours_junction_edge),
+            ("only ours: an overlap below 0.1 m", self.ours_touching),
+            ("only ours: one of several at once", self.ours_one_of_several),
+            ("only ours: no known reason", self.ours_other),
+            ("only SUMO: with a vehicle that had ended", self.sumo_ended),
+            ("only SUMO: a gap below 0.1 m", self.sumo_touching),
+            ("only SUMO: no known reason", self.sumo_other),
+        ];
+        all.into_iter().filter(|(_, count)| *count > 0).collect()
+    }
+}
+
+/// Why our test alone may see a collision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ours {
+    Unregulated,
+    BetweenSteps,
+    LateralOffset,
+    JunctionEdge,
+    Touching,
+    OneOfSeveral,
+    Other,
+}
+
+/// Why SUMO alone may see a collision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sumos {
+    Ended,
+    Touching,
+    Other,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    slots: (u32, u32),
+    ours: Option<Ours>,
+    sumo: Option<Sumos>,
+}
+
+/// The pairs of an episode so far.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Pairs(Vec<Pair>);
+
+impl Pairs {
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Our test sees the pair; `reason` is asked for when it does so first.
+    pub(super) fn ours(&mut self, a: u32, b: u32, reason: impl FnOnce() -> Ours) {
+        let pair = self.entry(a, b);
+        if pair.ours.is_none() {
+            pair.ours = Some(reason());
+        }
+    }
+
+    /// SUMO reports the pair; `reason` is asked for when it does so first.
+    pub(super) fn sumo(&mut self, a: u32, b: u32, reason: impl FnOnce() -> Sumos) {
+        let pair = self.entry(a, b);
+        if pair.sumo.is_none() {
+            pair.sumo = Some(reason());
+        }
+    }
+
+    fn entry(&mut self, a: u32, b: u32) -> &mut Pair {
+        let slots = (a.min(b), a.max(b));
+        let at = self.0.iter().position(|pair| pair.slots == slots).unwrap_or_else(|| {
+            self.0.push(Pair { slots, ours: None, sumo: None });
+            self.0.len() - 1
+        });
+        &mut self.0[at]
+    }
+
+    /// Pairs that our test saw.
+    pub(super) fn of_ours(&self) -> u32 {
+        self.0.iter().filter(|pair| pair.ours.is_some()).count() as u32
+    }
+
+    /// Pairs that SUMO reported.
+    pub(super) fn of_sumo(&self) -> u32 {
+        self.0.iter().filter(|pair| pair.sumo.is_some()).count() as u32
+    }
+
+    pub(super) fn audit(&self) -> Audit {
+        let mut audit = Audit::default();
+        for pair in &self.0 {
+            *match (pair.ours, pair.sumo) {
+                (Some(_), Some(_)) | (None, None) => &mut audit.agreed,
+                (Some(Ours::Unregulated), None) => &mut audit.ours_unregulated,
+                (Some(Ours::BetweenSteps), None) => &mut audit.ours_between_steps,
+                (Some(Ours::LateralOffset), None) => &mut audit.ours_lateral_offset,
+                (Some(Ours::JunctionEdge), None) => &mut audit.ours_junction_edge,
+                (Some(Ours::Touching), None) => &mut audit.ours_touching,
+                (Some(Ours::OneOfSeveral), None) => &mut audit.ours_one_of_several,
+                (Some(Ours::Other), None) => &mut audit.ours_other,
+                (None, Some(Sumos::Ended)) => &mut audit.sumo_ended,
+                (None, Some(Sumos::Touching)) => &mut audit.sumo_touching,
+                (None, Some(Sumos::Other)) => &mut audit.sumo_other,
+            } += 1;
+        }
+        audit
+    }
+}
