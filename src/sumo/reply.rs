@@ -17,6 +17,8 @@ pub struct Report<'a> {
     pub around: Option<&'a str>,
     /// The object that the value belongs to.
     pub object: &'a str,
+    /// The command that reads variables of the object's domain, [`Domain::get`].
+    pub domain: u8,
     /// The variable.
     pub variable: u8,
     /// `false`: the value is SUMO's message why there is no value (the object is gone).
@@ -48,7 +50,17 @@ pub trait Sink {
     /// # Errors
     /// [`Error::Protocol`] if the bytes are not what they should be.
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
-        read_value(report.response, report.variable, value).map(drop)
+        report.read(value).map(drop)
+    }
+}
+
+impl Report<'_> {
+    /// Reads the value that the reader stands at.
+    ///
+    /// # Errors
+    /// [`Error::Protocol`] if there is none.
+    pub fn read(&self, value: &mut Reader<'_>) -> Result<Value, Error> {
+        read_value(self.domain.wrapping_add(0x10), self.variable, value)
     }
 }
 
@@ -59,8 +71,9 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     let (queued, stepped) = batch.sealed();
     let mut carried_out = true;
     for (index, queued) in queued.iter().enumerate() {
+        let call = queued.call;
         let (id, mut status) = reader.command()?;
-        if id != queued.command {
+        if id != call.command {
             let found = format!("that of command {id:#04x}");
             return Err(Error::Protocol {
                 expected: "the status of the next command",
@@ -76,21 +89,24 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
             sink.refused(index, text);
             continue;
         }
-        if queued.answer == Answer::Nothing {
+        if call.answer == Answer::Nothing {
             continue;
         }
         let (id, mut answer) = reader.command()?;
-        let expected =
-            if queued.answer == Answer::Version { c::CMD_GETVERSION } else { queued.command.wrapping_add(0x10) };
+        let expected = if call.answer == Answer::Version { c::CMD_GETVERSION } else { call.command.wrapping_add(0x10) };
         if id != expected {
             return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
         }
-        match queued.answer {
+        match call.answer {
             Answer::Nothing => {}
             Answer::Version | Answer::Variable => {
                 let mut variable = 0;
-                if queued.answer == Answer::Variable {
+                if call.answer == Answer::Variable {
                     variable = answer.u8()?;
+                    if call.variable != Some(variable) {
+                        let found = format!("variable {variable:#04x}");
+                        return Err(answer.unexpected("the variable that was asked for", found));
+                    }
                     answer.str()?;
                 }
                 sink.answer(index, id, variable, &mut answer)?;
@@ -111,19 +127,31 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     reader.end("the end of the message")
 }
 
-/// Reads the value of a variable. Differs from [`Reader::value`] where SUMO's count of a compound's items
-/// is wrong: for collisions, 1.15 counts four items for each and writes nine.
+/// Reads the value of a variable; `response` is the identifier of the answer. Differs from
+/// [`Reader::value`] where SUMO departs from its own types: for collisions, 1.15 counts four items for
+/// each and writes nine; the neighbours of a vehicle are a compound of untyped items.
 pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
-    let of_simulation = [Domain::SIMULATION.get + 0x10, Domain::SIMULATION.subscribe + 0x10].contains(&response);
-    if !(of_simulation && variable == c::VAR_COLLISIONS) || reader.peek() != Some(c::TYPE_COMPOUND) {
-        return reader.value();
+    let of = |domain: Domain| [domain.get + 0x10, domain.subscribe + 0x10].contains(&response);
+    let compound = reader.peek() == Some(c::TYPE_COMPOUND);
+    if compound && variable == c::VAR_COLLISIONS && of(Domain::SIMULATION) {
+        let count = read_collision_count(reader)?;
+        let mut items = vec![Value::Integer(count as i32)];
+        for _ in 0..count * COLLISION_VALUES {
+            items.push(reader.value()?);
+        }
+        return Ok(Value::Compound(items));
     }
-    let count = read_collision_count(reader)?;
-    let mut items = vec![Value::Integer(count as i32)];
-    for _ in 0..count * COLLISION_VALUES {
-        items.push(reader.value()?);
+    if compound && variable == c::VAR_NEIGHBORS && of(Domain::VEHICLE) {
+        reader.u8()?;
+        let count = reader.count(4 + 8, "the number of neighbours")?;
+        let mut items = vec![Value::Integer(count as i32)];
+        for _ in 0..count {
+            items.push(Value::String(reader.str()?.to_owned()));
+            items.push(Value::Double(reader.f64()?));
+        }
+        return Ok(Value::Compound(items));
     }
-    Ok(Value::Compound(items))
+    reader.value()
 }
 
 /// Values that describe one collision: collider, victim, their types, their speeds, kind, lane, position.
@@ -151,10 +179,8 @@ fn parse_reports(
     sink: &mut impl Sink,
 ) -> Result<(), Error> {
     let centre = reader.str()?;
-    if context {
-        // The domain of the objects: known from the subscription.
-        reader.u8()?;
-    }
+    // A variable subscription is answered with 0x40 more than the command that reads the variable.
+    let domain = if context { reader.u8()? } else { response.wrapping_sub(0x40) };
     let variables = reader.u8()?;
     let objects = if context { reader.count(4, "the number of objects")? } else { 1 };
     for _ in 0..objects {
@@ -163,7 +189,7 @@ fn parse_reports(
             let variable = reader.u8()?;
             let known = reader.u8()? == c::RTYPE_OK;
             let around = context.then_some(centre);
-            sink.report(Report { response, around, object, variable, known, after_step }, reader)?;
+            sink.report(Report { response, around, object, domain, variable, known, after_step }, reader)?;
         }
     }
     Ok(())
