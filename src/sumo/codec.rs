@@ -294,6 +294,19 @@ impl<'a> Reader<'a> {
         Error::Protocol { expected, found: found.into(), at_byte: self.position() }
     }
 
+    /// Takes a polygon without points as SUMO writes it, which is as it would begin one of more than 255
+    /// points; `false` if something else is next.
+    pub(super) fn empty_polygon(&mut self) -> bool {
+        let mut ahead = self.clone();
+        let begins = ahead.kind(c::TYPE_POLYGON, "a polygon").is_ok() && ahead.u8().is_ok_and(|short| short == 0);
+        let has_points = ahead.clone().count(16, "a polygon").is_ok_and(|count| count > 255);
+        let empty = begins && !has_points;
+        if empty {
+            *self = ahead;
+        }
+        empty
+    }
+
     /// Takes `n` bytes.
     ///
     /// # Errors

@@ -134,6 +134,24 @@ impl Error {
         }
     }
 
+    /// Says where in the message the value stood that is not what it should be.
+    pub(super) fn at(self, at_byte: usize) -> Self {
+        match self {
+            Error::Protocol { expected, found, .. } => Error::Protocol { expected, found, at_byte },
+            other => other,
+        }
+    }
+
+    /// Names the call whose answer is not what it should be.
+    pub(super) fn as_answer_to(self, call: &str) -> Self {
+        match self {
+            Error::Protocol { expected, found, at_byte } if !call.is_empty() => {
+                Error::Protocol { expected, found: format!("{found} as the answer to {call}"), at_byte }
+            }
+            other => other,
+        }
+    }
+
     pub(crate) fn invalid(what: impl Into<String>) -> Self {
         Error::Invalid { what: what.into() }
     }

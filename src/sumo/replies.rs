@@ -37,13 +37,8 @@ impl Replies {
         for outcome in &mut self.outcomes[commands] {
             answer = std::mem::replace(outcome, Ok(None))?;
         }
-        decode(answer).map_err(|error| match error {
-            Error::Protocol { expected, found, .. } => {
-                let (name, at_byte) = self.places[last];
-                Error::Protocol { expected, found: format!("{found} as the answer to {name}"), at_byte }
-            }
-            other => other,
-        })
+        let (name, at_byte) = self.places[last];
+        decode(answer).map_err(|error| error.at(at_byte).as_answer_to(name))
     }
 
     pub(super) fn pop(&mut self) -> Option<Outcome> {
@@ -89,6 +84,10 @@ pub struct Observed {
 }
 
 impl Observed {
+    fn subscription(&self) -> String {
+        format!("the subscription to variable {:#04x}", self.variable)
+    }
+
     /// What tells it from all others.
     fn key(&self) -> Key<'_> {
         (self.response, self.around.as_deref(), self.domain, &self.object, self.variable)
@@ -139,16 +138,11 @@ impl StepReply {
         let at = order.binary_search_by(|i| self.at(*i).key().cmp(&key)).ok()?;
         let observed = self.at(order[at]);
         Some(match &observed.value {
-            Ok(value) => T::from_value(value.clone()).map_err(|error| match error {
-                Error::Protocol { expected, found, .. } => {
-                    let found = format!("{found} as variable {:#04x} of `{}`", observed.variable, observed.object);
-                    Error::Protocol { expected, found, at_byte: observed.at_byte }
-                }
-                other => other,
-            }),
+            Ok(value) => T::from_value(value.clone())
+                .map_err(|error| error.at(observed.at_byte).as_answer_to(&observed.subscription())),
             Err(message) => Err(Error::Refused {
                 command: observed.response.wrapping_sub(0x10),
-                call: format!("the subscription to variable {:#04x}", observed.variable),
+                call: observed.subscription(),
                 id: observed.object.clone(),
                 message: message.clone(),
             }),

@@ -97,23 +97,21 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
         if id != expected {
             return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
         }
-        match call.answer {
-            Answer::Nothing => {}
-            Answer::Version | Answer::Variable => {
-                let mut variable = 0;
-                if call.answer == Answer::Variable {
-                    variable = answer.u8()?;
-                    if call.variable != Some(variable) {
-                        let found = format!("variable {variable:#04x}");
-                        return Err(answer.unexpected("the variable that was asked for", found));
-                    }
-                    answer.str()?;
+        let read = match call.answer {
+            Answer::Nothing => Ok(()),
+            Answer::Version => sink.answer(index, id, 0, &mut answer),
+            Answer::Variable => {
+                let variable = answer.u8()?;
+                if call.variable != Some(variable) {
+                    let found = format!("variable {variable:#04x}");
+                    return Err(answer.unexpected("the variable that was asked for", found));
                 }
-                sink.answer(index, id, variable, &mut answer)?;
+                answer.str()?;
+                sink.answer(index, id, variable, &mut answer)
             }
-            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink)?,
-        }
-        answer.end("the end of an answer")?;
+            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink),
+        };
+        read.and_then(|()| answer.end("the end of an answer")).map_err(|error| error.as_answer_to(call.name))?;
     }
     // The step is the last command.
     if stepped && carried_out {
@@ -127,16 +125,33 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     reader.end("the end of the message")
 }
 
+/// Lists that are one compound of a number and all values of that many records: domain, variable, and
+/// values of a record. For some of them, 1.15 writes more items than it counts.
+const LISTS: [(Domain, u8, usize); 10] = [
+    (Domain::INDUCTION_LOOP, 0x17, 5),
+    (Domain::LANE, 0x33, 8),
+    (Domain::SIMULATION, c::VAR_COLLISIONS, 9),
+    (Domain::TRAFFIC_LIGHT, 0x2f, 9),
+    (Domain::TRAFFIC_LIGHT, 0x32, 9),
+    (Domain::TRAFFIC_LIGHT, 0x34, 9),
+    (Domain::VEHICLE, 0x70, 4),
+    (Domain::VEHICLE, 0x73, 6),
+    (Domain::VEHICLE, 0x74, 16),
+    (Domain::VEHICLE, 0xb2, 6),
+];
+
 /// Reads the value of a variable; `response` is the identifier of the answer. Differs from
-/// [`Reader::value`] where SUMO departs from its own types: for collisions, 1.15 counts four items for
-/// each and writes nine; the neighbours of a vehicle are a compound of untyped items.
+/// [`Reader::value`] where SUMO departs from its own types: [`LISTS`] are not counted right; the neighbours
+/// of a vehicle are a compound of untyped items; a polygon without points lacks the number that its first
+/// byte announces.
 pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
     let of = |domain: Domain| [domain.get + 0x10, domain.subscribe + 0x10].contains(&response);
     let compound = reader.peek() == Some(c::TYPE_COMPOUND);
-    if compound && variable == c::VAR_COLLISIONS && of(Domain::SIMULATION) {
-        let count = read_collision_count(reader)?;
+    let list = LISTS.iter().find(|(domain, listed, _)| *listed == variable && of(*domain));
+    if let Some((.., values)) = list.filter(|_| compound) {
+        let count = read_count(reader, *values)?;
         let mut items = vec![Value::Integer(count as i32)];
-        for _ in 0..count * COLLISION_VALUES {
+        for _ in 0..count * values {
             items.push(reader.value()?);
         }
         return Ok(Value::Compound(items));
@@ -151,19 +166,25 @@ pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) ->
         }
         return Ok(Value::Compound(items));
     }
+    if reader.empty_polygon() {
+        return Ok(Value::Polygon(Vec::new()));
+    }
     reader.value()
 }
 
-/// Values that describe one collision: collider, victim, their types, their speeds, kind, lane, position.
-const COLLISION_VALUES: usize = 9;
-
 /// Reads the head of the compound of collisions up to their number.
 pub(super) fn read_collision_count(reader: &mut Reader<'_>) -> Result<usize, Error> {
-    reader.kind(c::TYPE_COMPOUND, "the collisions")?;
+    // Collider, victim, their types, their speeds, kind, lane, position.
+    read_count(reader, 9)
+}
+
+/// Reads the head of a list up to the number of records, of so many values each.
+fn read_count(reader: &mut Reader<'_>, values: usize) -> Result<usize, Error> {
+    reader.kind(c::TYPE_COMPOUND, "a list")?;
     reader.i32()?;
-    reader.kind(c::TYPE_INTEGER, "the number of collisions")?;
-    // Six strings of at least five bytes and three doubles of nine.
-    reader.count(6 * 5 + 3 * 9, "the number of collisions")
+    reader.kind(c::TYPE_INTEGER, "the length of a list")?;
+    // No value takes less than two bytes.
+    reader.count(values * 2, "the length of a list")
 }
 
 /// Whether an answer is that of a context subscription.

@@ -141,7 +141,7 @@ global_getters! { Simulation, "simulation", SIMULATION;
     /// Time \[s\].
     get_time "getTime" VAR_TIME 0x66 -> f64;
     /// Time \[ms\].
-    get_current_time "getCurrentTime" VAR_TIME_STEP 0x70 -> f64;
+    get_current_time "getCurrentTime" VAR_TIME_STEP 0x70 -> i32;
     /// When it will end \[s\]; -1: not known.
     get_end_time "getEndTime" VAR_END 0x1d -> f64;
     /// Number of vehicles loaded within the last step.

@@ -149,14 +149,22 @@ const BLOCKED: i32 = 0b1111 << 9 | 1 << 14 | 1 << 28;
 const UNKNOWN: i32 = 1 << 30;
 
 impl LaneChangeState {
-    /// Whether the vehicle wants to change to the side (`LEFT` or `RIGHT`) and can.
-    fn wants_and_could(state: i32, side: i32) -> bool {
-        state & BLOCKED == 0 && state & side != 0
+    fn blocked(state: i32) -> bool {
+        state & BLOCKED != 0
     }
 
-    /// Whether it can change to the side although it does not want to.
-    fn could(self, side: i32) -> bool {
-        !Self::wants_and_could(self.state_traci, side) && self.state != UNKNOWN && self.state & BLOCKED == 0
+    /// Whether the vehicle changed to the side (`LEFT` or `RIGHT`) in the last step, so that what it thought
+    /// of it is past.
+    fn changed(&self, side: i32) -> bool {
+        self.state_traci & side != 0 && !Self::blocked(self.state_traci)
+    }
+
+    fn could(&self, side: i32) -> bool {
+        !self.changed(side) && self.state != UNKNOWN && !Self::blocked(self.state)
+    }
+
+    fn wants_and_could(&self, side: i32) -> bool {
+        !self.changed(side) && self.state & side != 0 && !Self::blocked(self.state)
     }
 
     /// SUMO's words for the bits of a state.
@@ -383,7 +391,7 @@ impl<S: Scope> Vehicle<'_, S> {
         })
     }
 
-    /// Whether the vehicle could change lanes without being about to; 1: to the left, -1: to the right.
+    /// Whether the vehicle could change lanes; 1: to the left, -1: to the right. `false` if it has just done it.
     pub fn could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
         let decode: super::Decode<bool> = match direction {
             1 => |v| Ok(super::value::<LaneChangeState>(v)?.could(LEFT)),
@@ -393,12 +401,13 @@ impl<S: Scope> Vehicle<'_, S> {
         self.lane_change(id, direction, decode)
     }
 
-    /// Whether the vehicle wants to change lanes and can; 1: to the left, -1: to the right.
+    /// Whether the vehicle wants to change lanes and could; 1: to the left, -1: to the right. `false` if it has
+    /// just done it.
     pub fn wants_and_could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
         let decode: super::Decode<bool> = match direction {
-            1 => |v| wants_and_could(v, LEFT),
-            -1 => |v| wants_and_could(v, RIGHT),
-            _ => |v| wants_and_could(v, 0),
+            1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(LEFT)),
+            -1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(RIGHT)),
+            _ => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(0)),
         };
         self.lane_change(id, direction, decode)
     }
@@ -415,9 +424,4 @@ impl<S: Scope> Vehicle<'_, S> {
             decode,
         )
     }
-}
-
-fn wants_and_could(answer: Option<Value>, side: i32) -> Result<bool, Error> {
-    let state: LaneChangeState = super::value(answer)?;
-    Ok(LaneChangeState::wants_and_could(state.state_traci, side))
 }
