@@ -179,7 +179,7 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_bus_stop_id_list(); get_bus_stop_waiting("stop"); get_bus_stop_waiting_id_list("stop");
             get_colliding_vehicles_id_list(); get_colliding_vehicles_number(); get_collisions(); get_current_time();
             get_delta_t(); get_departed_id_list(); get_departed_number(); get_departed_person_id_list();
-            get_departed_person_number(); get_distance2d([10.0, 195.0], [300.0, 195.0], false, true);
+            get_departed_person_number(); get_distance2d([600.0, 195.0], [800.0, 195.0], false, true);
             get_distance_road(("wc", 10.0), ("ce", 30.0), true); get_emergency_stopping_vehicles_id_list();
             get_emergency_stopping_vehicles_number(); get_end_time(); get_ending_teleport_id_list();
             get_ending_teleport_number(); get_loaded_id_list(); get_loaded_number(); get_min_expected_number();
@@ -189,8 +189,8 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_starting_teleport_id_list(); get_starting_teleport_number(); get_stop_ending_vehicles_id_list();
             get_stop_ending_vehicles_number(); get_stop_starting_vehicles_id_list();
             get_stop_starting_vehicles_number(); get_time(); convert2d("wc", 10.0, 1, false);
-            convert3d("wc", 10.0, 1, true); convert_road([150.0, 190.0], false, "passenger");
-            convert_geo([150.0, 190.0], false); find_route("wc", "ce", &by_car);
+            convert3d("wc", 10.0, 1, true); convert_road([700.0, 195.0], false, "passenger");
+            convert_geo([700.0, 195.0], false); find_route("wc", "ce", &by_car);
             find_intermodal_route("wc", "ce", &on_foot)
         }
         {
@@ -218,7 +218,7 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             could_change_lane(1); get_accel; get_acceleration; get_accumulated_waiting_time; get_action_step_length;
             get_adapted_traveltime(60.0, "ce"); get_allowed_speed; get_angle; get_apparent_decel; get_best_lanes;
             get_co2_emission; get_co_emission; get_color; get_decel; get_distance;
-            get_driving_distance("ce", 30.0, 1); get_driving_distance2d([300.0, 195.0]); get_effort(60.0, "ce");
+            get_driving_distance("ce", 30.0, 1); get_driving_distance2d([800.0, 195.0]); get_effort(60.0, "ce");
             get_electricity_consumption; get_emergency_decel; get_emission_class;
             get_follow_speed(10.0, 20.0, 5.0, 4.5, ""); get_follower(100.0); get_fuel_consumption; get_hc_emission;
             get_height; get_imperfection; get_lane_change_mode; get_lane_change_state(1);

@@ -77,8 +77,11 @@ impl Client {
     /// Bounds the wait for each reply from now on.
     ///
     /// # Errors
-    /// [`Error::Io`] for a timeout of zero.
+    /// [`Error::Invalid`] for a timeout of zero; [`Error::Io`] if it cannot be set.
     pub fn set_timeout(&mut self, timeout: Duration) -> Result<(), Error> {
+        if timeout.is_zero() {
+            return Err(Error::invalid("a timeout must be longer than zero"));
+        }
         set_timeouts(&self.stream, timeout)?;
         self.timeout = timeout;
         Ok(())

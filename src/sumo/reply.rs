@@ -73,18 +73,19 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     for (index, queued) in queued.iter().enumerate() {
         let call = queued.call;
         let (id, mut status) = reader.command()?;
-        if id != call.command {
-            let found = format!("that of command {id:#04x}");
+        let result = status.u8()?;
+        carried_out = result == c::RTYPE_OK;
+        // 1.15 answers a refused filter under the filter's number.
+        let filter = call.command == c::CMD_ADD_SUBSCRIPTION_FILTER && !carried_out;
+        if id != call.command && !filter {
             return Err(Error::Protocol {
                 expected: "the status of the next command",
-                found,
+                found: format!("that of command {id:#04x}"),
                 at_byte: status.position(),
             });
         }
-        let result = status.u8()?;
         let text = status.str()?;
         status.end("the end of a status")?;
-        carried_out = result == c::RTYPE_OK;
         if !carried_out {
             sink.refused(index, text);
             continue;

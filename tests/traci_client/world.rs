@@ -52,6 +52,8 @@ const ROUTES: &str = r#"<routes>
  <flow id="west" type="car" begin="3" end="100" period="9" from="ec" to="cw" departLane="random"/>
  <vehicle id="cab" type="taxi" depart="4" departLane="1"><route edges="sc cn"/><stop lane="sc_1" endPos="60" duration="1000"/></vehicle>
  <person id="customer" depart="5" departPos="100"><ride from="sc" to="cn" lines="taxi"/></person>
+ <person id="guest.a" depart="5" departPos="90"><ride from="sc" to="cn" lines="taxi" group="two"/></person>
+ <person id="guest.b" depart="5" departPos="90"><ride from="sc" to="cn" lines="taxi" group="two"/></person>
  <vehicle id="fast" type="train" route="rail" depart="20"><param key="tripId" value="fast"/></vehicle>
 </routes>
 "#;

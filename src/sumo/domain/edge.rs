@@ -52,12 +52,12 @@ setters! { Edge, "edge", EDGE;
     set_effort "setEffort" 0x59 [effort: f64];
     /// As `set_effort`, from the simulation time `begin` to `end` \[s\].
     set_effort_during "setEffort" 0x59 [begin: f64, end: f64, effort: f64];
-    /// Sets the vehicle classes that may use the lanes.
+    /// Sets the vehicle classes that may use the lanes. SUMO 1.15 refuses it; lanes have it too.
     set_allowed "setAllowed" 0x34 (classes: &[impl AsRef<str>]);
-    /// Sets the vehicle classes that may not use the lanes.
+    /// Sets the vehicle classes that may not use the lanes. SUMO 1.15 refuses it; lanes have it too.
     set_disallowed "setDisallowed" 0x35 (classes: &[impl AsRef<str>]);
     /// Sets the speed limit of the lanes \[m/s\].
     set_max_speed "setMaxSpeed" 0x41 (speed: f64);
-    /// Sets the friction of the lanes, 0 to 1.
+    /// Sets the friction of the lanes, 0 to 1. SUMO 1.15 refuses it.
     set_friction "setFriction" 0x3d (friction: f64);
 }

@@ -1,4 +1,5 @@
-//! Persons.
+//! Persons. SUMO 1.15 refuses most of the calls that change what a person has in common with a vehicle; it
+//! knows length, width, height, gap, speed factor and colour.
 
 use super::{Color, FromValue, Scope, Variable, simulation::Stage};
 use crate::sumo::{
@@ -74,7 +75,7 @@ getters! { Person, "person", PERSON;
     /// The vehicle that the person rides in; empty for none.
     get_vehicle "getVehicle" VAR_VEHICLE 0xc3 -> String;
     /// Makes a reservation of its own for some of the persons of a reservation, whose identifier comes first;
-    /// returns the new identifier.
+    /// returns the new identifier. SUMO 1.15 ends if they are all of them.
     split_taxi_reservation "splitTaxiReservation" SPLIT_TAXI_RESERVATIONS 0xc7 (persons: &[impl AsRef<str>]) -> String;
 }
 

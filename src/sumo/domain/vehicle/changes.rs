@@ -305,7 +305,8 @@ impl<S: Scope> Vehicle<'_, S> {
         set(self.0, call("vehicle.replaceStop", 0x17), id, |w| change.write(w))
     }
 
-    /// Puts a stop before the one of that index; the route changes with it.
+    /// Puts a stop before the one of that index; the route changes with it. SUMO 1.15 may die of a second call
+    /// of this or of [`Vehicle::replace_stop`] for the same vehicle.
     pub fn insert_stop(&mut self, id: &str, change: &StopChange<'_>) -> S::Output<()> {
         set(self.0, call("vehicle.insertStop", 0x18), id, |w| change.write(w))
     }
