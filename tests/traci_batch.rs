@@ -186,13 +186,16 @@ fn a_silent_peer_costs_no_more_than_the_timeout() {
     peer.join().unwrap();
 }
 
+/// Takes one result; `true` if it has a value.
+type Take = Box<dyn FnOnce(&mut StepReply) -> bool>;
+
 /// Puts calls of many shapes into a batch, and takes all of their results out of the reply.
 fn ask(client: &mut Client, calls: &[u8]) -> Result<usize, Error> {
     let mut batch = Batch::new();
-    let mut takes: Vec<Box<dyn FnOnce(&mut StepReply) -> bool>> = Vec::new();
+    let mut takes: Vec<Take> = Vec::new();
     macro_rules! call {
         ($($domain:ident.$call:ident($($argument:expr),*)),+ $(,)?) => {{
-            let fill: &[fn(&mut Batch) -> Box<dyn FnOnce(&mut StepReply) -> bool>] = &[$(|batch| {
+            let fill: &[fn(&mut Batch) -> Take] = &[$(|batch| {
                 let ticket = batch.$domain().$call($($argument),*);
                 Box::new(move |reply| reply.take(ticket).is_ok())
             }),+];

@@ -488,7 +488,7 @@ fn collisions_are_told_one_by_one() {
     let road = edges.iter().find(|edge| !edge.starts_with(':')).unwrap();
     client.route().add("r", &[road]).unwrap();
     let mut batch = client.batch();
-    for (id, depart_pos, speed) in [("first", "28", 0.0), ("second", "20", 3.0), ("third", "12", 4.0)] {
+    for (id, depart_pos, speed) in [("first", "29", 0.0), ("second", "21.4", 2.0), ("third", "13.8", 3.5)] {
         batch.vehicle().add(id, &Addition { depart_pos, ..Addition::on_route("r") });
         batch.vehicle().set_speed_mode(id, 32);
         batch.vehicle().set_speed(id, speed);

@@ -143,7 +143,7 @@ impl Error {
     }
 
     /// Names the call whose answer is not what it should be.
-    pub(super) fn as_answer_to(self, call: &str) -> Self {
+    pub(super) fn in_answer_to(self, call: &str) -> Self {
         match self {
             Error::Protocol { expected, found, at_byte } if !call.is_empty() => {
                 Error::Protocol { expected, found: format!("{found} as the answer to {call}"), at_byte }

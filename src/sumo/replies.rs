@@ -1,5 +1,5 @@
-//! What comes back from a [`Batch`](super::Batch), as owned values: a result for each
-//! [`Ticket`](super::Ticket), and what the subscriptions report after a step.
+//! What comes back from a [`Batch`], as owned values: a result for each
+//! [`Ticket`], and what the subscriptions report after a step.
 
 use std::{cell::OnceCell, cmp::Ordering, ops::Deref, vec};
 
@@ -38,7 +38,7 @@ impl Replies {
             answer = std::mem::replace(outcome, Ok(None))?;
         }
         let (name, at_byte) = self.places[last];
-        decode(answer).map_err(|error| error.at(at_byte).as_answer_to(name))
+        decode(answer).map_err(|error| error.at(at_byte).in_answer_to(name))
     }
 
     pub(super) fn pop(&mut self) -> Option<Outcome> {
@@ -139,7 +139,7 @@ impl StepReply {
         let observed = self.at(order[at]);
         Some(match &observed.value {
             Ok(value) => T::from_value(value.clone())
-                .map_err(|error| error.at(observed.at_byte).as_answer_to(&observed.subscription())),
+                .map_err(|error| error.at(observed.at_byte).in_answer_to(&observed.subscription())),
             Err(message) => Err(Error::Refused {
                 command: observed.response.wrapping_sub(0x10),
                 call: observed.subscription(),

@@ -112,7 +112,7 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
             }
             Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink),
         };
-        read.and_then(|()| answer.end("the end of an answer")).map_err(|error| error.as_answer_to(call.name))?;
+        read.and_then(|()| answer.end("the end of an answer")).map_err(|error| error.in_answer_to(call.name))?;
     }
     // The step is the last command.
     if stepped && carried_out {
