@@ -12,7 +12,7 @@ use iwol_sumo::sumo::{
     Batch, Client, Domain, Error, Variable, Version,
     constants::INVALID_DOUBLE_VALUE,
     domain::{
-        Color, Highlight,
+        Color, Highlight, gui,
         person::{self, Place, Walk},
         poi, polygon,
         simulation::{self, Stage},
@@ -572,4 +572,40 @@ fn two_clients_take_turns() {
     assert_eq!(first.simulation().get_time().unwrap(), 1.0);
     first.close().unwrap();
     assert_eq!(other.join().unwrap(), (20, vec!["r".to_owned()], 1.0));
+}
+
+#[test]
+fn detectors_signals_and_windows() {
+    let world = World::new();
+    let (_process, mut client) = world.start();
+    client.simulation_step(50.0).unwrap();
+    client.induction_loop().override_time_since_detection("loop", 3.0).unwrap();
+    assert_eq!(client.induction_loop().get_time_since_detection("loop").unwrap(), 3.0);
+    client.lane_area().override_vehicle_number("area", 12).unwrap();
+    assert_eq!(client.lane_area().get_last_step_vehicle_number("area").unwrap(), 12);
+    // The slow train waits for the fast one; then it is the other way round; then none waits.
+    let swapped = client.traffic_light().swap_constraints("rb", "slow", "rb", "fast").unwrap();
+    assert_eq!(swapped, []);
+    let constraints = client.traffic_light().get_constraints("rb", "").unwrap();
+    let [one] = &constraints[..] else { panic!("{constraints:?}") };
+    assert_eq!((one.trip_id.as_str(), one.foe_id.as_str()), ("fast", "slow"));
+    client.traffic_light().update_constraints("fast", "").unwrap();
+    client.traffic_light().remove_constraints("rb", "fast", "rb", "slow").unwrap();
+    assert_eq!(client.traffic_light().get_constraints("rb", "").unwrap(), []);
+    // There is no such place, controller, device or window here: refused for that, not for the bytes.
+    let unlimited = INVALID_DOUBLE_VALUE;
+    refused(client.vehicle().set_container_stop("bus", "none", 1.0, unlimited));
+    refused(client.vehicle().set_charging_station_stop("bus", "none", 1.0, unlimited));
+    refused(client.vehicle().reroute_parking_area("parker", "none"));
+    refused(client.vehicle().request_toc("bus", 5.0));
+    refused(client.traffic_light().set_nema_splits("c", "1 2"));
+    refused(client.traffic_light().set_nema_offset("c", 1.0));
+    let view = gui::DEFAULT_VIEW;
+    let mut gui = client.gui();
+    for call in [gui.set_zoom(view, 2.0), gui.set_offset(view, [1.0, 2.0]), gui.add_view("v", "", true)] {
+        assert!(refused(call).0.starts_with("gui."));
+    }
+    refused(gui.get_boundary(view));
+    refused(gui.screenshot(view, "none.png", -1, -1));
+    client.simulation_step(0.0).unwrap();
 }
