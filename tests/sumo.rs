@@ -267,7 +267,7 @@ fn a_refusal_leaves_the_connection_usable() {
     let mut simulation = start(2);
     simulation.step(&add(0, EAST, 50.0)).unwrap();
     match simulation.step(&[speed(1, 3.0), speed(0, 1.0)]) {
-        Err(Error::Refused { command, id, message }) => {
+        Err(Error::Refused { command, id, message, .. }) => {
             assert_eq!((command, id.as_str()), (Domain::VEHICLE.set, "w0s1"));
             assert!(message.contains("w0s1"), "{message}");
         }
@@ -359,7 +359,7 @@ fn a_route_that_the_net_does_not_have_is_refused_by_name() {
     let mut bad = config(1);
     bad.routes[1].edges[1] = "nowhere".into();
     match TraciSimulation::start(bad) {
-        Err(Error::Refused { command, id, message }) => {
+        Err(Error::Refused { command, id, message, .. }) => {
             assert_eq!((command, id.as_str()), (Domain::ROUTE.set, "northbound"));
             assert!(message.contains("nowhere"), "{message}");
         }

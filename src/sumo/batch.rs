@@ -2,7 +2,10 @@
 //! again and again allocates nothing. The step is not a command of the batch: the client appends it,
 //! last, because SUMO carries out what follows a step in a message before that step.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use super::{
     Error,
@@ -21,10 +24,34 @@ pub(super) enum Answer {
 
 #[derive(Debug, Clone)]
 pub(super) struct Queued {
-    pub(super) command: u8,
-    pub(super) answer: Answer,
+    pub(super) call: Call,
     /// Where the object's identifier (an untyped string) lies in the message.
     object: Range<usize>,
+}
+
+/// What a command is, its object and content aside.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Call {
+    /// SUMO's name, such as `vehicle.getSpeed`; empty for a command that was put together by hand.
+    pub(super) name: &'static str,
+    pub(super) command: u8,
+    /// The variable that is read or changed.
+    pub(super) variable: Option<u8>,
+    pub(super) answer: Answer,
+}
+
+impl Call {
+    pub(super) const fn new(name: &'static str, command: u8) -> Self {
+        Call { name, command, variable: None, answer: Answer::Nothing }
+    }
+
+    pub(super) const fn get(name: &'static str, domain: Domain, variable: u8) -> Self {
+        Call { name, command: domain.get, variable: Some(variable), answer: Answer::Variable }
+    }
+
+    pub(super) const fn set(name: &'static str, domain: Domain, variable: u8) -> Self {
+        Call { name, command: domain.set, variable: Some(variable), answer: Answer::Nothing }
+    }
 }
 
 /// What a vehicle needs to depart, see [`Batch::vehicle_add`].
@@ -40,13 +67,34 @@ pub struct Departure<'a> {
     pub speed: f64,
 }
 
-/// Commands for one message, in the order in which SUMO carries them out.
-#[derive(Debug, Clone, Default)]
+/// Commands for one message, in the order in which SUMO carries them out. The methods of the domains, such
+/// as [`Batch::vehicle`], add commands; each returns a [`Ticket`](super::Ticket), for which the reply to the
+/// batch has the result. [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
+#[derive(Debug)]
 pub struct Batch {
+    /// No other batch has it, nor this one after [`Batch::clear`].
+    number: u64,
     writer: Writer,
     queued: Vec<Queued>,
     stepped: bool,
     text: String,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Batch {
+            number: new_number(),
+            writer: Writer::default(),
+            queued: Vec::new(),
+            stepped: false,
+            text: String::new(),
+        }
+    }
+}
+
+fn new_number() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
 impl Batch {
@@ -65,8 +113,13 @@ impl Batch {
         self.queued.is_empty()
     }
 
-    /// Takes all commands out; the buffers stay.
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Takes all commands out; the buffers stay, the tickets are void.
     pub fn clear(&mut self) {
+        self.number = new_number();
         self.writer.truncate(0);
         self.queued.clear();
         self.stepped = false;
@@ -74,35 +127,61 @@ impl Batch {
 
     /// Changes a variable of an object; `value` writes the typed value.
     pub fn set(&mut self, domain: Domain, variable: u8, object: &str, value: impl FnOnce(&mut Writer)) {
-        self.push(domain.set, Answer::Nothing, 1, |w| {
-            w.u8(variable).str(object);
-            value(w);
-        });
+        self.call(Call::set("", domain, variable), object, value);
     }
 
     /// Reads a variable of an object, as it is when the command's turn comes: before the step.
     pub fn get(&mut self, domain: Domain, variable: u8, object: &str) {
-        self.push(domain.get, Answer::Variable, 1, |w| {
-            w.u8(variable).str(object);
+        self.call(Call::get("", domain, variable), object, |_| {});
+    }
+
+    /// A command that reads or changes a variable of an object.
+    pub(super) fn call(&mut self, call: Call, object: &str, content: impl FnOnce(&mut Writer)) {
+        self.push(call, usize::from(call.variable.is_some()), |w| {
+            if let Some(variable) = call.variable {
+                w.u8(variable);
+            }
+            w.str(object);
+            content(w);
         });
+    }
+
+    /// A command that is for no object.
+    pub(super) fn command(&mut self, call: Call, content: impl FnOnce(&mut Writer)) {
+        // No text can begin at the end of the command.
+        self.push(call, usize::MAX, content);
     }
 
     /// Has the variables of an object reported now and after each step from now on; replaces an earlier
     /// subscription of the object. No variables: ends the subscription.
     pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[u8]) {
-        let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context: false } };
-        self.push(domain.subscribe, answer, 16, |w| {
-            w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
+        self.subscribe_during(domain, object, variables, ALWAYS);
+    }
+
+    /// As [`Batch::subscribe`], from one simulation time to another \[s\].
+    pub fn subscribe_during(&mut self, domain: Domain, object: &str, variables: &[u8], during: [f64; 2]) {
+        let call = subscription("subscribe", domain.subscribe, false, variables);
+        self.push(call, 16, |w| {
+            w.f64(during[0]).f64(during[1]).str(object);
             write_variables(w, variables);
+        });
+    }
+
+    /// As [`Batch::subscribe`], for one variable that needs an argument.
+    pub fn subscribe_with(&mut self, domain: Domain, object: &str, variable: u8, argument: &Value) {
+        let call = subscription("subscribe", domain.subscribe, false, &[variable]);
+        self.push(call, 16, |w| {
+            w.f64(ALWAYS[0]).f64(ALWAYS[1]).str(object);
+            w.u8(1).u8(variable).value(argument);
         });
     }
 
     /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object. SUMO 1.15
     /// dies if the object is a vehicle that TraCI removes while the subscription lasts: end it first.
     pub fn subscribe_context(&mut self, domain: Domain, object: &str, around: Domain, range: f64, variables: &[u8]) {
-        let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context: true } };
-        self.push(domain.context, answer, 16, |w| {
-            w.f64(c::INVALID_DOUBLE_VALUE).f64(c::INVALID_DOUBLE_VALUE).str(object);
+        let call = subscription("subscribeContext", domain.context, true, variables);
+        self.push(call, 16, |w| {
+            w.f64(ALWAYS[0]).f64(ALWAYS[1]).str(object);
             w.u8(around.get).f64(range);
             write_variables(w, variables);
         });
@@ -176,11 +255,23 @@ impl Batch {
     }
 
     pub(super) fn version(&mut self) {
-        self.push(c::CMD_GETVERSION, Answer::Version, 0, |_| {});
+        self.command(Call { answer: Answer::Version, ..Call::new("getVersion", c::CMD_GETVERSION) }, |_| {});
     }
 
     pub(super) fn close(&mut self) {
-        self.push(c::CMD_CLOSE, Answer::Nothing, 0, |_| {});
+        self.command(Call::new("close", c::CMD_CLOSE), |_| {});
+    }
+
+    pub(super) fn load(&mut self, arguments: &[impl AsRef<str>]) {
+        self.command(Call::new("load", c::CMD_LOAD), |w| {
+            w.string_list(arguments);
+        });
+    }
+
+    pub(super) fn set_order(&mut self, order: i32) {
+        self.command(Call::new("setOrder", c::CMD_SETORDER), |w| {
+            w.i32(order);
+        });
     }
 
     /// Closes the message, with the step of the simulation to `until` \[s\] as its last command (0: one
@@ -189,7 +280,7 @@ impl Batch {
         self.unseal();
         if let Some(until) = until {
             self.stepped = true;
-            self.push_raw(c::CMD_SIMSTEP, Answer::Nothing, 0, |w| {
+            self.push_raw(Call::new("simulationStep", c::CMD_SIMSTEP), usize::MAX, |w| {
                 w.f64(until);
             });
         }
@@ -218,19 +309,35 @@ impl Batch {
 
     /// The error for a command that SUMO refused.
     pub(super) fn refusal(&self, index: usize, message: &str) -> Error {
-        let (command, id) = self.queued.get(index).map_or((0, ""), |queued| (queued.command, self.object(queued)));
-        Error::Refused { command, id: id.to_owned(), message: message.to_owned() }
+        let Some(queued) = self.queued.get(index) else {
+            return Error::invalid(format!("sumo refused a command that was not sent: {message}"));
+        };
+        let Call { name, command, variable, .. } = queued.call;
+        let call = match variable {
+            _ if !name.is_empty() => name.to_owned(),
+            Some(variable) => format!("command {command:#04x} for variable {variable:#04x}"),
+            None => format!("command {command:#04x}"),
+        };
+        Error::Refused { command, call, id: self.object(queued).to_owned(), message: message.to_owned() }
     }
 
-    fn push(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
+    fn push(&mut self, call: Call, before_object: usize, content: impl FnOnce(&mut Writer)) {
         self.unseal();
-        self.push_raw(command, answer, before_object, content);
+        self.push_raw(call, before_object, content);
     }
 
-    fn push_raw(&mut self, command: u8, answer: Answer, before_object: usize, content: impl FnOnce(&mut Writer)) {
-        let range = self.writer.command(command, content);
-        self.queued.push(Queued { command, answer, object: range.start + before_object..range.end });
+    fn push_raw(&mut self, call: Call, before_object: usize, content: impl FnOnce(&mut Writer)) {
+        let range = self.writer.command(call.command, content);
+        self.queued.push(Queued { call, object: range.start.saturating_add(before_object)..range.end });
     }
+}
+
+/// Begin and end of a subscription without limits.
+const ALWAYS: [f64; 2] = [c::INVALID_DOUBLE_VALUE; 2];
+
+fn subscription(name: &'static str, command: u8, context: bool, variables: &[u8]) -> Call {
+    let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context } };
+    Call { name, command, variable: None, answer }
 }
 
 fn write_variables(w: &mut Writer, variables: &[u8]) {
@@ -259,7 +366,7 @@ mod tests {
         batch.seal(Some(0.0)).unwrap();
         let (queued, stepped) = batch.sealed();
         assert!(stepped);
-        assert_eq!(queued.iter().map(|q| q.command).collect::<Vec<_>>(), [0xc4, 0xc4, c::CMD_SIMSTEP]);
+        assert_eq!(queued.iter().map(|q| q.call.command).collect::<Vec<_>>(), [0xc4, 0xc4, c::CMD_SIMSTEP]);
         assert_eq!(queued.iter().map(|q| batch.object(q)).collect::<Vec<_>>(), ["a", "b", ""]);
         batch.seal(None).unwrap();
         assert_eq!(batch.sealed().0.len(), 2);

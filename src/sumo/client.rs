@@ -12,9 +12,11 @@ use std::{
 use super::{
     Error,
     batch::{Batch, Outcome},
-    codec::{Reader, Value},
+    codec::Reader,
     constants as c,
-    reply::{Report, Sink, parse_reply, read_value},
+    domain::{Decode, Scope},
+    replies::{Collector, Replies, StepReply},
+    reply::{Sink, parse_reply},
 };
 
 /// The peer's answer to the handshake.
@@ -26,31 +28,13 @@ pub struct Version {
     pub software: String,
 }
 
-/// One variable of a subscription, as [`Client::step`] collects it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Observed {
-    /// As [`Report::response`].
-    pub response: u8,
-    /// As [`Report::around`].
-    pub around: Option<String>,
-    /// As [`Report::object`].
-    pub object: String,
-    /// As [`Report::variable`].
-    pub variable: u8,
-    /// The value, or SUMO's message why there is none.
-    pub value: Result<Value, String>,
-}
-
-/// What came back from [`Client::step`].
-#[derive(Debug, Default)]
-pub struct StepReply {
-    /// For each command of the batch, what SUMO said.
-    pub outcomes: Vec<Outcome>,
-    /// What the subscriptions report after the step.
-    pub subscriptions: Vec<Observed>,
-}
-
-/// A connection to SUMO.
+/// A connection to SUMO. The methods of the domains, such as [`Client::vehicle`], are one exchange each;
+/// [`Client::batch`] joins any number of calls into one.
+///
+/// Several clients: start SUMO with `--num-clients <n>`. It answers nobody before all of them have
+/// connected; then each must [`Client::set_order`] first, and every step waits for all of them. SUMO
+/// carries out their commands one client after the other, cannot [`Client::load`] then, and reports every
+/// subscription to every client.
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,
@@ -60,6 +44,8 @@ pub struct Client {
     time_s: f64,
     /// Bytes sent and received so far.
     bytes: (u64, u64),
+    /// For calls of one exchange each.
+    single: Batch,
 }
 
 impl Client {
@@ -81,14 +67,9 @@ impl Client {
     /// # Errors
     /// [`Error::Io`] if the connection cannot be set up for short messages and timeouts.
     pub fn new(stream: TcpStream, timeout: Duration) -> Result<Self, Error> {
-        let doing = "set up the connection to sumo";
-        let set = || {
-            stream.set_nodelay(true)?;
-            stream.set_write_timeout(Some(timeout))?;
-            stream.set_read_timeout(Some(timeout))
-        };
-        set().map_err(|source| Error::Io { doing, source })?;
-        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0, bytes: (0, 0) })
+        stream.set_nodelay(true).map_err(|source| Error::Io { doing: SETTING_UP, source })?;
+        set_timeouts(&stream, timeout)?;
+        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0, single: Batch::new(), bytes: (0, 0) })
     }
 
     /// Bytes sent and received so far.
@@ -98,6 +79,19 @@ impl Client {
 
     pub(super) fn stream(&self) -> &TcpStream {
         &self.stream
+    }
+
+    /// Bounds the wait for each reply from now on.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a timeout of zero; [`Error::Io`] if it cannot be set.
+    pub fn set_timeout(&mut self, timeout: Duration) -> Result<(), Error> {
+        if timeout.is_zero() {
+            return Err(Error::invalid("a timeout must be longer than zero"));
+        }
+        set_timeouts(&self.stream, timeout)?;
+        self.timeout = timeout;
+        Ok(())
     }
 
     /// Simulation time that error messages name \[s\].
@@ -110,21 +104,59 @@ impl Client {
     /// # Errors
     /// [`Error::Version`]; [`Error::Protocol`], [`Error::Closed`] or [`Error::Timeout`] if the peer is not SUMO.
     pub fn handshake(&mut self) -> Result<Version, Error> {
+        let version = self.get_version()?;
+        if version.api < c::MINIMUM_API_VERSION {
+            let Version { api, software } = version;
+            return Err(Error::Version { found: api, minimum: c::MINIMUM_API_VERSION, peer: software });
+        }
+        Ok(version)
+    }
+
+    /// The TraCI version and the program's name.
+    ///
+    /// # Errors
+    /// As [`Client::receive`].
+    pub fn get_version(&mut self) -> Result<Version, Error> {
         let mut batch = Batch::new();
         batch.version();
         self.send(&mut batch, None)?;
         let mut sink = VersionSink(None);
         self.receive(&batch, &mut sink)?;
-        match sink.0 {
-            Some(version) if version.api >= c::MINIMUM_API_VERSION => Ok(version),
-            Some(Version { api, software }) => {
-                Err(Error::Version { found: api, minimum: c::MINIMUM_API_VERSION, peer: software })
-            }
-            None => {
-                let found = "a refusal".to_owned();
-                Err(Error::Protocol { expected: "a TraCI version", found, at_byte: 4 })
-            }
-        }
+        sink.0.ok_or_else(|| {
+            let found = "a refusal".to_owned();
+            Error::Protocol { expected: "a TraCI version", found, at_byte: 4 }
+        })
+    }
+
+    /// Simulates one step, or up to `until` \[s\] if that is not 0, and returns what the subscriptions report.
+    ///
+    /// # Errors
+    /// As [`Client::step`].
+    pub fn simulation_step(&mut self, until: f64) -> Result<StepReply, Error> {
+        self.step(&mut Batch::new(), until)
+    }
+
+    /// Replaces the simulation by that of other command line arguments (without the program's name).
+    /// Subscriptions are lost. Does not work with several clients.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if SUMO cannot load it, but SUMO may as well end: as [`Client::receive`].
+    pub fn load(&mut self, arguments: &[impl AsRef<str>]) -> Result<(), Error> {
+        self.call(|batch| batch.load(arguments)).map(drop)
+    }
+
+    /// Chooses the place of this client among several: the lowest number's commands come first. Must be
+    /// the first call of each client.
+    ///
+    /// # Errors
+    /// As [`Client::call`].
+    pub fn set_order(&mut self, order: i32) -> Result<(), Error> {
+        self.call(|batch| batch.set_order(order)).map(drop)
+    }
+
+    /// A batch that is sent with one call of its own.
+    pub fn batch(&mut self) -> ClientBatch<'_> {
+        ClientBatch { client: self, batch: Batch::new() }
     }
 
     /// Sends one command, which `fill` puts into an empty batch, and returns its value if it has one.
@@ -134,19 +166,19 @@ impl Client {
     pub fn call(&mut self, fill: impl FnOnce(&mut Batch)) -> Outcome {
         let mut batch = Batch::new();
         fill(&mut batch);
-        match <[Outcome; 1]>::try_from(self.run(&mut batch)?) {
-            Ok([outcome]) => outcome,
-            Err(outcomes) => Err(Error::invalid(format!("a call holds one command, not {}", outcomes.len()))),
+        if batch.len() != 1 {
+            return Err(Error::invalid(format!("a call holds one command, not {}", batch.len())));
         }
+        self.run(&mut batch)?.pop().unwrap_or(Ok(None))
     }
 
     /// Sends the commands of a batch without a step, and empties the batch.
     ///
     /// # Errors
     /// As [`Client::send`] and [`Client::receive`]; a refused command is an error in its own place only.
-    pub fn run(&mut self, batch: &mut Batch) -> Result<Vec<Outcome>, Error> {
+    pub fn run(&mut self, batch: &mut Batch) -> Result<Replies, Error> {
         if batch.is_empty() {
-            return Ok(Vec::new());
+            return Ok(Replies::default());
         }
         Ok(self.exchange(batch, None)?.outcomes)
     }
@@ -165,9 +197,7 @@ impl Client {
 
     fn exchange(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<StepReply, Error> {
         self.send(batch, until)?;
-        let (queued, _) = batch.sealed();
-        let mut sink = Collector { batch, reply: StepReply::default() };
-        sink.reply.outcomes.extend(queued.iter().map(|_| Ok(None)));
+        let mut sink = Collector::new(batch);
         self.receive(batch, &mut sink)?;
         let reply = sink.reply;
         batch.clear();
@@ -182,7 +212,7 @@ impl Client {
         let message = batch.seal(until)?;
         self.bytes.0 += message.len() as u64;
         let written = self.stream.write_all(message);
-        let written = written.map_err(|source| self.broken(doing(until.is_some()), &source));
+        let written = written.map_err(|source| self.broken(doing(batch), &source));
         self.give_up_on_error(written)
     }
 
@@ -192,8 +222,7 @@ impl Client {
     /// [`Error::Closed`], [`Error::Timeout`], [`Error::Protocol`], and what the sink returns; all of them are fatal.
     /// Refused commands are told to the sink.
     pub fn receive(&mut self, batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
-        let (_, stepped) = batch.sealed();
-        let message = self.read_message(doing(stepped));
+        let message = self.read_message(doing(batch));
         let read = message.and_then(|length| parse_reply(&self.input[..length], batch, sink));
         self.give_up_on_error(read)
     }
@@ -215,6 +244,7 @@ impl Client {
         let mut batch = Batch::new();
         batch.close();
         self.run(&mut batch)?;
+        // It may be closed already.
         let _ = self.stream.shutdown(Shutdown::Both);
         Ok(())
     }
@@ -270,8 +300,22 @@ impl Client {
     }
 }
 
-fn doing(stepped: bool) -> &'static str {
-    if stepped { "simulation step" } else { "commands" }
+const SETTING_UP: &str = "set up the connection to sumo";
+
+fn set_timeouts(stream: &TcpStream, timeout: Duration) -> Result<(), Error> {
+    let write = stream.set_write_timeout(Some(timeout));
+    write
+        .and_then(|()| stream.set_read_timeout(Some(timeout)))
+        .map_err(|source| Error::Io { doing: SETTING_UP, source })
+}
+
+/// What a sealed batch does, for error messages.
+fn doing(batch: &Batch) -> &'static str {
+    match batch.sealed() {
+        (_, true) => "simulation step",
+        ([only], false) if !only.call.name.is_empty() => only.call.name,
+        _ => "commands",
+    }
 }
 
 fn message_length(bytes: &[u8]) -> Result<usize, Error> {
@@ -282,50 +326,49 @@ fn message_length(bytes: &[u8]) -> Result<usize, Error> {
     })
 }
 
+impl Scope for Client {
+    type Output<T> = Result<T, Error>;
+
+    fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Result<T, Error> {
+        let mut batch = std::mem::take(&mut self.single);
+        batch.clear();
+        let ticket = batch.request(fill, decode);
+        let replies = self.run(&mut batch);
+        self.single = batch;
+        replies?.take(ticket)
+    }
+}
+
+/// Calls that go out together in one exchange, see [`Client::batch`].
+#[derive(Debug)]
+pub struct ClientBatch<'a> {
+    client: &'a mut Client,
+    pub(super) batch: Batch,
+}
+
+impl ClientBatch<'_> {
+    /// As [`Client::run`]. The batch is empty then, and may be filled again.
+    ///
+    /// # Errors
+    /// As [`Client::run`].
+    pub fn send(&mut self) -> Result<Replies, Error> {
+        self.client.run(&mut self.batch)
+    }
+
+    /// As [`Client::step`]. The batch is empty then, and may be filled again.
+    ///
+    /// # Errors
+    /// As [`Client::step`].
+    pub fn step(&mut self, until: f64) -> Result<StepReply, Error> {
+        self.client.step(&mut self.batch, until)
+    }
+}
+
 struct VersionSink(Option<Version>);
 
 impl Sink for VersionSink {
     fn answer(&mut self, _: usize, _: u8, _: u8, value: &mut Reader<'_>) -> Result<(), Error> {
         self.0 = Some(Version { api: value.i32()?, software: value.str()?.to_owned() });
-        Ok(())
-    }
-}
-
-struct Collector<'a> {
-    batch: &'a Batch,
-    reply: StepReply,
-}
-
-impl Sink for Collector<'_> {
-    fn refused(&mut self, index: usize, message: &str) {
-        if let Some(outcome) = self.reply.outcomes.get_mut(index) {
-            *outcome = Err(self.batch.refusal(index, message));
-        }
-    }
-
-    fn answer(&mut self, index: usize, response: u8, variable: u8, value: &mut Reader<'_>) -> Result<(), Error> {
-        let value = read_value(response, variable, value)?;
-        if let Some(outcome) = self.reply.outcomes.get_mut(index) {
-            *outcome = Ok(Some(value));
-        }
-        Ok(())
-    }
-
-    fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
-        let value = if report.known {
-            Ok(read_value(report.response, report.variable, value)?)
-        } else {
-            Err(value.string()?.to_owned())
-        };
-        if report.after_step {
-            self.reply.subscriptions.push(Observed {
-                response: report.response,
-                around: report.around.map(str::to_owned),
-                object: report.object.to_owned(),
-                variable: report.variable,
-                value,
-            });
-        }
         Ok(())
     }
 }

@@ -54,6 +54,28 @@ pub enum Value {
     Compound(Vec<Value>),
 }
 
+impl Value {
+    /// The type, in words.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Value::UByte(_) => "an unsigned byte",
+            Value::Byte(_) => "a byte",
+            Value::Integer(_) => "an integer",
+            Value::Double(_) => "a double",
+            Value::String(_) => "a string",
+            Value::StringList(_) => "a list of strings",
+            Value::DoubleList(_) => "a list of doubles",
+            Value::LonLat(_) | Value::LonLatAlt(_) => "a geographic position",
+            Value::Position2D(_) => "a position on the plane",
+            Value::Position3D(_) => "a position in space",
+            Value::RoadMap { .. } => "a position on a lane",
+            Value::Polygon(_) => "a polygon",
+            Value::Color(_) => "a colour",
+            Value::Compound(_) => "a compound",
+        }
+    }
+}
+
 /// Builds one message in a buffer that is reused from message to message.
 #[derive(Debug, Clone)]
 pub struct Writer {
@@ -169,6 +191,31 @@ impl Writer {
         self
     }
 
+    /// Writes a typed list of floating point numbers.
+    pub fn double_list(&mut self, values: &[f64]) -> &mut Self {
+        self.u8(c::TYPE_DOUBLELIST).i32(values.len() as i32).doubles(values)
+    }
+
+    /// Writes a typed position: longitude and latitude \[deg\] if `geographic`, else x and y \[m\].
+    pub fn position(&mut self, position: [f64; 2], geographic: bool) -> &mut Self {
+        self.u8(if geographic { c::POSITION_LON_LAT } else { c::POSITION_2D }).doubles(&position)
+    }
+
+    /// Writes a typed place on a lane: edge, distance from its start \[m\], index of the lane.
+    pub fn road_position(&mut self, edge: &str, position: f64, lane: u8) -> &mut Self {
+        self.u8(c::POSITION_ROADMAP).str(edge).f64(position).u8(lane)
+    }
+
+    /// Writes a typed polygon of points \[m\].
+    pub fn polygon(&mut self, points: &[[f64; 2]]) -> &mut Self {
+        self.u8(c::TYPE_POLYGON);
+        match u8::try_from(points.len()) {
+            Ok(short) if short > 0 => self.u8(short),
+            _ => self.u8(0).i32(points.len() as i32),
+        };
+        self.doubles(points.as_flattened())
+    }
+
     /// Writes the head of a compound of `items` typed values, which follow.
     pub fn compound(&mut self, items: i32) -> &mut Self {
         self.u8(c::TYPE_COMPOUND).i32(items)
@@ -183,20 +230,13 @@ impl Writer {
             Value::Double(v) => self.double(*v),
             Value::String(v) => self.string(v),
             Value::StringList(v) => self.string_list(v),
-            Value::DoubleList(v) => self.u8(c::TYPE_DOUBLELIST).i32(v.len() as i32).doubles(v),
-            Value::LonLat(v) => self.u8(c::POSITION_LON_LAT).doubles(v),
+            Value::DoubleList(v) => self.double_list(v),
+            Value::LonLat(v) => self.position(*v, true),
             Value::LonLatAlt(v) => self.u8(c::POSITION_LON_LAT_ALT).doubles(v),
-            Value::Position2D(v) => self.u8(c::POSITION_2D).doubles(v),
+            Value::Position2D(v) => self.position(*v, false),
             Value::Position3D(v) => self.u8(c::POSITION_3D).doubles(v),
-            Value::RoadMap { edge, position, lane } => self.u8(c::POSITION_ROADMAP).str(edge).f64(*position).u8(*lane),
-            Value::Polygon(points) => {
-                self.u8(c::TYPE_POLYGON);
-                match u8::try_from(points.len()) {
-                    Ok(short) if short > 0 => self.u8(short),
-                    _ => self.u8(0).i32(points.len() as i32),
-                };
-                self.doubles(points.as_flattened())
-            }
+            Value::RoadMap { edge, position, lane } => self.road_position(edge, *position, *lane),
+            Value::Polygon(points) => self.polygon(points),
             Value::Color(v) => {
                 self.u8(c::TYPE_COLOR).bytes.extend_from_slice(v);
                 self
@@ -252,6 +292,19 @@ impl<'a> Reader<'a> {
     /// The error "expected this, found that" at the current position.
     pub fn unexpected(&self, expected: &'static str, found: impl Into<String>) -> Error {
         Error::Protocol { expected, found: found.into(), at_byte: self.position() }
+    }
+
+    /// Takes a polygon without points as SUMO writes it, which is as it would begin one of more than 255
+    /// points; `false` if something else is next.
+    pub(super) fn empty_polygon(&mut self) -> bool {
+        let mut ahead = self.clone();
+        let begins = ahead.kind(c::TYPE_POLYGON, "a polygon").is_ok() && ahead.u8().is_ok_and(|short| short == 0);
+        let has_points = ahead.clone().count(16, "a polygon").is_ok_and(|count| count > 255);
+        let empty = begins && !has_points;
+        if empty {
+            *self = ahead;
+        }
+        empty
     }
 
     /// Takes `n` bytes.

@@ -8,6 +8,12 @@ pub const MAXIMUM_MESSAGE: usize = 64 << 20;
 
 /// Asks for the TraCI version.
 pub const CMD_GETVERSION: u8 = 0x00;
+/// Loads another simulation.
+pub const CMD_LOAD: u8 = 0x01;
+/// Sets the place of a client among several.
+pub const CMD_SETORDER: u8 = 0x03;
+/// Restricts the context subscription that was made last.
+pub const CMD_ADD_SUBSCRIPTION_FILTER: u8 = 0x7e;
 /// Advances the simulation.
 pub const CMD_SIMSTEP: u8 = 0x02;
 /// Ends the connection.
@@ -90,6 +96,8 @@ pub const VAR_TIME: u8 = 0x66;
 pub const VAR_ARRIVED_VEHICLES_IDS: u8 = 0x7a;
 /// Collisions of the step, with all their attributes.
 pub const VAR_COLLISIONS: u8 = 0x23;
+/// Vehicle: those beside it.
+pub const VAR_NEIGHBORS: u8 = 0xbf;
 /// Set variable: adds an object.
 pub const ADD: u8 = 0x80;
 /// Set variable: removes an object.
@@ -117,18 +125,39 @@ pub struct Domain {
 }
 
 impl Domain {
+    /// Induction loops (E1 detectors).
+    pub const INDUCTION_LOOP: Domain = Domain::based_on(0x80);
+    /// Traffic lights.
+    pub const TRAFFIC_LIGHT: Domain = Domain::based_on(0x82);
+    /// Lanes.
+    pub const LANE: Domain = Domain::based_on(0x83);
     /// Vehicles.
-    pub const VEHICLE: Domain = Domain::numbered(0x4);
+    pub const VEHICLE: Domain = Domain::based_on(0x84);
     /// Vehicle types.
-    pub const VEHICLE_TYPE: Domain = Domain::numbered(0x5);
+    pub const VEHICLE_TYPE: Domain = Domain::based_on(0x85);
     /// Routes.
-    pub const ROUTE: Domain = Domain::numbered(0x6);
+    pub const ROUTE: Domain = Domain::based_on(0x86);
+    /// Points of interest.
+    pub const POI: Domain = Domain::based_on(0x87);
+    /// Polygons.
+    pub const POLYGON: Domain = Domain::based_on(0x88);
     /// Junctions.
-    pub const JUNCTION: Domain = Domain::numbered(0x9);
+    pub const JUNCTION: Domain = Domain::based_on(0x89);
+    /// Edges.
+    pub const EDGE: Domain = Domain::based_on(0x8a);
     /// The simulation as a whole; its object identifier is the empty string.
-    pub const SIMULATION: Domain = Domain::numbered(0xb);
+    pub const SIMULATION: Domain = Domain::based_on(0x8b);
+    /// Views of the graphical interface.
+    pub const GUI: Domain = Domain::based_on(0x8c);
+    /// Lane area detectors (E2 detectors).
+    pub const LANE_AREA: Domain = Domain::based_on(0x8d);
+    /// Persons.
+    pub const PERSON: Domain = Domain::based_on(0x8e);
+    /// Parking areas.
+    pub const PARKING_AREA: Domain = Domain::based_on(0x04);
 
-    const fn numbered(number: u8) -> Self {
-        Domain { get: 0xa0 + number, set: 0xc0 + number, subscribe: 0xd0 + number, context: 0x80 + number }
+    /// The other identifiers follow from that of the context subscription.
+    const fn based_on(context: u8) -> Self {
+        Domain { get: context + 0x20, set: context + 0x40, subscribe: context + 0x50, context }
     }
 }

@@ -59,10 +59,12 @@ pub enum Error {
         peer: String,
     },
     /// SUMO refused one command. The connection is intact.
-    #[error("sumo refused command {command:#04x} for `{id}`: {message}")]
+    #[error("sumo refused {call} for `{id}`: {message}")]
     Refused {
         /// TraCI command identifier.
         command: u8,
+        /// The call under SUMO's name, such as `vehicle.setSpeed`, or its numbers if it has none.
+        call: String,
         /// The object that the command was for; empty if it is for none.
         id: String,
         /// SUMO's reason.
@@ -160,6 +162,24 @@ impl Error {
         }
     }
 
+    /// Says where in the message the value stood that is not what it should be.
+    pub(super) fn at(self, at_byte: usize) -> Self {
+        match self {
+            Error::Protocol { expected, found, .. } => Error::Protocol { expected, found, at_byte },
+            other => other,
+        }
+    }
+
+    /// Names the call whose answer is not what it should be.
+    pub(super) fn in_answer_to(self, call: &str) -> Self {
+        match self {
+            Error::Protocol { expected, found, at_byte } if !call.is_empty() => {
+                Error::Protocol { expected, found: format!("{found} as the answer to {call}"), at_byte }
+            }
+            other => other,
+        }
+    }
+
     pub(crate) fn invalid(what: impl Into<String>) -> Self {
         Error::Invalid { what: what.into() }
     }
@@ -186,8 +206,10 @@ mod tests {
 
     #[test]
     fn only_refusals_and_bad_requests_leave_the_connection_intact() {
-        let refused = Error::Refused { command: 0xc4, id: "v".into(), message: "no".into() };
+        let refused =
+            Error::Refused { command: 0xc4, call: "vehicle.setSpeed".into(), id: "v".into(), message: "no".into() };
         assert!(!refused.is_fatal());
+        assert_eq!(refused.to_string(), "sumo refused vehicle.setSpeed for `v`: no");
         assert!(!Error::invalid("slot 9 of 8").is_fatal());
         assert!(Error::Closed { command: "step", sim_time_s: 1.0 }.is_fatal());
         assert!(Error::PortTaken { port: 1 }.is_fatal());

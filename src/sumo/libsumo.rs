@@ -125,7 +125,7 @@ impl LibsumoSimulation {
             self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
         };
         match describe().map_err(|e| failed("introduce vehicle types and routes", py, &e))? {
-            Some((id, message)) => Err(Error::Refused { command: Domain::ROUTE.set, id, message }),
+            Some((id, message)) => Err(Error::Refused { command: Domain::ROUTE.set, call: "route.add".to_owned(), id, message }),
             None => Ok(()),
         }
     }
@@ -150,7 +150,7 @@ impl LibsumoSimulation {
         }
         collisions.iter().for_each(|(collider, victim)| self.fleet.collision(collider, victim));
         match refusal {
-            Some((id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, id, message }),
+            Some((id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, call: "vehicle".to_owned(), id, message }),
             None => Ok(()),
         }
     }

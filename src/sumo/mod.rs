@@ -6,6 +6,7 @@ pub mod batch;
 pub mod client;
 pub mod codec;
 pub mod constants;
+pub mod domain;
 mod error;
 mod fleet;
 mod hosting;
@@ -13,18 +14,22 @@ mod hosting;
 mod libsumo;
 pub mod net;
 pub mod process;
+pub mod replies;
 pub mod reply;
 mod simulation;
 mod traci;
 
 pub use batch::{Batch, Departure, Outcome};
-pub use client::{Client, Version};
+pub use client::{Client, ClientBatch, Version};
 pub use codec::Value;
+pub use constants::Domain;
+pub use domain::{FromValue, Scope, Ticket, Variable};
 pub use error::Error;
 pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
 #[cfg(feature = "libsumo")]
 pub use libsumo::LibsumoSimulation;
 pub use process::{find_sumo, sumo_version, traci_version};
+pub use replies::{Replies, StepReply};
 pub use simulation::{
     Collision, Command, Meter, Renewal, Route, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
 };

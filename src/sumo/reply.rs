@@ -17,6 +17,8 @@ pub struct Report<'a> {
     pub around: Option<&'a str>,
     /// The object that the value belongs to.
     pub object: &'a str,
+    /// The command that reads variables of the object's domain, [`Domain::get`].
+    pub domain: u8,
     /// The variable.
     pub variable: u8,
     /// `false`: the value is SUMO's message why there is no value (the object is gone).
@@ -48,7 +50,17 @@ pub trait Sink {
     /// # Errors
     /// [`Error::Protocol`] if the bytes are not what they should be.
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
-        read_value(report.response, report.variable, value).map(drop)
+        report.read(value).map(drop)
+    }
+}
+
+impl Report<'_> {
+    /// Reads the value that the reader stands at.
+    ///
+    /// # Errors
+    /// [`Error::Protocol`] if there is none.
+    pub fn read(&self, value: &mut Reader<'_>) -> Result<Value, Error> {
+        read_value(self.domain.wrapping_add(0x10), self.variable, value)
     }
 }
 
@@ -59,45 +71,48 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     let (queued, stepped) = batch.sealed();
     let mut carried_out = true;
     for (index, queued) in queued.iter().enumerate() {
+        let call = queued.call;
         let (id, mut status) = reader.command()?;
-        if id != queued.command {
-            let found = format!("that of command {id:#04x}");
+        let result = status.u8()?;
+        carried_out = result == c::RTYPE_OK;
+        // 1.15 answers a refused filter under the filter's number.
+        let filter = call.command == c::CMD_ADD_SUBSCRIPTION_FILTER && !carried_out;
+        if id != call.command && !filter {
             return Err(Error::Protocol {
                 expected: "the status of the next command",
-                found,
+                found: format!("that of command {id:#04x}"),
                 at_byte: status.position(),
             });
         }
-        let result = status.u8()?;
         let text = status.str()?;
         status.end("the end of a status")?;
-        carried_out = result == c::RTYPE_OK;
         if !carried_out {
             sink.refused(index, text);
             continue;
         }
-        if queued.answer == Answer::Nothing {
+        if call.answer == Answer::Nothing {
             continue;
         }
         let (id, mut answer) = reader.command()?;
-        let expected =
-            if queued.answer == Answer::Version { c::CMD_GETVERSION } else { queued.command.wrapping_add(0x10) };
+        let expected = if call.answer == Answer::Version { c::CMD_GETVERSION } else { call.command.wrapping_add(0x10) };
         if id != expected {
             return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
         }
-        match queued.answer {
-            Answer::Nothing => {}
-            Answer::Version | Answer::Variable => {
-                let mut variable = 0;
-                if queued.answer == Answer::Variable {
-                    variable = answer.u8()?;
-                    answer.str()?;
+        let read = match call.answer {
+            Answer::Nothing => Ok(()),
+            Answer::Version => sink.answer(index, id, 0, &mut answer),
+            Answer::Variable => {
+                let variable = answer.u8()?;
+                if call.variable != Some(variable) {
+                    let found = format!("variable {variable:#04x}");
+                    return Err(answer.unexpected("the variable that was asked for", found));
                 }
-                sink.answer(index, id, variable, &mut answer)?;
+                answer.str()?;
+                sink.answer(index, id, variable, &mut answer)
             }
-            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink)?,
-        }
-        answer.end("the end of an answer")?;
+            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink),
+        };
+        read.and_then(|()| answer.end("the end of an answer")).map_err(|error| error.in_answer_to(call.name))?;
     }
     // The step is the last command.
     if stepped && carried_out {
@@ -111,31 +126,66 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
     reader.end("the end of the message")
 }
 
-/// Reads the value of a variable. Differs from [`Reader::value`] where SUMO's count of a compound's items
-/// is wrong: for collisions, 1.15 counts four items for each and writes nine.
-pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
-    let of_simulation = [Domain::SIMULATION.get + 0x10, Domain::SIMULATION.subscribe + 0x10].contains(&response);
-    if !(of_simulation && variable == c::VAR_COLLISIONS) || reader.peek() != Some(c::TYPE_COMPOUND) {
-        return reader.value();
-    }
-    let count = read_collision_count(reader)?;
-    let mut items = vec![Value::Integer(count as i32)];
-    for _ in 0..count * COLLISION_VALUES {
-        items.push(reader.value()?);
-    }
-    Ok(Value::Compound(items))
-}
+/// Lists that are one compound of a number and all values of that many records: domain, variable, and
+/// values of a record. For some of them, 1.15 writes more items than it counts.
+const LISTS: [(Domain, u8, usize); 10] = [
+    (Domain::INDUCTION_LOOP, 0x17, 5),
+    (Domain::LANE, 0x33, 8),
+    (Domain::SIMULATION, c::VAR_COLLISIONS, 9),
+    (Domain::TRAFFIC_LIGHT, 0x2f, 9),
+    (Domain::TRAFFIC_LIGHT, 0x32, 9),
+    (Domain::TRAFFIC_LIGHT, 0x34, 9),
+    (Domain::VEHICLE, 0x70, 4),
+    (Domain::VEHICLE, 0x73, 6),
+    (Domain::VEHICLE, 0x74, 16),
+    (Domain::VEHICLE, 0xb2, 6),
+];
 
-/// Values that describe one collision: collider, victim, their types, their speeds, kind, lane, position.
-const COLLISION_VALUES: usize = 9;
+/// Reads the value of a variable; `response` is the identifier of the answer. Differs from
+/// [`Reader::value`] where SUMO departs from its own types: [`LISTS`] are not counted right; the neighbours
+/// of a vehicle are a compound of untyped items; a polygon without points lacks the number that its first
+/// byte announces.
+pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
+    let of = |domain: Domain| [domain.get + 0x10, domain.subscribe + 0x10].contains(&response);
+    let compound = reader.peek() == Some(c::TYPE_COMPOUND);
+    let list = LISTS.iter().find(|(domain, listed, _)| *listed == variable && of(*domain));
+    if let Some((.., values)) = list.filter(|_| compound) {
+        let count = read_count(reader, *values)?;
+        let mut items = vec![Value::Integer(count as i32)];
+        for _ in 0..count * values {
+            items.push(reader.value()?);
+        }
+        return Ok(Value::Compound(items));
+    }
+    if compound && variable == c::VAR_NEIGHBORS && of(Domain::VEHICLE) {
+        reader.u8()?;
+        let count = reader.count(4 + 8, "the number of neighbours")?;
+        let mut items = vec![Value::Integer(count as i32)];
+        for _ in 0..count {
+            items.push(Value::String(reader.str()?.to_owned()));
+            items.push(Value::Double(reader.f64()?));
+        }
+        return Ok(Value::Compound(items));
+    }
+    if reader.empty_polygon() {
+        return Ok(Value::Polygon(Vec::new()));
+    }
+    reader.value()
+}
 
 /// Reads the head of the compound of collisions up to their number.
 pub(super) fn read_collision_count(reader: &mut Reader<'_>) -> Result<usize, Error> {
-    reader.kind(c::TYPE_COMPOUND, "the collisions")?;
+    // Collider, victim, their types, their speeds, kind, lane, position.
+    read_count(reader, 9)
+}
+
+/// Reads the head of a list up to the number of records, of so many values each.
+fn read_count(reader: &mut Reader<'_>, values: usize) -> Result<usize, Error> {
+    reader.kind(c::TYPE_COMPOUND, "a list")?;
     reader.i32()?;
-    reader.kind(c::TYPE_INTEGER, "the number of collisions")?;
-    // Six strings of at least five bytes and three doubles of nine.
-    reader.count(6 * 5 + 3 * 9, "the number of collisions")
+    reader.kind(c::TYPE_INTEGER, "the length of a list")?;
+    // No value takes less than two bytes.
+    reader.count(values * 2, "the length of a list")
 }
 
 /// Whether an answer is that of a context subscription.
@@ -151,10 +201,8 @@ fn parse_reports(
     sink: &mut impl Sink,
 ) -> Result<(), Error> {
     let centre = reader.str()?;
-    if context {
-        // The domain of the objects: known from the subscription.
-        reader.u8()?;
-    }
+    // A variable subscription is answered with 0x40 more than the command that reads the variable.
+    let domain = if context { reader.u8()? } else { response.wrapping_sub(0x40) };
     let variables = reader.u8()?;
     let objects = if context { reader.count(4, "the number of objects")? } else { 1 };
     for _ in 0..objects {
@@ -163,7 +211,7 @@ fn parse_reports(
             let variable = reader.u8()?;
             let known = reader.u8()? == c::RTYPE_OK;
             let around = context.then_some(centre);
-            sink.report(Report { response, around, object, variable, known, after_step }, reader)?;
+            sink.report(Report { response, around, object, domain, variable, known, after_step }, reader)?;
         }
     }
     Ok(())

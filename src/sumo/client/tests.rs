@@ -1,7 +1,7 @@
 //! Replies, whole, cut, damaged and hostile, and peers that misbehave.
 
 use super::*;
-use crate::sumo::{codec::Writer, constants::Domain};
+use crate::sumo::{Value, codec::Writer, constants::Domain};
 use proptest::{collection::vec, prelude::*};
 
 /// A batch with every kind of answer, and a reply to it as SUMO 1.15 lays it out.
@@ -50,8 +50,7 @@ fn dialogue() -> (Batch, Vec<u8>) {
 }
 
 fn collect(message: &[u8], batch: &Batch) -> Result<StepReply, Error> {
-    let mut sink = Collector { batch, reply: StepReply::default() };
-    sink.reply.outcomes.extend(batch.sealed().0.iter().map(|_| Ok(None)));
+    let mut sink = Collector::new(batch);
     parse_reply(message, batch, &mut sink)?;
     Ok(sink.reply)
 }
@@ -62,7 +61,7 @@ fn each_command_gets_its_own_result() {
     let reply = collect(&message, &batch).unwrap();
     assert!(matches!(reply.outcomes[0], Ok(None)));
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
-    let Err(Error::Refused { command, id, message }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
+    let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
     assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
     let values: Vec<_> =
         reply.subscriptions.iter().map(|o| (o.object.as_str(), o.around.as_deref(), &o.value)).collect();

@@ -1,0 +1,72 @@
+//! Views of the graphical interface (`sumo-gui`). SUMO without it refuses these calls.
+
+use super::{Scope, Variable};
+use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+
+/// The view that `sumo-gui` opens with.
+pub const DEFAULT_VIEW: &str = "View #0";
+
+domain! {
+    /// Calls for the views of the graphical interface.
+    Gui, "gui", GUI
+}
+identifiers! { Gui, "gui", GUI }
+
+getters! { Gui, "gui", GUI;
+    /// Zoom \[%\].
+    get_zoom "getZoom" VAR_VIEW_ZOOM 0xa0 -> f64;
+    /// Centre of the view \[m\].
+    get_offset "getOffset" VAR_VIEW_OFFSET 0xa1 -> [f64; 2];
+    /// Colour scheme.
+    get_schema "getSchema" VAR_VIEW_SCHEMA 0xa2 -> String;
+    /// Rotation \[deg\].
+    get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
+    /// Lower left and upper right corner \[m\].
+    get_boundary "getBoundary" VAR_VIEW_BOUNDARY 0xa3 -> Vec<[f64; 2]>;
+    /// Whether there is such a view.
+    has_view "hasView" VAR_HAS_VIEW 0xa7 -> bool;
+    /// The vehicle that the view follows; empty for none.
+    get_tracked_vehicle "getTrackedVehicle" VAR_TRACK_VEHICLE 0xa6 -> String;
+    /// Whether an object is selected; `kind` is its sort, such as `vehicle`.
+    is_selected "isSelected" VAR_SELECT 0xa4 (kind: &str) -> bool;
+}
+
+setters! { Gui, "gui", GUI;
+    /// Sets the zoom \[%\].
+    set_zoom "setZoom" 0xa0 (zoom: f64);
+    /// Sets the centre of the view \[m\].
+    set_offset "setOffset" 0xa1 (centre: [f64; 2]);
+    /// Sets the colour scheme.
+    set_schema "setSchema" 0xa2 (scheme: &str);
+    /// Sets the rotation \[deg\].
+    set_angle "setAngle" 0x43 (angle: f64);
+    /// Closes the view.
+    remove_view "removeView" 0x81;
+    /// Writes the view to a file after the next step; -1: width and height of the view \[pixel\].
+    screenshot "screenshot" 0xa5 [file: &str, width: i32, height: i32];
+    /// Lets the view follow a vehicle; empty: no longer.
+    track_vehicle "trackVehicle" 0xa6 (vehicle: &str);
+    /// Selects an object, or no longer; `kind` is its sort, such as `vehicle`.
+    toggle_selection "toggleSelection" 0xa4 (kind: &str);
+}
+
+impl<S: Scope> Gui<'_, S> {
+    /// Opens a view.
+    pub fn add_view(&mut self, id: &str, scheme: &str, in_3d: bool) -> S::Output<()> {
+        super::set(self.0, Call::set("gui.addView", Domain::GUI, 0x80), id, |w| {
+            w.compound(2).string(scheme).integer(in_3d.into());
+        })
+    }
+
+    /// Sets the lower left and the upper right corner \[m\].
+    pub fn set_boundary(&mut self, id: &str, lower_left: [f64; 2], upper_right: [f64; 2]) -> S::Output<()> {
+        super::set(self.0, Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.id()), id, |w| {
+            w.polygon(&[lower_left, upper_right]);
+        })
+    }
+
+    /// Lets the view follow a vehicle or a person; empty: no longer.
+    pub fn track(&mut self, id: &str, object: &str) -> S::Output<()> {
+        self.track_vehicle(id, object)
+    }
+}

@@ -1,0 +1,97 @@
+//! Lanes.
+
+use super::{FromValue, Scope, Variable};
+use crate::sumo::{Batch, Error, batch::Call, codec::Value, constants::Domain};
+
+domain! {
+    /// Calls for lanes.
+    Lane, "lane", LANE
+}
+identifiers! { Lane, "lane", LANE }
+emissions! { Lane, "lane", LANE }
+
+record! {
+    /// A way across a junction, from a lane to another.
+    Connection {
+        /// The lane that it leads to.
+        approached_lane: String,
+        /// The lane inside the junction; empty if there is none.
+        approached_internal: String,
+        /// Whether it has the right of way.
+        has_prio: bool,
+        /// Whether it can be passed now.
+        is_open: bool,
+        /// Whether a vehicle with the right of way approaches.
+        has_foe: bool,
+        /// State of the signal as a letter, such as `G`.
+        state: String,
+        /// Direction as a letter: `s`traight, `l`eft, `r`ight, `t`urn…
+        direction: String,
+        /// Length inside the junction \[m\].
+        length: f64,
+    }
+}
+flat_list! { Connection }
+
+getters! { Lane, "lane", LANE;
+    /// Length \[m\].
+    get_length "getLength" VAR_LENGTH 0x44 -> f64;
+    /// Speed limit \[m/s\].
+    get_max_speed "getMaxSpeed" VAR_MAXSPEED 0x41 -> f64;
+    /// Friction, 0 to 1.
+    get_friction "getFriction" VAR_FRICTION 0x3d -> f64;
+    /// Width \[m\].
+    get_width "getWidth" VAR_WIDTH 0x4d -> f64;
+    /// Vehicle classes that may use it; none: all.
+    get_allowed "getAllowed" LANE_ALLOWED 0x34 -> Vec<String>;
+    /// Vehicle classes that may not use it.
+    get_disallowed "getDisallowed" LANE_DISALLOWED 0x35 -> Vec<String>;
+    /// Number of ways on from its end.
+    get_link_number "getLinkNumber" LANE_LINK_NUMBER 0x30 -> i32;
+    /// Ways on from its end.
+    get_links "getLinks" LANE_LINKS 0x33 -> Vec<Connection>;
+    /// Centre line \[m\].
+    get_shape "getShape" VAR_SHAPE 0x4e -> Vec<[f64; 2]>;
+    /// The edge that it is part of.
+    get_edge_id "getEdgeID" LANE_EDGE_ID 0x31 -> String;
+    /// Mean speed within the last step \[m/s\].
+    get_last_step_mean_speed "getLastStepMeanSpeed" LAST_STEP_MEAN_SPEED 0x11 -> f64;
+    /// Share of the length that vehicles covered within the last step, 0 to 1.
+    get_last_step_occupancy "getLastStepOccupancy" LAST_STEP_OCCUPANCY 0x13 -> f64;
+    /// Mean length of the vehicles within the last step \[m\].
+    get_last_step_length "getLastStepLength" LAST_STEP_LENGTH 0x15 -> f64;
+    /// Sum of the waiting times of the vehicles \[s\].
+    get_waiting_time "getWaitingTime" VAR_WAITING_TIME 0x7a -> f64;
+    /// Travel time estimated from the mean speed of the last step \[s\].
+    get_traveltime "getTraveltime" VAR_CURRENT_TRAVELTIME 0x5a -> f64;
+    /// Number of vehicles within the last step.
+    get_last_step_vehicle_number "getLastStepVehicleNumber" LAST_STEP_VEHICLE_NUMBER 0x10 -> i32;
+    /// Number of vehicles that stood within the last step.
+    get_last_step_halting_number "getLastStepHaltingNumber" LAST_STEP_VEHICLE_HALTING_NUMBER 0x14 -> i32;
+    /// Vehicles within the last step.
+    get_last_step_vehicle_ids "getLastStepVehicleIDs" LAST_STEP_VEHICLE_ID_LIST 0x12 -> Vec<String>;
+    /// Lanes whose vehicles have the right of way over those that go from here to the lane `to`.
+    get_foes "getFoes" VAR_FOES 0x37 (to: &str) -> Vec<String>;
+    /// Vehicles that wait to depart here.
+    get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
+}
+
+impl<S: Scope> Lane<'_, S> {
+    /// Lanes inside the junction that cross this one, which is inside a junction too.
+    pub fn get_internal_foes(&mut self, id: &str) -> S::Output<Vec<String>> {
+        self.get_foes(id, "")
+    }
+}
+
+setters! { Lane, "lane", LANE;
+    /// Sets the vehicle classes that may use it.
+    set_allowed "setAllowed" 0x34 (classes: &[impl AsRef<str>]);
+    /// Sets the vehicle classes that may not use it.
+    set_disallowed "setDisallowed" 0x35 (classes: &[impl AsRef<str>]);
+    /// Sets the speed limit \[m/s\].
+    set_max_speed "setMaxSpeed" 0x41 (speed: f64);
+    /// Sets the friction, 0 to 1. SUMO 1.15 refuses it.
+    set_friction "setFriction" 0x3d (friction: f64);
+    /// Sets the length \[m\].
+    set_length "setLength" 0x44 (length: f64);
+}

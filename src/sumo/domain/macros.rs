@@ -1,0 +1,355 @@
+//! The tables of calls. A row of [`getters`] makes a method and a variable constant, a row of [`setters`]
+//! a method: documentation, name, SUMO's name, number, arguments, type.
+//!
+//! Arguments in parentheses are one typed value; those in brackets are the items of a compound.
+
+/// A handle with the calls that all domains have.
+macro_rules! domain {
+    ($(#[$doc:meta])* $handle:ident, $name:literal, $domain:ident) => {
+        $(#[$doc])*
+        #[derive(Debug)]
+        pub struct $handle<'a, S>(pub(super) &'a mut S);
+
+        getters! { $handle, $name, $domain;
+            /// A generic parameter of the object; empty if it has none of that name.
+            get_parameter "getParameter" VAR_PARAMETER 0x7e (key: &str) -> String;
+            /// As `get_parameter`, together with the parameter's name.
+            get_parameter_with_key "getParameterWithKey" VAR_PARAMETER_WITH_KEY 0x3e (key: &str) -> (String, String);
+        }
+
+        setters! { $handle, $name, $domain;
+            /// Sets a generic parameter of the object.
+            set_parameter "setParameter" 0x7e [key: &str, value: &str];
+        }
+
+        impl<S: Scope> $handle<'_, S> {
+            /// Has the variables of the object reported after each step from now on; replaces an earlier
+            /// subscription of the object.
+            pub fn subscribe(&mut self, id: &str, variables: &[u8]) -> S::Output<()> {
+                self.0.request(|batch| batch.subscribe(Domain::$domain, id, variables), crate::sumo::domain::done)
+            }
+
+            /// As `subscribe`, from the simulation time `begin` to `end` \[s\].
+            pub fn subscribe_during(&mut self, id: &str, variables: &[u8], begin: f64, end: f64) -> S::Output<()> {
+                let fill = |batch: &mut Batch| {
+                    batch.subscribe_during(Domain::$domain, id, variables, [begin, end]);
+                };
+                self.0.request(fill, crate::sumo::domain::done)
+            }
+
+            /// As `subscribe`, for one variable that needs an argument.
+            pub fn subscribe_with(&mut self, id: &str, variable: u8, argument: &Value) -> S::Output<()> {
+                self.0.request(|batch| batch.subscribe_with(Domain::$domain, id, variable, argument), crate::sumo::domain::done)
+            }
+
+            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`.
+            pub fn subscribe_parameter_with_key(&mut self, id: &str, key: &str) -> S::Output<()> {
+                self.subscribe_with(id, VAR_PARAMETER_WITH_KEY.id(), &Value::String(key.to_owned()))
+            }
+
+            /// Ends the subscription of the object.
+            pub fn unsubscribe(&mut self, id: &str) -> S::Output<()> {
+                self.subscribe(id, &[])
+            }
+
+            /// Has the variables of the objects of the domain `around` within `range` \[m\] of this object
+            /// reported after each step from now on. SUMO 1.15 dies if this object is a vehicle and is
+            /// removed by a call while the subscription lasts: end it first.
+            pub fn subscribe_context(
+                &mut self,
+                id: &str,
+                around: Domain,
+                range: f64,
+                variables: &[u8],
+            ) -> S::Output<()> {
+                let fill = |batch: &mut Batch| {
+                    batch.subscribe_context(Domain::$domain, id, around, range, variables);
+                };
+                self.0.request(fill, crate::sumo::domain::done)
+            }
+
+            /// Ends the subscription to the objects of the domain `around`.
+            pub fn unsubscribe_context(&mut self, id: &str, around: Domain, range: f64) -> S::Output<()> {
+                self.subscribe_context(id, around, range, &[])
+            }
+        }
+    };
+}
+
+/// The identifiers of a domain.
+macro_rules! identifiers {
+    ($handle:ident, $name:literal, $domain:ident) => {
+        global_getters! { $handle, $name, $domain;
+            /// Identifiers of all objects.
+            get_id_list "getIDList" TRACI_ID_LIST 0x00 -> Vec<String>;
+            /// Number of objects.
+            get_id_count "getIDCount" ID_COUNT 0x01 -> i32;
+        }
+    };
+}
+
+/// Calls that read a variable of an object.
+macro_rules! getters {
+    ($handle:ident, $name:literal, $domain:ident; $(
+        $(#[$doc:meta])*
+        $method:ident $sumo:literal $constant:ident $id:literal
+        $(($argument:ident: $kind:ty))? $([$($item:ident: $item_kind:ty),+])? -> $result:ty;
+    )+) => {
+        $(
+            $(#[$doc])*
+            pub const $constant: Variable<$result> = Variable::new(Domain::$domain, $id);
+        )+
+
+        impl<S: Scope> $handle<'_, S> {
+            $(
+                $(#[$doc])*
+                pub fn $method(
+                    &mut self,
+                    id: &str,
+                    $($argument: $kind,)? $($($item: $item_kind),+)?
+                ) -> S::Output<$result> {
+                    let call = Call::get(concat!($name, ".", $sumo), Domain::$domain, $id);
+                    crate::sumo::domain::get(self.0, call, id, |w| {
+                        write_arguments!(w $(($argument))? $([$($item)+])?);
+                    })
+                }
+            )+
+        }
+    };
+}
+
+/// Calls that read a variable of the domain as a whole.
+macro_rules! global_getters {
+    ($handle:ident, $name:literal, $domain:ident; $(
+        $(#[$doc:meta])* $method:ident $sumo:literal $constant:ident $id:literal -> $result:ty;
+    )+) => {
+        $(
+            $(#[$doc])*
+            pub const $constant: Variable<$result> = Variable::new(Domain::$domain, $id);
+        )+
+
+        impl<S: Scope> $handle<'_, S> {
+            $(
+                $(#[$doc])*
+                pub fn $method(&mut self) -> S::Output<$result> {
+                    let call = Call::get(concat!($name, ".", $sumo), Domain::$domain, $id);
+                    crate::sumo::domain::get(self.0, call, "", |_| {})
+                }
+            )+
+        }
+    };
+}
+
+/// Calls that change an object.
+macro_rules! setters {
+    ($handle:ident, $name:literal, $domain:ident; $(
+        $(#[$doc:meta])*
+        $method:ident $sumo:literal $id:literal
+        $(($argument:ident: $kind:ty))? $([$($item:ident: $item_kind:ty),*])?;
+    )+) => {
+        impl<S: Scope> $handle<'_, S> {
+            $(
+                $(#[$doc])*
+                pub fn $method(
+                    &mut self,
+                    id: &str,
+                    $($argument: $kind,)? $($($item: $item_kind),*)?
+                ) -> S::Output<()> {
+                    let call = Call::set(concat!($name, ".", $sumo), Domain::$domain, $id);
+                    crate::sumo::domain::set(self.0, call, id, |w| {
+                        write_arguments!(w $(($argument))? $([$($item)*])?);
+                    })
+                }
+            )+
+        }
+    };
+}
+
+/// Writes nothing, one value, or a compound.
+macro_rules! write_arguments {
+    ($writer:ident) => {{
+        let _ = $writer;
+    }};
+    ($writer:ident ($argument:ident)) => {
+        crate::sumo::domain::Argument::write($argument, $writer)
+    };
+    ($writer:ident [$($item:ident)*]) => {{
+        $writer.compound(const { <[&str]>::len(&[$(stringify!($item)),*]) as i32 });
+        $(crate::sumo::domain::Argument::write($item, $writer);)*
+    }};
+}
+
+/// A struct that SUMO sends as values one after the other, in the order of the fields.
+macro_rules! record {
+    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty,)+ }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq)]
+        #[non_exhaustive]
+        pub struct $name {
+            $($(#[$field_doc])* pub $field: $kind,)+
+        }
+
+        impl crate::sumo::domain::value::FromFields for $name {
+            fn from_fields(fields: &mut crate::sumo::domain::Fields) -> Result<Self, Error> {
+                Ok($name { $($field: fields.take()?,)+ })
+            }
+        }
+    };
+}
+
+/// Lets a list of records be the value of a variable: SUMO sends their number and then all their values.
+macro_rules! flat_list {
+    ($($name:ident),+) => {
+        $(impl FromValue for Vec<$name> {
+            fn from_value(value: Value) -> Result<Self, Error> {
+                crate::sumo::domain::compound(value, crate::sumo::domain::Fields::records)
+            }
+        })+
+    };
+}
+
+/// Lets a record be the value of a variable, and a list of them: SUMO sends each as a compound.
+macro_rules! nested_list {
+    ($($name:ident),+) => {
+        $(impl FromValue for $name {
+            fn from_value(value: Value) -> Result<Self, Error> {
+                crate::sumo::domain::compound(value, crate::sumo::domain::value::FromFields::from_fields)
+            }
+        }
+
+        impl FromValue for Vec<$name> {
+            fn from_value(value: Value) -> Result<Self, Error> {
+                crate::sumo::domain::compound(value, crate::sumo::domain::Fields::rest)
+            }
+        })+
+    };
+}
+
+/// What a vehicle, a person and a vehicle type have in common.
+macro_rules! type_attributes {
+    ($handle:ident, $name:literal, $domain:ident) => {
+        getters! { $handle, $name, $domain;
+            /// Length \[m\].
+            get_length "getLength" VAR_LENGTH 0x44 -> f64;
+            /// Highest speed \[m/s\].
+            get_max_speed "getMaxSpeed" VAR_MAXSPEED 0x41 -> f64;
+            /// Time between two decisions \[s\].
+            get_action_step_length "getActionStepLength" VAR_ACTIONSTEPLENGTH 0x7d -> f64;
+            /// Factor on the speed limit.
+            get_speed_factor "getSpeedFactor" VAR_SPEED_FACTOR 0x5e -> f64;
+            /// Standard deviation of the speed factor.
+            get_speed_deviation "getSpeedDeviation" VAR_SPEED_DEVIATION 0x5f -> f64;
+            /// Greatest acceleration \[m/s²\].
+            get_accel "getAccel" VAR_ACCEL 0x46 -> f64;
+            /// Comfortable deceleration \[m/s²\].
+            get_decel "getDecel" VAR_DECEL 0x47 -> f64;
+            /// Strongest deceleration \[m/s²\].
+            get_emergency_decel "getEmergencyDecel" VAR_EMERGENCY_DECEL 0x7b -> f64;
+            /// Deceleration that others expect \[m/s²\].
+            get_apparent_decel "getApparentDecel" VAR_APPARENT_DECEL 0x7c -> f64;
+            /// Imperfection of the driver (sigma), 0 to 1.
+            get_imperfection "getImperfection" VAR_IMPERFECTION 0x5d -> f64;
+            /// Desired time headway \[s\].
+            get_tau "getTau" VAR_TAU 0x48 -> f64;
+            /// Vehicle class, such as `passenger`.
+            get_vehicle_class "getVehicleClass" VAR_VEHICLECLASS 0x49 -> String;
+            /// Emission class, such as `HBEFA3/PC_G_EU4`.
+            get_emission_class "getEmissionClass" VAR_EMISSIONCLASS 0x4a -> String;
+            /// Shape in the graphical interface.
+            get_shape_class "getShapeClass" VAR_SHAPECLASS 0x4b -> String;
+            /// Gap to the leader when standing \[m\].
+            get_min_gap "getMinGap" VAR_MINGAP 0x4c -> f64;
+            /// Width \[m\].
+            get_width "getWidth" VAR_WIDTH 0x4d -> f64;
+            /// Height \[m\].
+            get_height "getHeight" VAR_HEIGHT 0xbc -> f64;
+            /// Colour.
+            get_color "getColor" VAR_COLOR 0x45 -> Color;
+            /// Lateral gap at 50 km/h \[m\].
+            get_min_gap_lat "getMinGapLat" VAR_MINGAP_LAT 0xbb -> f64;
+            /// Highest lateral speed \[m/s\].
+            get_max_speed_lat "getMaxSpeedLat" VAR_MAXSPEED_LAT 0xba -> f64;
+            /// Preferred place in the lane, such as `center`.
+            get_lateral_alignment "getLateralAlignment" VAR_LATALIGNMENT 0xb9 -> String;
+            /// Number of persons that find room.
+            get_person_capacity "getPersonCapacity" VAR_PERSON_CAPACITY 0x38 -> i32;
+        }
+
+        setters! { $handle, $name, $domain;
+            /// Sets the length \[m\].
+            set_length "setLength" 0x44 (length: f64);
+            /// Sets the highest speed \[m/s\].
+            set_max_speed "setMaxSpeed" 0x41 (speed: f64);
+            /// Sets the vehicle class.
+            set_vehicle_class "setVehicleClass" 0x49 (class: &str);
+            /// Sets the factor on the speed limit.
+            set_speed_factor "setSpeedFactor" 0x5e (factor: f64);
+            /// Sets the emission class.
+            set_emission_class "setEmissionClass" 0x4a (class: &str);
+            /// Sets the shape in the graphical interface.
+            set_shape_class "setShapeClass" 0x4b (class: &str);
+            /// Sets the width \[m\].
+            set_width "setWidth" 0x4d (width: f64);
+            /// Sets the height \[m\].
+            set_height "setHeight" 0xbc (height: f64);
+            /// Sets the gap to the leader when standing \[m\].
+            set_min_gap "setMinGap" 0x4c (gap: f64);
+            /// Sets the greatest acceleration \[m/s²\].
+            set_accel "setAccel" 0x46 (accel: f64);
+            /// Sets the comfortable deceleration \[m/s²\].
+            set_decel "setDecel" 0x47 (decel: f64);
+            /// Sets the strongest deceleration \[m/s²\].
+            set_emergency_decel "setEmergencyDecel" 0x7b (decel: f64);
+            /// Sets the deceleration that others expect \[m/s²\].
+            set_apparent_decel "setApparentDecel" 0x7c (decel: f64);
+            /// Sets the imperfection of the driver (sigma), 0 to 1.
+            set_imperfection "setImperfection" 0x5d (sigma: f64);
+            /// Sets the desired time headway \[s\].
+            set_tau "setTau" 0x48 (tau: f64);
+            /// Sets the colour.
+            set_color "setColor" 0x45 (color: Color);
+            /// Sets the lateral gap at 50 km/h \[m\].
+            set_min_gap_lat "setMinGapLat" 0xbb (gap: f64);
+            /// Sets the highest lateral speed \[m/s\].
+            set_max_speed_lat "setMaxSpeedLat" 0xba (speed: f64);
+            /// Sets the preferred place in the lane.
+            set_lateral_alignment "setLateralAlignment" 0xb9 (alignment: &str);
+        }
+
+        impl<S: Scope> $handle<'_, S> {
+            /// Sets the time between two decisions \[s\]. `reset_offset`: the first decision is at the next
+            /// step, else when it would have been.
+            pub fn set_action_step_length(&mut self, id: &str, length: f64, reset_offset: bool) -> S::Output<()> {
+                let call =
+                    Call::set(concat!($name, ".setActionStepLength"), Domain::$domain, VAR_ACTIONSTEPLENGTH.id());
+                crate::sumo::domain::set(self.0, call, id, |w| {
+                    w.double(if reset_offset { length } else { -length });
+                })
+            }
+        }
+    };
+}
+
+/// Emissions and consumption within the last step.
+macro_rules! emissions {
+    ($handle:ident, $name:literal, $domain:ident) => {
+        getters! { $handle, $name, $domain;
+            /// CO2 emission within the last step \[mg/s\].
+            get_co2_emission "getCO2Emission" VAR_CO2EMISSION 0x60 -> f64;
+            /// CO emission within the last step \[mg/s\].
+            get_co_emission "getCOEmission" VAR_COEMISSION 0x61 -> f64;
+            /// HC emission within the last step \[mg/s\].
+            get_hc_emission "getHCEmission" VAR_HCEMISSION 0x62 -> f64;
+            /// Particle emission within the last step \[mg/s\].
+            get_pmx_emission "getPMxEmission" VAR_PMXEMISSION 0x63 -> f64;
+            /// NOx emission within the last step \[mg/s\].
+            get_nox_emission "getNOxEmission" VAR_NOXEMISSION 0x64 -> f64;
+            /// Fuel consumption within the last step \[mg/s\].
+            get_fuel_consumption "getFuelConsumption" VAR_FUELCONSUMPTION 0x65 -> f64;
+            /// Noise within the last step \[dBA\].
+            get_noise_emission "getNoiseEmission" VAR_NOISEEMISSION 0x66 -> f64;
+            /// Electricity consumption within the last step \[Wh/s\].
+            get_electricity_consumption "getElectricityConsumption" VAR_ELECTRICITYCONSUMPTION 0x71 -> f64;
+        }
+    };
+}

@@ -1,0 +1,256 @@
+//! Every TraCI call, defined once and usable alone or in a batch.
+//!
+//! There is one module for each kind of object, with a handle whose methods bear SUMO's names in snake
+//! case: `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs
+//! to a [`Scope`]. From a [`Client`] (`client.vehicle()`) each call is one exchange and returns the
+//! result. From a [`Batch`] (`batch.vehicle()`) it returns a [`Ticket`]: the calls go out together, and
+//! the [`Replies`](super::Replies) give the result for each ticket. An exchange costs far more than a call.
+//!
+//! Each variable that can be read also is a constant of the module, such as [`vehicle::VAR_SPEED`], for
+//! subscriptions.
+//!
+//! Units are metres, seconds, and what follows from them; angles are navigational degrees (0 is north,
+//! clockwise). Where SUMO has no value it reports
+//! [`INVALID_DOUBLE_VALUE`](super::constants::INVALID_DOUBLE_VALUE).
+//!
+//! # Errors
+//! All calls of a client fail in the same way: [`Error::Refused`] if SUMO refuses the call, after which the
+//! connection goes on; [`Error::Closed`], [`Error::Timeout`] and [`Error::Protocol`] if it does not. In a
+//! batch, a refused call fails when its ticket is taken, and the others are carried out.
+//!
+//! # Examples
+//! ```
+//! use iwol_sumo::sumo::{domain::vehicle, process::{Options, Process}};
+//!
+//! # fn main() -> Result<(), iwol_sumo::sumo::Error> {
+//! let net = concat!(env!("CARGO_MANIFEST_DIR"), "/sumo_nets/intersection/arm30.net.xml");
+//! let options = Options { arguments: vec!["--net-file".into(), net.into()], ..Options::default() };
+//! let (_process, mut client, _version) = Process::start(&options)?;
+//!
+//! // One exchange for each call.
+//! let edges = client.edge().get_id_list()?;
+//! let road = edges.iter().find(|edge| !edge.starts_with(':')).expect("a road");
+//! client.route().add("r", &[road])?;
+//! client.vehicle().add("v0", &vehicle::Addition { depart_speed: "3", ..vehicle::Addition::on_route("r") })?;
+//!
+//! // One exchange for all of them, the step included.
+//! let mut batch = client.batch();
+//! batch.vehicle().subscribe("v0", &[vehicle::VAR_SPEED.id()]);
+//! let time = batch.simulation().get_time();
+//! let nobody = batch.vehicle().set_speed("nobody", 1.0);
+//! let mut reply = batch.step(0.0)?;
+//! assert_eq!(reply.take(time)?, 0.0);
+//! assert!(reply.take(nobody).is_err());
+//! assert_eq!(reply.get("v0", vehicle::VAR_SPEED).transpose()?, Some(3.0));
+//!
+//! // What is within 50 m of the vehicle, after each step from now on.
+//! use iwol_sumo::sumo::Domain;
+//! client.vehicle().subscribe_context("v0", Domain::VEHICLE, 50.0, &[vehicle::VAR_SPEED.id()])?;
+//! let reply = client.simulation_step(0.0)?;
+//! let around = reply.around(Domain::VEHICLE, "v0");
+//! assert_eq!(around.objects().collect::<Vec<_>>(), ["v0"]);
+//! assert!(around.get("v0", vehicle::VAR_SPEED).is_some());
+//! # Ok(())
+//! # }
+//! ```
+
+use std::{fmt, marker::PhantomData, ops::Range};
+
+use super::{
+    Batch, Client, ClientBatch, Error,
+    batch::Call,
+    codec::{Value, Writer},
+    constants::Domain,
+};
+
+#[macro_use]
+mod macros;
+mod value;
+
+pub mod edge;
+pub mod gui;
+pub mod induction_loop;
+pub mod junction;
+pub mod lane;
+pub mod lane_area;
+pub mod parking_area;
+pub mod person;
+pub mod poi;
+pub mod polygon;
+pub mod route;
+pub mod simulation;
+pub mod traffic_light;
+pub mod vehicle;
+pub mod vehicle_type;
+
+pub use value::{Argument, Color, FromValue, Highlight, RoadPosition};
+use value::{Fields, compound};
+
+/// Makes the result of a call out of what SUMO answered: the value that was asked for, or nothing.
+pub type Decode<T> = fn(Option<Value>) -> Result<T, Error>;
+
+/// Where calls go: to SUMO at once ([`Client`]), or into a message that is sent later ([`Batch`]).
+pub trait Scope {
+    /// What a call returns whose result is a `T`.
+    type Output<T>;
+
+    /// Takes the commands that `fill` puts into a batch, at least one, as one call: its result is the first
+    /// refusal, or else the last answer.
+    fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Self::Output<T>;
+}
+
+impl Scope for Batch {
+    type Output<T> = Ticket<T>;
+
+    fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Ticket<T> {
+        let start = self.len();
+        fill(self);
+        Ticket { batch: self.number(), commands: start..self.len(), decode }
+    }
+}
+
+/// Stands for the result of a call in a batch until the replies are there.
+pub struct Ticket<T> {
+    /// The number of its batch.
+    pub(super) batch: u64,
+    /// The commands in the batch.
+    pub(super) commands: Range<usize>,
+    pub(super) decode: Decode<T>,
+}
+
+impl<T> fmt::Debug for Ticket<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Ticket").field("batch", &self.batch).field("commands", &self.commands).finish_non_exhaustive()
+    }
+}
+
+/// A variable that can be subscribed to, with the type of its value.
+pub struct Variable<T> {
+    domain: Domain,
+    id: u8,
+    value: PhantomData<fn() -> T>,
+}
+
+impl<T> Variable<T> {
+    /// A variable of a domain, by its number.
+    pub const fn new(domain: Domain, id: u8) -> Self {
+        Variable { domain, id, value: PhantomData }
+    }
+
+    /// The number, unique among the variables of the domain.
+    pub const fn id(self) -> u8 {
+        self.id
+    }
+
+    /// The kind of object that has the variable.
+    pub const fn domain(self) -> Domain {
+        self.domain
+    }
+}
+
+impl<T> Clone for Variable<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Variable<T> {}
+
+impl<T> fmt::Debug for Variable<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Variable").field("domain", &self.domain).field("id", &self.id).finish()
+    }
+}
+
+fn get<S: Scope, T: FromValue>(
+    scope: &mut S,
+    call: Call,
+    object: &str,
+    arguments: impl FnOnce(&mut Writer),
+) -> S::Output<T> {
+    get_as(scope, call, object, arguments, value)
+}
+
+fn get_as<S: Scope, T>(
+    scope: &mut S,
+    call: Call,
+    object: &str,
+    arguments: impl FnOnce(&mut Writer),
+    decode: Decode<T>,
+) -> S::Output<T> {
+    scope.request(|batch| batch.call(call, object, arguments), decode)
+}
+
+fn set<S: Scope>(scope: &mut S, call: Call, object: &str, content: impl FnOnce(&mut Writer)) -> S::Output<()> {
+    scope.request(|batch| batch.call(call, object, content), done)
+}
+
+/// The result of a call that has a value.
+fn value<T: FromValue>(answer: Option<Value>) -> Result<T, Error> {
+    match answer {
+        Some(value) => T::from_value(value),
+        None => Err(Error::Protocol { expected: "a value", found: "none".to_owned(), at_byte: 0 }),
+    }
+}
+
+/// The result of a call that has none.
+#[expect(clippy::unnecessary_wraps, reason = "a `Decode`")]
+fn done(_: Option<Value>) -> Result<(), Error> {
+    Ok(())
+}
+
+/// The methods that lead to the domains.
+macro_rules! handles {
+    ($($(#[$doc:meta])* $method:ident -> $module:ident::$handle:ident;)+) => {
+        impl Client {
+            $($(#[$doc])* pub fn $method(&mut self) -> $module::$handle<'_, Client> {
+                $module::$handle(self)
+            })+
+        }
+
+        impl Batch {
+            $($(#[$doc])* pub fn $method(&mut self) -> $module::$handle<'_, Batch> {
+                $module::$handle(self)
+            })+
+        }
+
+        impl ClientBatch<'_> {
+            $($(#[$doc])* pub fn $method(&mut self) -> $module::$handle<'_, Batch> {
+                $module::$handle(&mut self.batch)
+            })+
+        }
+    };
+}
+
+handles! {
+    /// Calls for edges.
+    edge -> edge::Edge;
+    /// Calls for the views of the graphical interface.
+    gui -> gui::Gui;
+    /// Calls for induction loops (E1 detectors).
+    induction_loop -> induction_loop::InductionLoop;
+    /// Calls for junctions.
+    junction -> junction::Junction;
+    /// Calls for lanes.
+    lane -> lane::Lane;
+    /// Calls for lane area detectors (E2 detectors).
+    lane_area -> lane_area::LaneArea;
+    /// Calls for parking areas.
+    parking_area -> parking_area::ParkingArea;
+    /// Calls for persons.
+    person -> person::Person;
+    /// Calls for points of interest.
+    poi -> poi::Poi;
+    /// Calls for polygons.
+    polygon -> polygon::Polygon;
+    /// Calls for routes.
+    route -> route::Route;
+    /// Calls for the simulation as a whole.
+    simulation -> simulation::Simulation;
+    /// Calls for traffic lights.
+    traffic_light -> traffic_light::TrafficLight;
+    /// Calls for vehicles.
+    vehicle -> vehicle::Vehicle;
+    /// Calls for vehicle types.
+    vehicle_type -> vehicle_type::VehicleType;
+}

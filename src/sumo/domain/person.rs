@@ -1,0 +1,213 @@
+//! Persons. SUMO 1.15 refuses most of the calls that change what a person has in common with a vehicle; it
+//! knows length, width, height, gap, speed factor and colour.
+
+use super::{Color, FromValue, Scope, Variable, simulation::Stage};
+use crate::sumo::{
+    Batch, Client, Error,
+    batch::Call,
+    codec::Value,
+    constants::{self as c, Domain},
+};
+
+domain! {
+    /// Calls for persons.
+    Person, "person", PERSON
+}
+identifiers! { Person, "person", PERSON }
+type_attributes! { Person, "person", PERSON }
+
+record! {
+    /// A person's request for a taxi.
+    Reservation {
+        /// Reservation identifier.
+        id: String,
+        /// Persons that travel together.
+        persons: Vec<String>,
+        /// Group.
+        group: String,
+        /// Edge where they wait.
+        from_edge: String,
+        /// Edge where they want to go.
+        to_edge: String,
+        /// Distance from the start of the first edge \[m\].
+        depart_pos: f64,
+        /// Distance from the start of the last edge \[m\].
+        arrival_pos: f64,
+        /// When they are ready \[s\].
+        depart: f64,
+        /// When they asked \[s\].
+        reservation_time: f64,
+        /// 1: new, 2: known, 4: assigned, 8: picked up.
+        state: i32,
+    }
+}
+nested_list! { Reservation }
+
+getters! { Person, "person", PERSON;
+    /// Speed \[m/s\].
+    get_speed "getSpeed" VAR_SPEED 0x40 -> f64;
+    /// Position \[m\].
+    get_position "getPosition" VAR_POSITION 0x42 -> [f64; 2];
+    /// Position with height \[m\].
+    get_position3d "getPosition3D" VAR_POSITION3D 0x39 -> [f64; 3];
+    /// Navigational angle \[deg\].
+    get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
+    /// Slope of the road \[deg\].
+    get_slope "getSlope" VAR_SLOPE 0x36 -> f64;
+    /// Edge.
+    get_road_id "getRoadID" VAR_ROAD_ID 0x50 -> String;
+    /// Lane; empty if the person is on none.
+    get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
+    /// Person type.
+    get_type_id "getTypeID" VAR_TYPE 0x4f -> String;
+    /// Distance from the start of the edge \[m\].
+    get_lane_position "getLanePosition" VAR_LANEPOSITION 0x56 -> f64;
+    /// Time since the person last moved \[s\].
+    get_waiting_time "getWaitingTime" VAR_WAITING_TIME 0x7a -> f64;
+    /// The edge after the one of the moment, of a walk; empty for the last.
+    get_next_edge "getNextEdge" VAR_NEXT_EDGE 0xc1 -> String;
+    /// Edges of a stage; 0 is the one of the moment.
+    get_edges "getEdges" VAR_EDGES 0x54 (stage: i32) -> Vec<String>;
+    /// A stage; 0 is the one of the moment, negative ones are past.
+    get_stage "getStage" VAR_STAGE 0xc0 (stage: i32) -> Stage;
+    /// Number of stages that are left, with the one of the moment.
+    get_remaining_stages "getRemainingStages" VAR_STAGES_REMAINING 0xc2 -> i32;
+    /// The vehicle that the person rides in; empty for none.
+    get_vehicle "getVehicle" VAR_VEHICLE 0xc3 -> String;
+    /// Makes a reservation of its own for some of the persons of a reservation, whose identifier comes first;
+    /// returns the new identifier. SUMO 1.15 ends if they are all of them.
+    split_taxi_reservation "splitTaxiReservation" SPLIT_TAXI_RESERVATIONS 0xc7 (persons: &[impl AsRef<str>]) -> String;
+}
+
+setters! { Person, "person", PERSON;
+    /// Makes a person who waits for stages: person type, edge, departure (seconds, -3: now), distance from
+    /// the start of the edge \[m\].
+    add "add" 0x80 [kind: &str, edge: &str, depart: f64, pos: f64];
+    /// Removes a stage; 0 is the one of the moment, which ends.
+    remove_stage "removeStage" 0xc5 (stage: i32);
+    /// Removes the person; `reason` as for vehicles.
+    remove "remove" 0x81 (reason: i8);
+    /// Puts the person at a distance from the start of a lane \[m\], which is part of the walk, and beside
+    /// its middle \[m\] ([`c::INVALID_DOUBLE_VALUE`]: as before).
+    move_to "moveTo" 0x5c [lane: &str, pos: f64, pos_lat: f64];
+    /// Sets the walking speed \[m/s\].
+    set_speed "setSpeed" 0x40 (speed: f64);
+    /// Sets the person type.
+    set_type "setType" 0x4f (kind: &str);
+    /// Finds the fastest walk anew.
+    reroute_traveltime "rerouteTraveltime" 0x90 [];
+}
+
+const APPEND_STAGE: Call = Call::set("person.appendStage", Domain::PERSON, 0xc4);
+
+impl<S: Scope> Person<'_, S> {
+    /// Requests for a taxi: all of them, or those that are `only_new`.
+    pub fn get_taxi_reservations(&mut self, only_new: bool) -> S::Output<Vec<Reservation>> {
+        super::get(self.0, Call::get("person.getTaxiReservations", Domain::PERSON, 0xc6), "", |w| {
+            w.integer(only_new.into());
+        })
+    }
+
+    /// Adds a wait of a duration \[s\] at the end of the plan; `stop`: where, or empty.
+    pub fn append_waiting_stage(&mut self, id: &str, duration: f64, description: &str, stop: &str) -> S::Output<()> {
+        let call = Call { name: "person.appendWaitingStage", ..APPEND_STAGE };
+        super::set(self.0, call, id, |w| {
+            w.compound(4).integer(1).double(duration).string(description).string(stop);
+        })
+    }
+
+    /// Adds a walk at the end of the plan.
+    pub fn append_walking_stage(&mut self, id: &str, edges: &[impl AsRef<str>], walk: &Walk<'_>) -> S::Output<()> {
+        let call = Call { name: "person.appendWalkingStage", ..APPEND_STAGE };
+        super::set(self.0, call, id, |w| {
+            w.compound(6).integer(2).string_list(edges).double(walk.arrival_pos);
+            w.double(walk.duration).double(walk.speed).string(walk.stop);
+        })
+    }
+
+    /// Adds a ride to an edge at the end of the plan: with any of the `lines`, joined by blanks; `stop`: where
+    /// it ends, or empty.
+    pub fn append_driving_stage(&mut self, id: &str, to: &str, lines: &str, stop: &str) -> S::Output<()> {
+        let call = Call { name: "person.appendDrivingStage", ..APPEND_STAGE };
+        super::set(self.0, call, id, |w| {
+            w.compound(4).integer(3).string(to).string(lines).string(stop);
+        })
+    }
+
+    /// Adds a stage at the end of the plan.
+    pub fn append_stage(&mut self, id: &str, stage: &Stage) -> S::Output<()> {
+        super::set(self.0, APPEND_STAGE, id, |w| stage.write(w))
+    }
+
+    /// Replaces a stage; 0 is the one of the moment.
+    pub fn replace_stage(&mut self, id: &str, index: i32, stage: &Stage) -> S::Output<()> {
+        super::set(self.0, Call::set("person.replaceStage", Domain::PERSON, 0xcd), id, |w| {
+            w.compound(2).integer(index);
+            stage.write(w);
+        })
+    }
+
+    /// Puts the person at a position \[m\], see [`Place`].
+    pub fn move_to_xy(&mut self, id: &str, position: [f64; 2], place: &Place<'_>) -> S::Output<()> {
+        super::set(self.0, Call::set("person.moveToXY", Domain::PERSON, 0xb4), id, |w| {
+            w.compound(6).string(place.edge).double(position[0]).double(position[1]).double(place.angle);
+            w.u8(c::TYPE_BYTE).u8(place.keep_route).double(place.match_threshold);
+        })
+    }
+}
+
+impl Person<'_, Client> {
+    /// Removes all stages, so that the person leaves the simulation if none is added before the next step: two
+    /// exchanges.
+    ///
+    /// # Errors
+    /// As all calls.
+    pub fn remove_stages(&mut self, id: &str) -> Result<(), Error> {
+        let count = self.get_remaining_stages(id)?;
+        let mut batch = self.0.batch();
+        let mut tickets: Vec<_> = (1..count).map(|_| batch.person().remove_stage(id, 1)).collect();
+        tickets.push(batch.person().remove_stage(id, 0));
+        let mut replies = batch.send()?;
+        tickets.into_iter().try_for_each(|ticket| replies.take(ticket))
+    }
+}
+
+/// What [`Person::append_walking_stage`] needs besides the edges.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Walk<'a> {
+    /// Distance from the start of the last edge \[m\].
+    pub arrival_pos: f64,
+    /// Duration \[s\]; negative: as the speed has it.
+    pub duration: f64,
+    /// Speed \[m/s\]; negative: that of the person type.
+    pub speed: f64,
+    /// Stop where it ends; empty: none.
+    pub stop: &'a str,
+}
+
+impl Walk<'_> {
+    /// A walk to a distance from the start of the last edge \[m\].
+    pub const fn to(arrival_pos: f64) -> Self {
+        Walk { arrival_pos, duration: -1.0, speed: -1.0, stop: "" }
+    }
+}
+
+/// How [`Person::move_to_xy`] finds the place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place<'a> {
+    /// The edge to prefer; empty: none.
+    pub edge: &'a str,
+    /// Navigational angle \[deg\]; [`c::INVALID_DOUBLE_VALUE`]: that of the edge.
+    pub angle: f64,
+    /// Bits, 1: the closest place of the walk, else of the net; 2: exactly there, on an edge or not; 4: also
+    /// where it is not allowed.
+    pub keep_route: u8,
+    /// How far away a place may be \[m\].
+    pub match_threshold: f64,
+}
+
+impl Default for Place<'_> {
+    fn default() -> Self {
+        Place { edge: "", angle: c::INVALID_DOUBLE_VALUE, keep_route: 1, match_threshold: 100.0 }
+    }
+}

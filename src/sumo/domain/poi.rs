@@ -1,0 +1,92 @@
+//! Points of interest.
+
+use super::{Argument as _, Color, Highlight, Scope, Variable};
+use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+
+domain! {
+    /// Calls for points of interest.
+    Poi, "poi", POI
+}
+identifiers! { Poi, "poi", POI }
+
+getters! { Poi, "poi", POI;
+    /// Type.
+    get_type "getType" VAR_TYPE 0x4f -> String;
+    /// Position \[m\].
+    get_position "getPosition" VAR_POSITION 0x42 -> [f64; 2];
+    /// Colour.
+    get_color "getColor" VAR_COLOR 0x45 -> Color;
+    /// Width of the image \[m\].
+    get_width "getWidth" VAR_WIDTH 0x4d -> f64;
+    /// Height of the image \[m\].
+    get_height "getHeight" VAR_HEIGHT 0xbc -> f64;
+    /// Angle of the image \[deg\].
+    get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
+    /// File of the image.
+    get_image_file "getImageFile" VAR_IMAGEFILE 0x93 -> String;
+}
+
+setters! { Poi, "poi", POI;
+    /// Sets the type.
+    set_type "setType" 0x4f (kind: &str);
+    /// Moves it \[m\].
+    set_position "setPosition" 0x42 (position: [f64; 2]);
+    /// Sets the colour.
+    set_color "setColor" 0x45 (color: Color);
+    /// Sets the width of the image \[m\].
+    set_width "setWidth" 0x4d (width: f64);
+    /// Sets the height of the image \[m\].
+    set_height "setHeight" 0xbc (height: f64);
+    /// Sets the angle of the image \[deg\].
+    set_angle "setAngle" 0x43 (angle: f64);
+    /// Sets the file of the image.
+    set_image_file "setImageFile" 0x93 (file: &str);
+    /// Removes it from a layer.
+    remove "remove" 0x81 (layer: i32);
+}
+
+/// What a new point of interest looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Appearance<'a> {
+    /// Colour.
+    pub color: Color,
+    /// Type.
+    pub kind: &'a str,
+    /// Layer; the higher covers the lower.
+    pub layer: i32,
+    /// File of the image; empty for none.
+    pub image_file: &'a str,
+    /// Width of the image \[m\].
+    pub width: f64,
+    /// Height of the image \[m\].
+    pub height: f64,
+    /// Angle of the image \[deg\].
+    pub angle: f64,
+}
+
+impl Default for Appearance<'_> {
+    /// A red point.
+    fn default() -> Self {
+        let color = Color::rgb(255, 0, 0);
+        Appearance { color, kind: "", layer: 0, image_file: "", width: 1.0, height: 1.0, angle: 0.0 }
+    }
+}
+
+impl<S: Scope> Poi<'_, S> {
+    /// Makes a new point at a position \[m\].
+    pub fn add(&mut self, id: &str, position: [f64; 2], appearance: &Appearance<'_>) -> S::Output<()> {
+        super::set(self.0, Call::set("poi.add", Domain::POI, 0x80), id, |w| {
+            let Appearance { color, kind, layer, image_file, width, height, angle } = *appearance;
+            w.compound(8).string(kind);
+            color.write(w);
+            w.integer(layer);
+            position.write(w);
+            w.string(image_file).double(width).double(height).double(angle);
+        })
+    }
+
+    /// Draws a circle around it in the graphical interface.
+    pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
+        super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| highlight.write(w))
+    }
+}

@@ -1,0 +1,20 @@
+//! Routes.
+
+use super::{Scope, Variable};
+use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+
+domain! {
+    /// Calls for routes.
+    Route, "route", ROUTE
+}
+identifiers! { Route, "route", ROUTE }
+
+getters! { Route, "route", ROUTE;
+    /// Edges in driving order.
+    get_edges "getEdges" VAR_EDGES 0x54 -> Vec<String>;
+}
+
+setters! { Route, "route", ROUTE;
+    /// Makes a new route of edges in driving order.
+    add "add" 0x80 (edges: &[impl AsRef<str>]);
+}

@@ -1,0 +1,409 @@
+//! The simulation as a whole.
+
+use super::{FromValue, RoadPosition, Scope, Variable};
+use crate::sumo::{
+    Batch, Error,
+    batch::Call,
+    codec::{Value, Writer},
+    constants::{self as c, Domain},
+};
+
+domain! {
+    /// Calls for the simulation as a whole. Where the calls of all domains take an object, it is the
+    /// empty string.
+    Simulation, "simulation", SIMULATION
+}
+
+/// A part of a journey: a vehicle's route, or a walk, a ride or a wait of a person.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stage {
+    /// 1: waits, 2: walks, 3: drives or rides, 4: access, 5: trip, 6: tranship.
+    pub kind: i32,
+    /// Vehicle type.
+    pub vehicle_type: String,
+    /// Line of the vehicle that is ridden.
+    pub line: String,
+    /// Where it ends: stop identifier, or empty.
+    pub destination_stop: String,
+    /// Edges.
+    pub edges: Vec<String>,
+    /// Expected duration \[s\].
+    pub travel_time: f64,
+    /// Cost that routing minimises.
+    pub cost: f64,
+    /// Length \[m\].
+    pub length: f64,
+    /// The vehicle that is meant to be ridden.
+    pub intended: String,
+    /// When it is meant to begin \[s\].
+    pub depart: f64,
+    /// Distance from the start of the first edge \[m\].
+    pub depart_pos: f64,
+    /// Distance from the start of the last edge \[m\].
+    pub arrival_pos: f64,
+    /// What it is for.
+    pub description: String,
+}
+
+impl Stage {
+    /// A wait of a `duration` \[s\].
+    pub fn waiting(duration: f64, description: impl Into<String>) -> Self {
+        Stage { kind: 1, travel_time: duration, description: description.into(), ..Stage::default() }
+    }
+
+    /// A walk along edges to a place on the last one \[m\].
+    pub fn walking(edges: Vec<String>, arrival_pos: f64) -> Self {
+        Stage { kind: 2, edges, travel_time: -1.0, arrival_pos, ..Stage::default() }
+    }
+
+    /// A ride to an edge with any vehicle of a line, or with the vehicle of that identifier.
+    pub fn driving(to: impl Into<String>, line: impl Into<String>) -> Self {
+        Stage { kind: 3, edges: vec![to.into()], line: line.into(), ..Stage::default() }
+    }
+
+    pub(super) fn write(&self, w: &mut Writer) {
+        w.compound(13).integer(self.kind).string(&self.vehicle_type).string(&self.line);
+        w.string(&self.destination_stop).string_list(&self.edges);
+        w.double(self.travel_time).double(self.cost).double(self.length).string(&self.intended);
+        w.double(self.depart).double(self.depart_pos).double(self.arrival_pos).string(&self.description);
+    }
+}
+
+impl Default for Stage {
+    /// Of no kind; what is unknown is [`c::INVALID_DOUBLE_VALUE`] or empty.
+    fn default() -> Self {
+        let unknown = c::INVALID_DOUBLE_VALUE;
+        Stage {
+            kind: -1_073_741_824,
+            vehicle_type: String::new(),
+            line: String::new(),
+            destination_stop: String::new(),
+            edges: Vec::new(),
+            travel_time: unknown,
+            cost: unknown,
+            length: unknown,
+            intended: String::new(),
+            depart: unknown,
+            depart_pos: unknown,
+            arrival_pos: unknown,
+            description: String::new(),
+        }
+    }
+}
+
+impl super::value::FromFields for Stage {
+    fn from_fields(fields: &mut super::Fields) -> Result<Self, Error> {
+        Ok(Stage {
+            kind: fields.take()?,
+            vehicle_type: fields.take()?,
+            line: fields.take()?,
+            destination_stop: fields.take()?,
+            edges: fields.take()?,
+            travel_time: fields.take()?,
+            cost: fields.take()?,
+            length: fields.take()?,
+            intended: fields.take()?,
+            depart: fields.take()?,
+            depart_pos: fields.take()?,
+            arrival_pos: fields.take()?,
+            description: fields.take()?,
+        })
+    }
+}
+nested_list! { Stage }
+
+record! {
+    /// A collision of two vehicles, or of a vehicle and a person.
+    Collision {
+        /// The one that runs into the other.
+        collider: String,
+        /// The other.
+        victim: String,
+        /// Type of the first.
+        collider_type: String,
+        /// Type of the other.
+        victim_type: String,
+        /// Speed of the first \[m/s\].
+        collider_speed: f64,
+        /// Speed of the other \[m/s\].
+        victim_speed: f64,
+        /// Sort, such as `collision` or `junction`.
+        kind: String,
+        /// The lane.
+        lane: String,
+        /// Distance from the start of the lane \[m\].
+        pos: f64,
+    }
+}
+flat_list! { Collision }
+
+global_getters! { Simulation, "simulation", SIMULATION;
+    /// Time \[s\].
+    get_time "getTime" VAR_TIME 0x66 -> f64;
+    /// Time \[ms\].
+    get_current_time "getCurrentTime" VAR_TIME_STEP 0x70 -> i32;
+    /// When it will end \[s\]; -1: not known.
+    get_end_time "getEndTime" VAR_END 0x1d -> f64;
+    /// Number of vehicles loaded within the last step.
+    get_loaded_number "getLoadedNumber" VAR_LOADED_VEHICLES_NUMBER 0x71 -> i32;
+    /// Vehicles loaded within the last step.
+    get_loaded_id_list "getLoadedIDList" VAR_LOADED_VEHICLES_IDS 0x72 -> Vec<String>;
+    /// Number of vehicles that departed within the last step.
+    get_departed_number "getDepartedNumber" VAR_DEPARTED_VEHICLES_NUMBER 0x73 -> i32;
+    /// Vehicles that departed within the last step.
+    get_departed_id_list "getDepartedIDList" VAR_DEPARTED_VEHICLES_IDS 0x74 -> Vec<String>;
+    /// Number of vehicles that arrived within the last step.
+    get_arrived_number "getArrivedNumber" VAR_ARRIVED_VEHICLES_NUMBER 0x79 -> i32;
+    /// Vehicles that arrived within the last step.
+    get_arrived_id_list "getArrivedIDList" VAR_ARRIVED_VEHICLES_IDS 0x7a -> Vec<String>;
+    /// Number of persons that departed within the last step.
+    get_departed_person_number "getDepartedPersonNumber" VAR_DEPARTED_PERSONS_NUMBER 0x24 -> i32;
+    /// Persons that departed within the last step.
+    get_departed_person_id_list "getDepartedPersonIDList" VAR_DEPARTED_PERSONS_IDS 0x25 -> Vec<String>;
+    /// Number of persons that arrived within the last step.
+    get_arrived_person_number "getArrivedPersonNumber" VAR_ARRIVED_PERSONS_NUMBER 0x26 -> i32;
+    /// Persons that arrived within the last step.
+    get_arrived_person_id_list "getArrivedPersonIDList" VAR_ARRIVED_PERSONS_IDS 0x27 -> Vec<String>;
+    /// Number of vehicles that began to park within the last step.
+    get_parking_starting_vehicles_number "getParkingStartingVehiclesNumber" VAR_PARKING_STARTING_VEHICLES_NUMBER 0x6c
+        -> i32;
+    /// Vehicles that began to park within the last step.
+    get_parking_starting_vehicles_id_list "getParkingStartingVehiclesIDList" VAR_PARKING_STARTING_VEHICLES_IDS 0x6d
+        -> Vec<String>;
+    /// Number of vehicles that ended to park within the last step.
+    get_parking_ending_vehicles_number "getParkingEndingVehiclesNumber" VAR_PARKING_ENDING_VEHICLES_NUMBER 0x6e -> i32;
+    /// Vehicles that ended to park within the last step.
+    get_parking_ending_vehicles_id_list "getParkingEndingVehiclesIDList" VAR_PARKING_ENDING_VEHICLES_IDS 0x6f
+        -> Vec<String>;
+    /// Number of vehicles that reached a stop within the last step.
+    get_stop_starting_vehicles_number "getStopStartingVehiclesNumber" VAR_STOP_STARTING_VEHICLES_NUMBER 0x68 -> i32;
+    /// Vehicles that reached a stop within the last step.
+    get_stop_starting_vehicles_id_list "getStopStartingVehiclesIDList" VAR_STOP_STARTING_VEHICLES_IDS 0x69
+        -> Vec<String>;
+    /// Number of vehicles that left a stop within the last step.
+    get_stop_ending_vehicles_number "getStopEndingVehiclesNumber" VAR_STOP_ENDING_VEHICLES_NUMBER 0x6a -> i32;
+    /// Vehicles that left a stop within the last step.
+    get_stop_ending_vehicles_id_list "getStopEndingVehiclesIDList" VAR_STOP_ENDING_VEHICLES_IDS 0x6b -> Vec<String>;
+    /// Number of vehicles that began to collide within the last step.
+    get_colliding_vehicles_number "getCollidingVehiclesNumber" VAR_COLLIDING_VEHICLES_NUMBER 0x80 -> i32;
+    /// Vehicles that began to collide within the last step.
+    get_colliding_vehicles_id_list "getCollidingVehiclesIDList" VAR_COLLIDING_VEHICLES_IDS 0x81 -> Vec<String>;
+    /// Number of vehicles that braked harder than they can within the last step.
+    get_emergency_stopping_vehicles_number "getEmergencyStoppingVehiclesNumber"
+        VAR_EMERGENCYSTOPPING_VEHICLES_NUMBER 0x89 -> i32;
+    /// Vehicles that braked harder than they can within the last step.
+    get_emergency_stopping_vehicles_id_list "getEmergencyStoppingVehiclesIDList"
+        VAR_EMERGENCYSTOPPING_VEHICLES_IDS 0x8a -> Vec<String>;
+    /// Number of vehicles and persons on the way or yet to depart.
+    get_min_expected_number "getMinExpectedNumber" VAR_MIN_EXPECTED_VEHICLES 0x7d -> i32;
+    /// Bus stops.
+    get_bus_stop_id_list "getBusStopIDList" VAR_BUS_STOP_ID_LIST 0x9f -> Vec<String>;
+    /// Number of vehicles that SUMO began to teleport within the last step.
+    get_starting_teleport_number "getStartingTeleportNumber" VAR_TELEPORT_STARTING_VEHICLES_NUMBER 0x75 -> i32;
+    /// Vehicles that SUMO began to teleport within the last step.
+    get_starting_teleport_id_list "getStartingTeleportIDList" VAR_TELEPORT_STARTING_VEHICLES_IDS 0x76 -> Vec<String>;
+    /// Number of vehicles that SUMO put back on the road within the last step.
+    get_ending_teleport_number "getEndingTeleportNumber" VAR_TELEPORT_ENDING_VEHICLES_NUMBER 0x77 -> i32;
+    /// Vehicles that SUMO put back on the road within the last step.
+    get_ending_teleport_id_list "getEndingTeleportIDList" VAR_TELEPORT_ENDING_VEHICLES_IDS 0x78 -> Vec<String>;
+    /// Collisions within the last step; they are repeated while they last.
+    get_collisions "getCollisions" VAR_COLLISIONS 0x23 -> Vec<Collision>;
+    /// Vehicles that wait to depart.
+    get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
+    /// Factor on the number of vehicles.
+    get_scale "getScale" VAR_SCALE 0x8e -> f64;
+    /// Step length \[s\].
+    get_delta_t "getDeltaT" VAR_DELTA_T 0x7b -> f64;
+    /// Lower left and upper right corner of the net \[m\].
+    get_net_boundary "getNetBoundary" VAR_NET_BOUNDING_BOX 0x7c -> Vec<[f64; 2]>;
+}
+
+getters! { Simulation, "simulation", SIMULATION;
+    /// Number of persons that wait at a bus stop.
+    get_bus_stop_waiting "getBusStopWaiting" VAR_BUS_STOP_WAITING 0x67 -> i32;
+    /// Persons that wait at a bus stop.
+    get_bus_stop_waiting_id_list "getBusStopWaitingIDList" VAR_BUS_STOP_WAITING_IDS 0xef -> Vec<String>;
+    /// An option of SUMO's command line, by its long name without dashes.
+    get_option "getOption" VAR_OPTION 0x32 -> String;
+}
+
+/// What [`Simulation::find_route`] needs besides the two ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RouteQuery<'a> {
+    /// Vehicle type; empty: the default one.
+    pub vehicle_type: &'a str,
+    /// Departure \[s\]; negative: now.
+    pub depart: f64,
+    /// 0: default, 1: aggregated travel times.
+    pub routing_mode: i32,
+}
+
+impl Default for RouteQuery<'_> {
+    fn default() -> Self {
+        RouteQuery { vehicle_type: "", depart: -1.0, routing_mode: 0 }
+    }
+}
+
+/// What [`Simulation::find_intermodal_route`] needs besides the two ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct IntermodalQuery<'a> {
+    /// Ways to travel besides walking, joined by blanks: `car`, `bicycle`, `public`, `taxi`.
+    pub modes: &'a str,
+    /// Departure \[s\]; negative: now.
+    pub depart: f64,
+    /// 0: default, 1: aggregated travel times.
+    pub routing_mode: i32,
+    /// Walking speed \[m/s\]; negative: that of the person type.
+    pub speed: f64,
+    /// Factor on the walking speed for routing; negative: the default.
+    pub walk_factor: f64,
+    /// Distance from the start of the first edge \[m\].
+    pub depart_pos: f64,
+    /// Distance from the start of the last edge \[m\]; [`c::INVALID_DOUBLE_VALUE`]: its middle.
+    pub arrival_pos: f64,
+    /// Lateral place on the first edge \[m\].
+    pub depart_pos_lat: f64,
+    /// Person type; empty: the default one.
+    pub person_type: &'a str,
+    /// Vehicle type; empty: the default one.
+    pub vehicle_type: &'a str,
+    /// Stop where the journey ends; empty: none.
+    pub destination_stop: &'a str,
+}
+
+impl Default for IntermodalQuery<'_> {
+    fn default() -> Self {
+        IntermodalQuery {
+            modes: "",
+            depart: -1.0,
+            routing_mode: 0,
+            speed: -1.0,
+            walk_factor: -1.0,
+            depart_pos: 0.0,
+            arrival_pos: c::INVALID_DOUBLE_VALUE,
+            depart_pos_lat: 0.0,
+            person_type: "",
+            vehicle_type: "",
+            destination_stop: "",
+        }
+    }
+}
+
+const CONVERT: u8 = 0x82;
+const DISTANCE: u8 = 0x83;
+
+const fn call(name: &'static str, variable: u8) -> Call {
+    Call::get(name, Domain::SIMULATION, variable)
+}
+
+const fn change(name: &'static str, variable: u8) -> Call {
+    Call::set(name, Domain::SIMULATION, variable)
+}
+
+impl<S: Scope> Simulation<'_, S> {
+    /// Where a place on a lane lies: x and y \[m\], or longitude and latitude \[deg\] if `to_geo`.
+    pub fn convert2d(&mut self, edge: &str, pos: f64, lane: u8, to_geo: bool) -> S::Output<[f64; 2]> {
+        super::get(self.0, call("simulation.convert2D", CONVERT), "", |w| {
+            let kind = if to_geo { c::POSITION_LON_LAT } else { c::POSITION_2D };
+            w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
+        })
+    }
+
+    /// As `convert2d`, with the height \[m\].
+    pub fn convert3d(&mut self, edge: &str, pos: f64, lane: u8, to_geo: bool) -> S::Output<[f64; 3]> {
+        super::get(self.0, call("simulation.convert3D", CONVERT), "", |w| {
+            let kind = if to_geo { c::POSITION_LON_LAT_ALT } else { c::POSITION_3D };
+            w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
+        })
+    }
+
+    /// The place on a lane, of those that a vehicle class may use (`ignoring`: all), that is closest to
+    /// x and y \[m\], or to longitude and latitude \[deg\] if `is_geo`.
+    pub fn convert_road(&mut self, position: [f64; 2], is_geo: bool, class: &str) -> S::Output<RoadPosition> {
+        super::get(self.0, call("simulation.convertRoad", CONVERT), "", |w| {
+            w.compound(3).position(position, is_geo).u8(c::TYPE_UBYTE).u8(c::POSITION_ROADMAP).string(class);
+        })
+    }
+
+    /// Longitude and latitude \[deg\] of x and y \[m\]; the other way round if `from_geo`.
+    pub fn convert_geo(&mut self, position: [f64; 2], from_geo: bool) -> S::Output<[f64; 2]> {
+        super::get(self.0, call("simulation.convertGeo", CONVERT), "", |w| {
+            let kind = if from_geo { c::POSITION_2D } else { c::POSITION_LON_LAT };
+            w.compound(2).position(position, from_geo).u8(c::TYPE_UBYTE).u8(kind);
+        })
+    }
+
+    /// Distance \[m\] in the air, or along the roads if `is_driving`, between two positions: x and y \[m\], or
+    /// longitude and latitude \[deg\] if `is_geo`.
+    pub fn get_distance2d(&mut self, from: [f64; 2], to: [f64; 2], is_geo: bool, is_driving: bool) -> S::Output<f64> {
+        super::get(self.0, call("simulation.getDistance2D", DISTANCE), "", |w| {
+            w.compound(3).position(from, is_geo).position(to, is_geo).u8(is_driving.into());
+        })
+    }
+
+    /// Distance \[m\] in the air, or along the roads if `is_driving`, between two places: edge and distance
+    /// from its start \[m\].
+    pub fn get_distance_road(&mut self, from: (&str, f64), to: (&str, f64), is_driving: bool) -> S::Output<f64> {
+        super::get(self.0, call("simulation.getDistanceRoad", DISTANCE), "", |w| {
+            w.compound(3).road_position(from.0, from.1, 0).road_position(to.0, to.1, 0).u8(is_driving.into());
+        })
+    }
+
+    /// The fastest route of a vehicle from one edge to another.
+    pub fn find_route(&mut self, from: &str, to: &str, query: &RouteQuery<'_>) -> S::Output<Stage> {
+        super::get(self.0, call("simulation.findRoute", 0x86), "", |w| {
+            w.compound(5).string(from).string(to).string(query.vehicle_type);
+            w.double(query.depart).integer(query.routing_mode);
+        })
+    }
+
+    /// The fastest journey of a person from one edge to another.
+    pub fn find_intermodal_route(
+        &mut self,
+        from: &str,
+        to: &str,
+        query: &IntermodalQuery<'_>,
+    ) -> S::Output<Vec<Stage>> {
+        super::get(self.0, call("simulation.findIntermodalRoute", 0x87), "", |w| {
+            w.compound(13).string(from).string(to).string(query.modes);
+            w.double(query.depart).integer(query.routing_mode).double(query.speed).double(query.walk_factor);
+            w.double(query.depart_pos).double(query.arrival_pos).double(query.depart_pos_lat);
+            w.string(query.person_type).string(query.vehicle_type).string(query.destination_stop);
+        })
+    }
+
+    /// Sets the factor on the number of vehicles.
+    pub fn set_scale(&mut self, scale: f64) -> S::Output<()> {
+        super::set(self.0, change("simulation.setScale", VAR_SCALE.id()), "", |w| {
+            w.double(scale);
+        })
+    }
+
+    /// Forgets the vehicles of a route that wait to depart; of all routes if that is empty.
+    pub fn clear_pending(&mut self, route: &str) -> S::Output<()> {
+        self.text("simulation.clearPending", 0x94, route)
+    }
+
+    /// Writes the state of the simulation to a file. Its precision and whether it holds the state of the
+    /// random numbers are options of SUMO: `--save-state.precision`, `--save-state.rng`.
+    pub fn save_state(&mut self, file: &str) -> S::Output<()> {
+        self.text("simulation.saveState", 0x95, file)
+    }
+
+    /// Goes back to the state that a file holds. All subscriptions are lost. SUMO 1.15 needs `SUMO_HOME`, or
+    /// `--xml-validation never` among its arguments.
+    pub fn load_state(&mut self, file: &str) -> S::Output<()> {
+        self.text("simulation.loadState", 0x96, file)
+    }
+
+    /// Writes a line to SUMO's messages.
+    pub fn write_message(&mut self, message: &str) -> S::Output<()> {
+        self.text("simulation.writeMessage", 0x65, message)
+    }
+
+    fn text(&mut self, name: &'static str, variable: u8, text: &str) -> S::Output<()> {
+        super::set(self.0, change(name, variable), "", |w| {
+            w.string(text);
+        })
+    }
+}

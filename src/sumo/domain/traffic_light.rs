@@ -1,0 +1,279 @@
+//! Traffic lights.
+
+use super::{FromValue, Scope, Variable, value::FromFields};
+use crate::sumo::{
+    Batch, Client, Error,
+    batch::Call,
+    codec::{Value, Writer},
+    constants::Domain,
+};
+
+domain! {
+    /// Calls for traffic lights.
+    TrafficLight, "trafficlight", TRAFFIC_LIGHT
+}
+identifiers! { TrafficLight, "trafficlight", TRAFFIC_LIGHT }
+
+/// A phase of a traffic light's program.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Phase {
+    /// Duration \[s\].
+    pub duration: f64,
+    /// One letter for each signal, such as `GrGr`.
+    pub state: String,
+    /// Shortest duration of an adaptive program \[s\]; negative: none.
+    pub min_dur: f64,
+    /// Longest duration of an adaptive program \[s\]; negative: none.
+    pub max_dur: f64,
+    /// Indices of the phases that may follow; empty: the next one.
+    pub next: Vec<i32>,
+    /// Name.
+    pub name: String,
+}
+
+impl Phase {
+    /// A phase without limits and name: duration \[s\], and one letter for each signal.
+    pub fn new(duration: f64, state: impl Into<String>) -> Self {
+        Phase { duration, state: state.into(), min_dur: -1.0, max_dur: -1.0, next: Vec::new(), name: String::new() }
+    }
+}
+
+/// A program of a traffic light.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Logic {
+    /// Program identifier.
+    pub program_id: String,
+    /// 0: fixed times, 3: actuated, 4: by delay.
+    pub kind: i32,
+    /// Index of the phase of the moment.
+    pub current_phase_index: i32,
+    /// Phases.
+    pub phases: Vec<Phase>,
+    /// Parameters: name and value.
+    pub parameters: Vec<(String, String)>,
+}
+
+/// A way across the junction that a signal controls.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Link {
+    /// The lane that it comes from.
+    pub from: String,
+    /// The lane that it leads to.
+    pub to: String,
+    /// The lane inside the junction.
+    pub via: String,
+}
+
+record! {
+    /// A rail signal's duty to let another train go first.
+    Constraint {
+        /// The signal that waits.
+        signal_id: String,
+        /// The trip that waits.
+        trip_id: String,
+        /// The trip that goes first.
+        foe_id: String,
+        /// The signal that the first trip passes.
+        foe_signal: String,
+        /// How many trips back it is looked for.
+        limit: i32,
+        /// 0: predecessor, 1: insertion predecessor; more in SUMO's manual.
+        kind: i32,
+        /// Whether it holds the train up now.
+        must_wait: bool,
+        /// Whether it is in force.
+        active: bool,
+        /// Parameters: name, value, name, value…
+        parameters: Vec<String>,
+    }
+}
+flat_list! { Constraint }
+
+impl FromValue for Phase {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        super::compound(value, |fields| {
+            Ok(Phase {
+                duration: fields.take()?,
+                state: fields.take()?,
+                min_dur: fields.take()?,
+                max_dur: fields.take()?,
+                next: super::compound(fields.take()?, super::Fields::rest)?,
+                name: fields.take()?,
+            })
+        })
+    }
+}
+
+impl FromValue for Logic {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        super::compound(value, |fields| {
+            Ok(Logic {
+                program_id: fields.take()?,
+                kind: fields.take()?,
+                current_phase_index: fields.take()?,
+                phases: super::compound(fields.take()?, super::Fields::rest)?,
+                parameters: super::compound(fields.take()?, super::Fields::rest::<Vec<String>>)?
+                    .into_iter()
+                    .map(|pair| {
+                        let mut pair = pair.into_iter();
+                        (pair.next().unwrap_or_default(), pair.next().unwrap_or_default())
+                    })
+                    .collect(),
+            })
+        })
+    }
+}
+
+impl FromValue for Vec<Logic> {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        super::compound(value, super::Fields::rest)
+    }
+}
+
+impl FromValue for Link {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        match <[String; 3]>::try_from(Vec::from_value(value)?) {
+            Ok([from, to, via]) => Ok(Link { from, to, via }),
+            Err(other) => {
+                let found = format!("{} strings", other.len());
+                Err(Error::Protocol { expected: "three lanes", found, at_byte: 0 })
+            }
+        }
+    }
+}
+
+/// The links of one signal.
+struct Links(Vec<Link>);
+
+impl FromFields for Links {
+    fn from_fields(fields: &mut super::Fields) -> Result<Self, Error> {
+        let count: i32 = fields.take()?;
+        Ok(Links((0..count).map(|_| fields.take()).collect::<Result<_, _>>()?))
+    }
+}
+
+impl FromValue for Vec<Vec<Link>> {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        let signals: Vec<Links> = super::compound(value, super::Fields::records)?;
+        Ok(signals.into_iter().map(|links| links.0).collect())
+    }
+}
+
+getters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
+    /// State of the signals, one letter for each.
+    get_red_yellow_green_state "getRedYellowGreenState" TL_RED_YELLOW_GREEN_STATE 0x20 -> String;
+    /// All programs.
+    get_all_program_logics "getAllProgramLogics" TL_COMPLETE_DEFINITION_RYG 0x2b -> Vec<Logic>;
+    /// Lanes that each signal controls.
+    get_controlled_lanes "getControlledLanes" TL_CONTROLLED_LANES 0x26 -> Vec<String>;
+    /// For each signal, the ways that it controls.
+    get_controlled_links "getControlledLinks" TL_CONTROLLED_LINKS 0x27 -> Vec<Vec<Link>>;
+    /// The program of the moment.
+    get_program "getProgram" TL_CURRENT_PROGRAM 0x29 -> String;
+    /// Index of the phase of the moment.
+    get_phase "getPhase" TL_CURRENT_PHASE 0x28 -> i32;
+    /// Name of the phase of the moment.
+    get_phase_name "getPhaseName" VAR_NAME 0x1b -> String;
+    /// When the phase will end \[s\].
+    get_next_switch "getNextSwitch" TL_NEXT_SWITCH 0x2d -> f64;
+    /// Duration of the phase of the moment \[s\].
+    get_phase_duration "getPhaseDuration" TL_PHASE_DURATION 0x24 -> f64;
+    /// Number of persons that the phase of that index would serve.
+    get_served_person_count "getServedPersonCount" VAR_PERSON_NUMBER 0x67 (phase: i32) -> i32;
+    /// Vehicles that keep a rail signal from opening the way of a link.
+    get_blocking_vehicles "getBlockingVehicles" TL_BLOCKING_VEHICLES 0x25 (link: i32) -> Vec<String>;
+    /// Vehicles that want to pass where a link of a rail signal leads.
+    get_rival_vehicles "getRivalVehicles" TL_RIVAL_VEHICLES 0x30 (link: i32) -> Vec<String>;
+    /// Vehicles that go before those of a link of a rail signal.
+    get_priority_vehicles "getPriorityVehicles" TL_PRIORITY_VEHICLES 0x31 (link: i32) -> Vec<String>;
+    /// Constraints of a rail signal for a trip; of all trips if that is empty.
+    get_constraints "getConstraints" TL_CONSTRAINT 0x2f (trip: &str) -> Vec<Constraint>;
+    /// Constraints of other signals that wait for a trip at this one; for any trip if that is empty.
+    get_constraints_by_foe "getConstraintsByFoe" TL_CONSTRAINT_BYFOE 0x34 (foe: &str) -> Vec<Constraint>;
+    /// Lets the foe wait instead of the trip; returns the constraints that came of it.
+    swap_constraints "swapConstraints" TL_CONSTRAINT_SWAP 0x32 [trip: &str, foe_signal: &str, foe: &str]
+        -> Vec<Constraint>;
+}
+
+setters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
+    /// Sets the signals, one letter for each; the light no longer follows a program then.
+    set_red_yellow_green_state "setRedYellowGreenState" 0x20 (state: &str);
+    /// Switches to a phase of the program.
+    set_phase "setPhase" 0x22 (index: i32);
+    /// Sets the name of the phase of the moment.
+    set_phase_name "setPhaseName" 0x1b (name: &str);
+    /// Switches to a program.
+    set_program "setProgram" 0x23 (program: &str);
+    /// Sets how long the phase of the moment will last from now on \[s\].
+    set_phase_duration "setPhaseDuration" 0x24 (duration: f64);
+    /// Drops the constraints of a trip for a foe at a signal; empty: any.
+    remove_constraints "removeConstraints" 0x35 [trip: &str, foe_signal: &str, foe: &str];
+    /// Drops the constraints that no longer fit a trip's route.
+    update_constraints "updateConstraints" 0x36 (trip: &str);
+}
+
+impl<S: Scope> TrafficLight<'_, S> {
+    /// Makes a new program, or replaces that of the same identifier, and switches to it.
+    pub fn set_program_logic(&mut self, id: &str, logic: &Logic) -> S::Output<()> {
+        let call = Call::set("trafficlight.setProgramLogic", Domain::TRAFFIC_LIGHT, 0x2c);
+        super::set(self.0, call, id, |w| write_logic(w, logic))
+    }
+
+    /// Phases that vehicles call for at a NEMA controller, joined by commas.
+    pub fn get_nema_phase_calls(&mut self, id: &str) -> S::Output<String> {
+        self.get_parameter(id, "NEMA.phaseCall")
+    }
+
+    /// Sets the splits of a NEMA controller \[s\], joined by blanks.
+    pub fn set_nema_splits(&mut self, id: &str, splits: &str) -> S::Output<()> {
+        self.set_parameter(id, "NEMA.splits", splits)
+    }
+
+    /// Sets the longest greens of a NEMA controller \[s\], joined by blanks.
+    pub fn set_nema_max_greens(&mut self, id: &str, greens: &str) -> S::Output<()> {
+        self.set_parameter(id, "NEMA.maxGreens", greens)
+    }
+
+    /// Sets the cycle of a NEMA controller \[s\].
+    pub fn set_nema_cycle_length(&mut self, id: &str, length: f64) -> S::Output<()> {
+        self.set_parameter(id, "NEMA.cycleLength", &length.to_string())
+    }
+
+    /// Sets the offset of a NEMA controller \[s\].
+    pub fn set_nema_offset(&mut self, id: &str, offset: f64) -> S::Output<()> {
+        self.set_parameter(id, "NEMA.offset", &offset.to_string())
+    }
+}
+
+impl TrafficLight<'_, Client> {
+    /// Sets one signal, by its index, and leaves the others: two exchanges.
+    ///
+    /// # Errors
+    /// As all calls; [`Error::Invalid`] if there is no such signal.
+    pub fn set_link_state(&mut self, id: &str, index: usize, state: char) -> Result<(), Error> {
+        let mut states: Vec<char> = self.get_red_yellow_green_state(id)?.chars().collect();
+        let count = states.len();
+        let Some(signal) = states.get_mut(index) else {
+            return Err(Error::invalid(format!("`{id}` has {count} signals: there is none of index {index}")));
+        };
+        *signal = state;
+        self.set_red_yellow_green_state(id, &String::from_iter(states))
+    }
+}
+
+fn write_logic(w: &mut Writer, logic: &Logic) {
+    w.compound(5).string(&logic.program_id).integer(logic.kind).integer(logic.current_phase_index);
+    w.compound(logic.phases.len() as i32);
+    for phase in &logic.phases {
+        w.compound(6).double(phase.duration).string(&phase.state).double(phase.min_dur).double(phase.max_dur);
+        w.compound(phase.next.len() as i32);
+        for next in &phase.next {
+            w.integer(*next);
+        }
+        w.string(&phase.name);
+    }
+    w.compound(logic.parameters.len() as i32);
+    for (name, value) in &logic.parameters {
+        w.string_list(&[name, value]);
+    }
+}

@@ -1,0 +1,427 @@
+//! Vehicles.
+
+use super::{Color, FromValue, Scope, Variable};
+use crate::sumo::{Batch, Error, batch::Call, codec::Value, constants::Domain};
+
+mod changes;
+mod filters;
+
+pub use changes::{Addition, Gap, Placement, Stop, StopChange};
+
+domain! {
+    /// Calls for vehicles.
+    Vehicle, "vehicle", VEHICLE
+}
+identifiers! { Vehicle, "vehicle", VEHICLE }
+type_attributes! { Vehicle, "vehicle", VEHICLE }
+emissions! { Vehicle, "vehicle", VEHICLE }
+
+record! {
+    /// Another vehicle, and how far away it is.
+    Neighbor {
+        /// Vehicle identifier.
+        id: String,
+        /// Distance from bumper to bumper, less the minimum gap of the one behind \[m\].
+        gap: f64,
+    }
+}
+flat_list! { Neighbor }
+
+impl FromValue for Option<Neighbor> {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        let neighbor: Neighbor = super::compound(value, super::value::FromFields::from_fields)?;
+        Ok(Some(neighbor).filter(|neighbor| !neighbor.id.is_empty()))
+    }
+}
+
+record! {
+    /// A lane of the vehicle's edge, and how well it suits the route.
+    BestLane {
+        /// Lane identifier.
+        lane: String,
+        /// How far the vehicle gets without a change of lanes \[m\].
+        length: f64,
+        /// Length that vehicles cover on that way \[m\].
+        occupation: f64,
+        /// How many lanes the best one is to the left; negative: to the right.
+        offset: i32,
+        /// Whether the route goes on from it.
+        allows_continuation: bool,
+        /// The lanes on from it.
+        next: Vec<String>,
+    }
+}
+flat_list! { BestLane }
+
+record! {
+    /// A traffic light on the way.
+    NextTls {
+        /// Traffic light identifier.
+        id: String,
+        /// Index of the signal.
+        index: i32,
+        /// Distance \[m\].
+        distance: f64,
+        /// State of the signal.
+        state: char,
+    }
+}
+flat_list! { NextTls }
+
+record! {
+    /// A stop on the way, in short.
+    NextStop {
+        /// Lane.
+        lane: String,
+        /// Distance of its end from the start of the lane \[m\].
+        end_pos: f64,
+        /// Bus stop, parking area or the like; empty for none.
+        stopping_place: String,
+        /// Bits, see [`Stop::flags`].
+        flags: i32,
+        /// Duration \[s\].
+        duration: f64,
+        /// Not before this time \[s\].
+        until: f64,
+    }
+}
+flat_list! { NextStop }
+
+record! {
+    /// A stop of the past or on the way.
+    StopData {
+        /// Lane.
+        lane: String,
+        /// Distance of its end from the start of the lane \[m\].
+        end_pos: f64,
+        /// Bus stop, parking area or the like; empty for none.
+        stopping_place: String,
+        /// Bits, see [`Stop::flags`].
+        flags: i32,
+        /// Duration \[s\].
+        duration: f64,
+        /// Not before this time \[s\].
+        until: f64,
+        /// Distance of its start from the start of the lane \[m\].
+        start_pos: f64,
+        /// Arrival that was meant \[s\].
+        intended_arrival: f64,
+        /// Arrival \[s\].
+        arrival: f64,
+        /// Departure \[s\].
+        depart: f64,
+        /// The vehicle that is split off here.
+        split: String,
+        /// The vehicle that is joined to here.
+        join: String,
+        /// What it is for.
+        act_type: String,
+        /// Trip from here on.
+        trip_id: String,
+        /// Line from here on.
+        line: String,
+        /// Speed of a stop that is only passed \[m/s\].
+        speed: f64,
+    }
+}
+flat_list! { StopData }
+
+record! {
+    /// What a vehicle thinks of a change to one side; bits as in SUMO's `LaneChangeAction`.
+    LaneChangeState {
+        /// By itself.
+        state: i32,
+        /// Together with what it was told.
+        state_traci: i32,
+    }
+}
+impl FromValue for LaneChangeState {
+    fn from_value(value: Value) -> Result<Self, Error> {
+        super::compound(value, super::value::FromFields::from_fields)
+    }
+}
+
+/// Bits of [`LaneChangeState`]: wants to the left; wants to the right; cannot (leaders, followers, space,
+/// speed); nothing is known.
+const LEFT: i32 = 1 << 1;
+const RIGHT: i32 = 1 << 2;
+const BLOCKED: i32 = 0b1111 << 9 | 1 << 14 | 1 << 28;
+const UNKNOWN: i32 = 1 << 30;
+
+impl LaneChangeState {
+    fn blocked(state: i32) -> bool {
+        state & BLOCKED != 0
+    }
+
+    /// Whether the vehicle changed to the side (`LEFT` or `RIGHT`) in the last step, so that what it thought
+    /// of it is past.
+    fn changed(&self, side: i32) -> bool {
+        self.state_traci & side != 0 && !Self::blocked(self.state_traci)
+    }
+
+    fn could(&self, side: i32) -> bool {
+        !self.changed(side) && self.state != UNKNOWN && !Self::blocked(self.state)
+    }
+
+    fn wants_and_could(&self, side: i32) -> bool {
+        !self.changed(side) && self.state & side != 0 && !Self::blocked(self.state)
+    }
+
+    /// SUMO's words for the bits of a state.
+    pub fn words(state: i32) -> Vec<&'static str> {
+        let bits = STATE_WORDS.iter().enumerate().filter(|(bit, _)| state & (1 << bit) != 0);
+        bits.map(|(_, word)| *word).collect()
+    }
+}
+
+const STATE_WORDS: [&str; 16] = [
+    "stay",
+    "left",
+    "right",
+    "strategic",
+    "cooperative",
+    "speedGain",
+    "keepRight",
+    "TraCI",
+    "urgent",
+    "blocked by left leader",
+    "blocked by left follower",
+    "blocked by right leader",
+    "blocked by right follower",
+    "overlapping",
+    "insufficient space",
+    "sublane",
+];
+
+getters! { Vehicle, "vehicle", VEHICLE;
+    /// Speed \[m/s\].
+    get_speed "getSpeed" VAR_SPEED 0x40 -> f64;
+    /// Speed to the left \[m/s\].
+    get_lateral_speed "getLateralSpeed" VAR_SPEED_LAT 0x32 -> f64;
+    /// Acceleration within the last step \[m/s²\].
+    get_acceleration "getAcceleration" VAR_ACCELERATION 0x72 -> f64;
+    /// Speed that the vehicle would have if it had been told nothing \[m/s\].
+    get_speed_without_traci "getSpeedWithoutTraCI" VAR_SPEED_WITHOUT_TRACI 0xb1 -> f64;
+    /// Position of the centre of the front bumper \[m\].
+    get_position "getPosition" VAR_POSITION 0x42 -> [f64; 2];
+    /// Position of the centre of the front bumper, with height \[m\].
+    get_position3d "getPosition3D" VAR_POSITION3D 0x39 -> [f64; 3];
+    /// Navigational angle \[deg\].
+    get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
+    /// Edge.
+    get_road_id "getRoadID" VAR_ROAD_ID 0x50 -> String;
+    /// Lane.
+    get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
+    /// Index of the lane, 0 is the rightmost.
+    get_lane_index "getLaneIndex" VAR_LANE_INDEX 0x52 -> i32;
+    /// Vehicle type.
+    get_type_id "getTypeID" VAR_TYPE 0x4f -> String;
+    /// Route.
+    get_route_id "getRouteID" VAR_ROUTE_ID 0x53 -> String;
+    /// Index of the edge in the route; -1: not departed.
+    get_route_index "getRouteIndex" VAR_ROUTE_INDEX 0x69 -> i32;
+    /// Edges of the route.
+    get_route "getRoute" VAR_EDGES 0x54 -> Vec<String>;
+    /// Distance of the front bumper from the start of the lane \[m\].
+    get_lane_position "getLanePosition" VAR_LANEPOSITION 0x56 -> f64;
+    /// Number of persons on board.
+    get_person_number "getPersonNumber" VAR_PERSON_NUMBER 0x67 -> i32;
+    /// Persons on board.
+    get_person_id_list "getPersonIDList" LAST_STEP_PERSON_ID_LIST 0x1a -> Vec<String>;
+    /// Travel time of an edge that the vehicle's routing assumes for a time of the simulation \[s\].
+    get_adapted_traveltime "getAdaptedTraveltime" VAR_EDGE_TRAVELTIME 0x58 [time: f64, edge: &str] -> f64;
+    /// Effort of an edge that the vehicle's routing assumes for a time of the simulation \[s\].
+    get_effort "getEffort" VAR_EDGE_EFFORT 0x59 [time: f64, edge: &str] -> f64;
+    /// Whether the route is connected.
+    is_route_valid "isRouteValid" VAR_ROUTE_VALID 0x92 -> bool;
+    /// Bits of the lights and indicators.
+    get_signals "getSignals" VAR_SIGNALS 0x5b -> i32;
+    /// Distance to the left of the middle of the lane \[m\].
+    get_lateral_lane_position "getLateralLanePosition" VAR_LANEPOSITION_LAT 0xb8 -> f64;
+    /// Highest speed that the lane allows the vehicle \[m/s\].
+    get_allowed_speed "getAllowedSpeed" VAR_ALLOWED_SPEED 0xb7 -> f64;
+    /// Time since the vehicle last moved, stops aside \[s\].
+    get_waiting_time "getWaitingTime" VAR_WAITING_TIME 0x7a -> f64;
+    /// Waiting time within SUMO's `--waiting-time-memory` \[s\].
+    get_accumulated_waiting_time "getAccumulatedWaitingTime" VAR_ACCUMULATED_WAITING_TIME 0x87 -> f64;
+    /// Bits of the lane change mode.
+    get_lane_change_mode "getLaneChangeMode" VAR_LANECHANGE_MODE 0xb6 -> i32;
+    /// Bits of the speed mode.
+    get_speed_mode "getSpeedMode" VAR_SPEEDSETMODE 0xb3 -> i32;
+    /// Slope of the road \[deg\].
+    get_slope "getSlope" VAR_SLOPE 0x36 -> f64;
+    /// Line of public transport.
+    get_line "getLine" VAR_LINE 0xbd -> String;
+    /// Edges that rerouting must keep.
+    get_via "getVia" VAR_VIA 0xbe -> Vec<String>;
+    /// When the vehicle last decided \[s\].
+    get_last_action_time "getLastActionTime" VAR_LASTACTIONTIME 0x7f -> f64;
+    /// The lanes of the edge, and how well they suit the route.
+    get_best_lanes "getBestLanes" VAR_BEST_LANES 0xb2 -> Vec<BestLane>;
+    /// The vehicle ahead, looked for as far as `distance` \[m\] (0: the braking distance).
+    get_leader "getLeader" VAR_LEADER 0x68 (distance: f64) -> Option<Neighbor>;
+    /// The vehicle behind, looked for as far as `distance` \[m\] (0: the braking distance).
+    get_follower "getFollower" VAR_FOLLOWER 0x78 (distance: f64) -> Option<Neighbor>;
+    /// The vehicles beside it; bits of `mode`: 1: right, else left; 2: ahead, else behind; 4: only those that
+    /// block a change.
+    get_neighbors "getNeighbors" VAR_NEIGHBORS 0xbf (mode: u8) -> Vec<Neighbor>;
+    /// Speed at which the vehicle would follow a leader \[m/s\]: own speed, gap \[m\], the leader's speed and
+    /// greatest deceleration \[m/s²\], and the leader (may be empty).
+    get_follow_speed "getFollowSpeed" VAR_FOLLOW_SPEED 0x1c
+        [speed: f64, gap: f64, leader_speed: f64, leader_max_decel: f64, leader: &str] -> f64;
+    /// Gap at which following is safe \[m\]: own speed, the leader's speed and greatest deceleration \[m/s²\], and
+    /// the leader (may be empty).
+    get_secure_gap "getSecureGap" VAR_SECURE_GAP 0x1e
+        [speed: f64, leader_speed: f64, leader_max_decel: f64, leader: &str] -> f64;
+    /// Speed at which the vehicle can stop within a gap \[m/s\].
+    get_stop_speed "getStopSpeed" VAR_STOP_SPEED 0x1d [speed: f64, gap: f64] -> f64;
+    /// Expected delay at the departure from the next stop \[s\]; -1: none is planned.
+    get_stop_delay "getStopDelay" VAR_STOP_DELAY 0x1f -> f64;
+    /// Expected delay at the arrival at the next stop \[s\].
+    get_stop_arrival_delay "getStopArrivalDelay" VAR_STOP_ARRIVALDELAY 0x22 -> f64;
+    /// Time lost since departure for driving slower than wanted \[s\].
+    get_time_loss "getTimeLoss" VAR_TIMELOSS 0x8c -> f64;
+    /// Traffic lights on the way.
+    get_next_tls "getNextTLS" VAR_NEXT_TLS 0x70 -> Vec<NextTls>;
+    /// Stops on the way, in short.
+    get_next_stops "getNextStops" VAR_NEXT_STOPS 0x73 -> Vec<NextStop>;
+    /// Stops on the way, at most `limit` of them (0: all); negative: so many past ones.
+    get_stops "getStops" VAR_NEXT_STOPS2 0x74 (limit: i32) -> Vec<StopData>;
+    /// Distance since departure \[m\].
+    get_distance "getDistance" VAR_DISTANCE 0x84 -> f64;
+    /// A parameter of a stop on the way, by its index; empty if it has none of that name.
+    get_stop_parameter "getStopParameter" VAR_STOP_PARAMETER 0x55 [stop: i32, key: &str] -> String;
+    /// Bits of the state of stopping: 1: stopped, 2: parking, 4 and 8: waits for a person or a container,
+    /// 16: at a bus stop, 32: at a container stop, 64: at a charging station, 128: at a parking area.
+    get_stop_state "getStopState" VAR_STOPSTATE 0xb5 -> i32;
+    /// What the vehicle thinks of a change of lanes; 1: to the left, -1: to the right.
+    get_lane_change_state "getLaneChangeState" CMD_CHANGELANE 0x13 (direction: i32) -> LaneChangeState;
+    /// How the vehicle finds routes: 0: default, 1: aggregated travel times, 2: effort, 3: both, 4: those set
+    /// for it.
+    get_routing_mode "getRoutingMode" VAR_ROUTING_MODE 0x89 -> i32;
+}
+
+const STOP_STATE: Call = Call::get("vehicle.getStopState", Domain::VEHICLE, VAR_STOPSTATE.id());
+const DISTANCE: u8 = 0x83;
+const DRIVING: u8 = 1;
+
+impl<S: Scope> Vehicle<'_, S> {
+    /// The vehicles behind on the lane to the right; only those that block a change, if wanted.
+    pub fn get_right_followers(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+        self.get_neighbors(id, if blocking_only { 5 } else { 1 })
+    }
+
+    /// The vehicles ahead on the lane to the right; only those that block a change, if wanted.
+    pub fn get_right_leaders(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+        self.get_neighbors(id, if blocking_only { 7 } else { 3 })
+    }
+
+    /// The vehicles behind on the lane to the left; only those that block a change, if wanted.
+    pub fn get_left_followers(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+        self.get_neighbors(id, if blocking_only { 4 } else { 0 })
+    }
+
+    /// The vehicles ahead on the lane to the left; only those that block a change, if wanted.
+    pub fn get_left_leaders(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+        self.get_neighbors(id, if blocking_only { 6 } else { 2 })
+    }
+
+    /// Has the vehicle ahead, within `distance` \[m\], reported after each step as [`VAR_LEADER`].
+    pub fn subscribe_leader(&mut self, id: &str, distance: f64) -> S::Output<()> {
+        self.subscribe_with(id, VAR_LEADER.id(), &Value::Double(distance))
+    }
+
+    /// Distance along the route to a place, which is on a lane of an edge at a distance from its start \[m\].
+    pub fn get_driving_distance(&mut self, id: &str, edge: &str, pos: f64, lane: u8) -> S::Output<f64> {
+        let call = Call::get("vehicle.getDrivingDistance", Domain::VEHICLE, DISTANCE);
+        super::get(self.0, call, id, |w| {
+            w.compound(2).road_position(edge, pos, lane).u8(DRIVING);
+        })
+    }
+
+    /// Distance along the route to a position \[m\].
+    pub fn get_driving_distance2d(&mut self, id: &str, position: [f64; 2]) -> S::Output<f64> {
+        let call = Call::get("vehicle.getDrivingDistance2D", Domain::VEHICLE, DISTANCE);
+        super::get(self.0, call, id, |w| {
+            w.compound(2).position(position, false).u8(DRIVING);
+        })
+    }
+
+    /// Taxis in a state: -1: all, 0: empty, 1: on the way to a customer, 2: with one, 3: both.
+    pub fn get_taxi_fleet(&mut self, state: i32) -> S::Output<Vec<String>> {
+        super::get(self.0, Call::get("vehicle.getTaxiFleet", Domain::VEHICLE, 0x20), "", |w| {
+            w.integer(state);
+        })
+    }
+
+    /// Whether the vehicle has stopped where it was meant to.
+    pub fn is_stopped(&mut self, id: &str) -> S::Output<bool> {
+        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1 != 0))
+    }
+
+    /// Whether the vehicle has stopped beside the road.
+    pub fn is_stopped_parking(&mut self, id: &str) -> S::Output<bool> {
+        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b10 != 0))
+    }
+
+    /// Whether the vehicle has stopped until a person or a container comes.
+    pub fn is_stopped_triggered(&mut self, id: &str) -> S::Output<bool> {
+        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1100 != 0))
+    }
+
+    /// Whether the vehicle has stopped at a bus stop.
+    pub fn is_at_bus_stop(&mut self, id: &str) -> S::Output<bool> {
+        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1_0000 != 0))
+    }
+
+    /// Whether the vehicle has stopped at a container stop.
+    pub fn is_at_container_stop(&mut self, id: &str) -> S::Output<bool> {
+        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b10_0000 != 0))
+    }
+
+    /// As `get_lane_change_state`, in SUMO's words: by itself, and together with what it was told.
+    pub fn get_lane_change_state_pretty(
+        &mut self,
+        id: &str,
+        direction: i32,
+    ) -> S::Output<(Vec<&'static str>, Vec<&'static str>)> {
+        self.lane_change(id, direction, |v| {
+            let LaneChangeState { state, state_traci } = super::value(v)?;
+            Ok((LaneChangeState::words(state), LaneChangeState::words(state_traci)))
+        })
+    }
+
+    /// Whether the vehicle could change lanes; 1: to the left, -1: to the right. `false` if it has just done it.
+    pub fn could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
+        let decode: super::Decode<bool> = match direction {
+            1 => |v| Ok(super::value::<LaneChangeState>(v)?.could(LEFT)),
+            -1 => |v| Ok(super::value::<LaneChangeState>(v)?.could(RIGHT)),
+            _ => |v| Ok(super::value::<LaneChangeState>(v)?.could(0)),
+        };
+        self.lane_change(id, direction, decode)
+    }
+
+    /// Whether the vehicle wants to change lanes and could; 1: to the left, -1: to the right. `false` if it has
+    /// just done it.
+    pub fn wants_and_could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
+        let decode: super::Decode<bool> = match direction {
+            1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(LEFT)),
+            -1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(RIGHT)),
+            _ => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(0)),
+        };
+        self.lane_change(id, direction, decode)
+    }
+
+    fn lane_change<T>(&mut self, id: &str, direction: i32, decode: super::Decode<T>) -> S::Output<T> {
+        let call = Call::get("vehicle.getLaneChangeState", Domain::VEHICLE, CMD_CHANGELANE.id());
+        super::get_as(
+            self.0,
+            call,
+            id,
+            |w| {
+                w.integer(direction);
+            },
+            decode,
+        )
+    }
+}

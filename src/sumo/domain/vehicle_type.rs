@@ -1,0 +1,25 @@
+//! Vehicle types.
+
+use super::{Color, Scope, Variable};
+use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+
+domain! {
+    /// Calls for vehicle types.
+    VehicleType, "vehicletype", VEHICLE_TYPE
+}
+identifiers! { VehicleType, "vehicletype", VEHICLE_TYPE }
+type_attributes! { VehicleType, "vehicletype", VEHICLE_TYPE }
+
+getters! { VehicleType, "vehicletype", VEHICLE_TYPE;
+    /// Factor on the number of vehicles of the type.
+    get_scale "getScale" VAR_SCALE 0x8e -> f64;
+}
+
+setters! { VehicleType, "vehicletype", VEHICLE_TYPE;
+    /// Sets the standard deviation of the speed factor.
+    set_speed_deviation "setSpeedDeviation" 0x5f (deviation: f64);
+    /// Sets the factor on the number of vehicles of the type.
+    set_scale "setScale" 0x8e (scale: f64);
+    /// Makes a new type that is a copy of this one (`DEFAULT_VEHTYPE` always exists).
+    copy "copy" 0x88 (new: &str);
+}
