@@ -389,7 +389,7 @@ fn the_public_client_batches_gets_and_subscribes() {
         [Some(&None), None, Some(&Some(Value::Double(0.0))), Some(&Some(list)), Some(&None), Some(&None)]
     );
     let find = |around: Option<&str>, object: &str| {
-        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && o.object == object).map(|o| &o.value)
+        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && *o.object == *object).map(|o| &o.value)
     };
     assert_eq!(find(None, ""), Some(&Ok(Value::Double(1.0))));
     assert_eq!(find(Some("c"), "v"), Some(&Ok(Value::Double(0.0))));

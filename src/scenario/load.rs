@@ -2,8 +2,6 @@
 
 use std::{
     collections::{HashMap, HashSet},
-    fs::File,
-    io::Read,
     path::Path,
 };
 
@@ -15,7 +13,7 @@ use super::{
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
-use crate::sumo::net::{nearest, shorten};
+use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest file that is read \[bytes\].
 const MAX_BYTES: u64 = 4 << 20;
@@ -47,13 +45,8 @@ impl Scenario {
     /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
     /// not go with its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let read = |source| Error::Read { path: path.into(), source };
-        let mut text = String::new();
-        let file = File::open(path).map_err(read)?;
-        let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
-        if bytes as u64 > MAX_BYTES {
-            return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
-        }
+        let text = xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
+        let text = text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })?;
         let document = document(&text, path)?;
         let reader = Reader { path, document: &document };
         let (scenario, places) = reader.scenario()?;

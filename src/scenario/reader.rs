@@ -5,7 +5,7 @@ use std::{fmt::Display, path::Path};
 use roxmltree::{Attribute, Document, Node};
 
 use super::Error;
-use crate::sumo::net::{nearest, shorten};
+use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest magnitude of any number in a scenario; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
@@ -24,10 +24,7 @@ pub(super) struct Reader<'a, 'input> {
 
 /// Parses the text of a file.
 pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, Error> {
-    Document::parse(text).map_err(|source| {
-        let at = source.pos();
-        Error::Parse { path: path.into(), line: at.row, column: at.col, source }
-    })
+    xml::parse(text).map_err(|(source, at)| Error::Parse { path: path.into(), line: at.row, column: at.col, source })
 }
 
 impl<'a, 'input> Reader<'a, 'input> {

@@ -6,6 +6,7 @@
 use std::{
     io::{self, Read as _, Write as _},
     net::{Shutdown, SocketAddr, TcpStream},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -32,9 +33,9 @@ pub struct Observed {
     /// As [`Report::response`].
     pub response: u8,
     /// As [`Report::around`].
-    pub around: Option<String>,
+    pub around: Option<Arc<str>>,
     /// As [`Report::object`].
-    pub object: String,
+    pub object: Arc<str>,
     /// As [`Report::variable`].
     pub variable: u8,
     /// The value, or SUMO's message why there is none.
@@ -158,9 +159,7 @@ impl Client {
 
     fn exchange(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<StepReply, Error> {
         self.send(batch, until)?;
-        let (queued, _) = batch.sealed();
-        let mut sink = Collector { batch, reply: StepReply::default() };
-        sink.reply.outcomes.extend(queued.iter().map(|_| Ok(None)));
+        let mut sink = Collector::new(batch);
         self.receive(batch, &mut sink)?;
         let reply = sink.reply;
         batch.clear();
@@ -282,9 +281,37 @@ impl Sink for VersionSink {
     }
 }
 
-struct Collector<'a> {
+pub(super) struct Collector<'a> {
     batch: &'a Batch,
-    reply: StepReply,
+    pub(super) reply: StepReply,
+    around: Shared,
+    object: Shared,
+}
+
+impl<'a> Collector<'a> {
+    pub(super) fn new(batch: &'a Batch) -> Self {
+        let outcomes = batch.sealed().0.iter().map(|_| Ok(None)).collect();
+        let reply = StepReply { outcomes, subscriptions: Vec::new() };
+        Collector { batch, reply, around: Shared::default(), object: Shared::default() }
+    }
+}
+
+/// The last of the names in a reply: a name stands there once, for any number of values, which share one copy.
+#[derive(Default)]
+struct Shared {
+    /// Address and length in the reply.
+    place: (usize, usize),
+    name: Arc<str>,
+}
+
+impl Shared {
+    fn copy(&mut self, name: &str) -> Arc<str> {
+        let place = (name.as_ptr().addr(), name.len());
+        if self.place != place {
+            *self = Shared { place, name: name.into() };
+        }
+        Arc::clone(&self.name)
+    }
 }
 
 impl Sink for Collector<'_> {
@@ -311,8 +338,8 @@ impl Sink for Collector<'_> {
         if report.after_step {
             self.reply.subscriptions.push(Observed {
                 response: report.response,
-                around: report.around.map(str::to_owned),
-                object: report.object.to_owned(),
+                around: report.around.map(|name| self.around.copy(name)),
+                object: self.object.copy(report.object),
                 variable: report.variable,
                 value,
             });

@@ -7,6 +7,8 @@ pub mod client;
 pub mod codec;
 pub mod constants;
 mod error;
+#[cfg(test)]
+mod fuzz;
 pub mod net;
 pub mod process;
 pub mod reply;

@@ -214,13 +214,13 @@ impl Simulation for TraciSimulation {
 }
 
 /// Reads what one step leaves into the snapshot.
-struct StepSink<'a> {
-    snapshot: &'a mut Snapshot,
-    known: &'a mut [bool],
+pub(super) struct StepSink<'a> {
+    pub(super) snapshot: &'a mut Snapshot,
+    pub(super) known: &'a mut [bool],
     /// Slot of the vehicle that the report of the moment is about.
-    slot: usize,
+    pub(super) slot: usize,
     /// The first command that was refused, and why.
-    refused: Option<(usize, String)>,
+    pub(super) refused: Option<(usize, String)>,
 }
 
 impl Sink for StepSink<'_> {
