@@ -201,6 +201,17 @@ fn missing_and_doubled_parts_are_named() {
 }
 
 #[test]
+fn more_than_a_scenario_has_is_refused() {
+    let route = |i| format!("<route id=\"r{i}\" edges=\"west_in east_out\" arrivalPos=\"-5\"/>");
+    let routes: String = (0..253).map(route).collect();
+    insta::assert_snapshot!(mistake("<routes>", &format!("<routes>{routes}")), @"task.xml:19:9: more than 256 elements <route>");
+    let net = "<net file=\"n\"><spawn route=\"eastbound\" first=\"1\" spacing=\"1\" count=\"1\"/></net>";
+    insta::assert_snapshot!(mistake("</nets>", &format!("{}</nets>", net.repeat(61))), @"task.xml:49:4685: more than 64 elements <net>");
+    let edges = "e ".repeat(4097);
+    assert!(mistake("west_in east_out", &edges).ends_with("allowed: 1 to 4096 edge ids separated by spaces"));
+}
+
+#[test]
 fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("accel=\"2.909\"", "accel=\"2,909\""), @"task.xml:59:45: `2,909` is not a valid accel of <control>, allowed: a number greater than 0");
     insta::assert_snapshot!(mistake("max=\"48\"", "max=\"49\""), @"task.xml:12:21: `49` is not a valid max of <agents>, allowed: 4 to 48, the number of places of the largest net");

@@ -85,6 +85,20 @@ pub enum Error {
         /// What it is, as `element <agents>`.
         key: String,
     },
+    /// There are more elements of a kind than any scenario has.
+    #[error("{}:{line}:{column}: more than {limit} elements <{element}>", path.display())]
+    TooMany {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line of the first one that is too many, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// Its name.
+        element: String,
+        /// Most.
+        limit: usize,
+    },
     /// An attribute's value cannot be read or is out of range.
     #[error("{}:{line}:{column}: `{value}` is not a valid {key} of <{element}>, allowed: {allowed}", path.display())]
     Value {

@@ -80,6 +80,17 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
     }
 
+    /// The child elements, `limit` at most.
+    pub(super) fn few(&self, parent: Node<'a, 'input>, limit: usize) -> Result<Vec<Node<'a, 'input>>, Error> {
+        let children: Vec<_> = parent.children().filter(Node::is_element).collect();
+        let Some(excess) = children.get(limit) else {
+            return Ok(children);
+        };
+        let (line, column) = self.position(excess.range().start);
+        let element = excess.tag_name().name().into();
+        Err(Error::TooMany { path: self.path.into(), line, column, element, limit })
+    }
+
     pub(super) fn text(&self, node: Node<'a, '_>, key: &'static str) -> Result<&'a str, Error> {
         node.attribute(key).ok_or_else(|| self.missing(node, "attribute", key))
     }

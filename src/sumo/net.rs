@@ -30,7 +30,7 @@ pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
 const MAX_BYTES: u64 = 256 << 20;
 
 /// Most points of the lanes of a route.
-const MAX_POINTS: usize = 1 << 20;
+const MAX_POINTS: usize = 1 << 16;
 
 /// Shortest length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
 const MIN_LENGTH: f64 = 1e-3;

@@ -44,7 +44,7 @@ const NET: &str = r#"<net>
 </net>"#;
 
 /// Heap that a reader may use for each byte of its file, and besides \[bytes\].
-const HEAP: (u64, u64) = (48, 1 << 20);
+const HEAP: (u64, u64) = (64, 1 << 20);
 
 /// Longest message of an error, its path aside \[bytes\].
 const MESSAGE: usize = 3000;

@@ -129,7 +129,6 @@ fn more_than_the_parser_bears_is_refused_at_once() {
     };
     assert_eq!(place(&attributes), (2, 2, 256));
     assert_eq!(place(&format!("<!-- don't -->\n{namespaces}")).0, 2);
-    assert!(matches!(parse(&"<a/>".repeat(40_000)), Err(NetError::Xml { .. })));
     // Quotes in texts, values and comments are no attributes.
     let text =
         NET.replace("<location", &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)));
@@ -170,14 +169,14 @@ fn points_that_rounding_makes_one_are_one() {
 
 #[test]
 fn routes_of_very_many_points_are_refused() {
-    let shape = "0,0 1,0 ".repeat(1 << 14);
+    let shape = "0,0 1,0 ".repeat(1 << 10);
     let circle = format!(
         r#"<net><location convBoundary="0,0,1,1"/><edge id="a"><lane id="l" index="0" speed="1" length="1" shape="{shape}"/>
         </edge><connection from="a" to="a" fromLane="0" toLane="0"/></net>"#
     );
     let net = parse(&circle).unwrap();
     assert!(net.route_path(&vec!["a".to_owned(); 32]).is_ok());
-    assert!(matches!(net.route_path(&vec!["a".to_owned(); 33]), Err(NetError::LongRoute { points: 1_081_344, .. })));
+    assert!(matches!(net.route_path(&vec!["a".to_owned(); 33]), Err(NetError::LongRoute { points: 67_584, .. })));
 }
 
 #[test]

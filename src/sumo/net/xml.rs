@@ -2,17 +2,13 @@
 
 use std::{fs::File, io, io::Read as _, path::Path};
 
-use roxmltree::{Document, ParsingOptions, TextPos};
+use roxmltree::{Document, TextPos};
 
 /// Most attributes of an element: the parser compares each with each.
 const MAX_ATTRIBUTES: usize = 256;
 
 /// Most declarations of namespaces in a file: the parser copies all that hold to each element with one of its own.
 const MAX_NAMESPACES: usize = 64;
-
-/// Fewest bytes of a file for each of its elements and texts, from the 1024th on: the parser takes far more for each
-/// than the four that it may have.
-const BYTES_PER_NODE: usize = 8;
 
 /// Why a text is not read as XML.
 #[derive(Debug, thiserror::Error)]
@@ -60,8 +56,7 @@ pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     if let Some((at, _)) = text.match_indices("xmlns").nth(MAX_NAMESPACES) {
         return excess("declarations of namespaces", MAX_NAMESPACES, at);
     }
-    let nodes_limit = u32::try_from(text.len() / BYTES_PER_NODE + 1024).unwrap_or(u32::MAX);
-    Document::parse_with_options(text, ParsingOptions { nodes_limit, ..ParsingOptions::default() }).map_err(|error| {
+    Document::parse(text).map_err(|error| {
         let at = error.pos();
         (error.into(), at)
     })
