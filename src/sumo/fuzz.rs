@@ -5,7 +5,8 @@
 mod cases;
 
 use allocation_counter::measure;
-use rand::RngExt as _;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng as Rng;
 
 use super::{
     Batch, Departure, Error, Snapshot, Value,
@@ -15,7 +16,6 @@ use super::{
     reply::parse_reply,
     traci::StepSink,
 };
-use crate::rng::{Rng, Seed, below};
 
 /// Heap that a reply may take for each of its bytes, and besides \[bytes\]. The costliest are values of two bytes.
 const HEAP: (u64, u64) = (100, 16 << 10);
@@ -26,6 +26,10 @@ const TYPES: [u8; 14] = [0, 1, 2, 3, 4, 6, 7, 8, 9, 0x0b, 0x0c, 0x0e, 0x0f, 0x10
 const VARIABLES: [u8; 5] = [c::VAR_SPEED, c::VAR_POSITION, c::VAR_ANGLE, c::VAR_COLLISIONS, c::VAR_TIME];
 
 const NAMES: [&str; 6] = ["w0s0", "w0s3", "w0s99", "", "ß𝄞", "w0s18446744073709551616"];
+
+fn below(rng: &mut Rng, bound: usize) -> usize {
+    rng.random_range(0..bound)
+}
 
 fn pick<T: Copy>(rng: &mut Rng, list: &[T]) -> T {
     list[below(rng, list.len())]
@@ -211,7 +215,7 @@ fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
 #[test]
 fn damaged_replies_are_read_or_refused() {
     cases::run(20_000, |number| {
-        let mut rng = Seed::new(number).child("reply").rng();
+        let mut rng = Rng::seed_from_u64(number);
         let (batch, mut message, refused) = dialogue(&mut rng);
         let [collected, stepped] = read(&message, &batch);
         assert_eq!(collected.unwrap(), refused, "the reply is valid");
