@@ -14,11 +14,11 @@ import libsumo
 from libsumo.libsumo import _libsumo as native
 
 SET = {
-    "add": native.vehicle_add,
-    "remove": native.vehicle_remove,
-    "speed": native.vehicle_setSpeed,
-    "speed_mode": native.vehicle_setSpeedMode,
-    "move": native.vehicle_moveToXY,
+    "vehicle.add": native.vehicle_add,
+    "vehicle.remove": native.vehicle_remove,
+    "vehicle.setSpeed": native.vehicle_setSpeed,
+    "vehicle.setSpeedMode": native.vehicle_setSpeedMode,
+    "vehicle.moveToXY": native.vehicle_moveToXY,
 }
 distance_of = native.vehicle_getDistance
 speed_of = native.vehicle_getSpeed
@@ -75,28 +75,28 @@ def introduce(types, routes):
 
 
 def step(orders, vehicles):
-    """Carries out `orders`, a list of (kind, columns…) with the vehicles as first column, and takes one step.
+    """Carries out `orders`, a list of (call, columns…) with the vehicles as first column, and takes one step.
 
     Returns the time, the vehicles that arrived, the distances and speeds of the other `vehicles` in their order, the
-    pairs of colliding vehicles, and the first refusal as (vehicle, text) or None. A refused command is passed over.
+    pairs of colliding vehicles, and the first refusal as (call, vehicle, text) or None. A refused command is passed over.
     """
     refusal = None
-    for kind, names, *columns in orders:
-        if kind == "add":
+    for call, names, *columns in orders:
+        if call == "vehicle.add":
             routes, types, positions, speeds = columns
             columns = routes, types, repeat("now"), repeat("first"), positions, speeds
-        elif kind == "move":
+        elif call == "vehicle.moveToXY":
             # No edge is hinted at, and no lane of it.
             columns = repeat(""), repeat(-1), *columns
         rest = iter(names)
-        calls = map(SET[kind], rest, *columns)
+        calls = map(SET[call], rest, *columns)
         while True:
             try:
                 deque(calls, maxlen=0)
                 break
             except Refused as refused:
                 if refusal is None:
-                    refusal = names[len(names) - length_hint(rest) - 1], str(refused)
+                    refusal = call, names[len(names) - length_hint(rest) - 1], str(refused)
     take_step(0.0)
     arrived = arrived_ids()
     if arrived:

@@ -197,7 +197,18 @@ fn missing_and_doubled_parts_are_named() {
     insta::assert_snapshot!(mistake("<jitter longitudinal=\"1\" lateral=\"0.25\"/>", ""), @"task.xml:8:1: <scenario> lacks the element `jitter` (hint: scenarios/intersection.xml shows every element and attribute)");
     insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"1\"/><communication range=\"2\"/>"), @"task.xml:73:31: a second element <communication>");
     insta::assert_snapshot!(mistake("<route id=\"westbound\"", "<route id=\"eastbound\""), @"task.xml:17:16: a second route with the id `eastbound`");
-    insta::assert_snapshot!(mistake("</scenario>", ""), @"task.xml:1:1: not well-formed XML: the root node was opened but never closed");
+    insta::assert_snapshot!(mistake("</scenario>", ""), @"task.xml:1:1: cannot be read as XML: the root node was opened but never closed");
+}
+
+#[test]
+fn more_than_a_scenario_has_is_refused() {
+    let route = |i| format!("<route id=\"r{i}\" edges=\"west_in east_out\" arrivalPos=\"-5\"/>");
+    let routes: String = (0..253).map(route).collect();
+    insta::assert_snapshot!(mistake("<routes>", &format!("<routes>{routes}")), @"task.xml:19:9: more than 256 elements <route>");
+    let net = "<net file=\"n\"><spawn route=\"eastbound\" first=\"1\" spacing=\"1\" count=\"1\"/></net>";
+    insta::assert_snapshot!(mistake("</nets>", &format!("{}</nets>", net.repeat(61))), @"task.xml:49:4685: more than 64 elements <net>");
+    let edges = "e ".repeat(4097);
+    assert!(mistake("west_in east_out", &edges).ends_with("allowed: 1 to 4096 edge ids separated by spaces"));
 }
 
 #[test]
@@ -217,6 +228,7 @@ fn values_out_of_range_are_refused() {
 fn what_does_not_go_with_the_nets_is_refused() {
     insta::assert_snapshot!(mistake("arm42.net.xml", "arm43.net.xml"), @"task.xml:31:14: file: the net cannot be used: NETS/intersection/arm43.net.xml: cannot read the net: No such file or directory (os error 2) (hint: build the net with netconvert, or correct the file name)");
     insta::assert_snapshot!(mistake("west_in east_out", "west_in east_ou"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the net has no edge `east_ou`; did you mean `east_out`?");
+    insta::assert_snapshot!(mistake("west_in east_out", ":centre_3"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the edge `:centre_3` is no road that a route can name");
     insta::assert_snapshot!(mistake("west_in east_out", "west_in north_out"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the edge `west_in` does not lead to `north_out`");
     insta::assert_snapshot!(mistake("arrivalPos=\"-15\"", "arrivalPos=\"-35\""), @"task.xml:17:56: `-35` is not a valid arrivalPos of <route>, allowed: -30 to 30 m on edge `west_out`");
     insta::assert_snapshot!(mistake("first=\"14\" spacing=\"8\" count=\"2\"", "first=\"14\" spacing=\"8\" count=\"3\""), @"task.xml:26:13: spawn: the place at 30 m of route `eastbound` does not fit on edge `west_in`: it needs 3.2575 m on both sides within 0 to 30 m (hint: move the places, lower their number, or make the longitudinal jitter smaller)");

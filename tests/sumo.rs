@@ -12,9 +12,10 @@ use std::{
 };
 
 use iwol_sumo::sumo::{
-    Batch, Client, Collision, Command, Departure, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation,
-    Value, VehicleState, VehicleType,
+    Batch, Client, Collision, Command, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation, Value,
+    VehicleState, VehicleType,
     constants::{self as c, Domain},
+    domain::vehicle::Addition,
     find_sumo,
     process::{Options, Process},
     sumo_version, traci_version,
@@ -371,12 +372,11 @@ fn a_route_that_the_net_does_not_have_is_refused_by_name() {
 fn the_public_client_batches_gets_and_subscribes() {
     let options = Options { arguments: vec!["--net-file".into(), net().into()], ..Options::default() };
     let (_process, mut client, _) = Process::start(&options).unwrap();
-    client.call(|b| b.route_add("r", &["west_in", "east_out"])).unwrap();
+    client.route().add("r", &["west_in", "east_out"]).unwrap();
     let mut batch = Batch::new();
-    let departure = Departure { route: "r", vehicle_type: "DEFAULT_VEHTYPE", position: 140.0, speed: 0.0 };
-    batch.vehicle_add("v", departure);
-    batch.vehicle_set_speed("ghost", 1.0);
-    batch.simulation_time();
+    batch.vehicle().add("v", &Addition { depart_pos: "140", ..Addition::on_route("r") });
+    batch.vehicle().set_speed("ghost", 1.0);
+    batch.simulation().get_time();
     batch.get(Domain::VEHICLE, c::ID_LIST, "");
     batch.subscribe(Domain::SIMULATION, "", &[c::VAR_TIME]);
     batch.subscribe_context(Domain::JUNCTION, "c", Domain::VEHICLE, 100.0, &[c::VAR_SPEED]);
@@ -389,7 +389,7 @@ fn the_public_client_batches_gets_and_subscribes() {
         [Some(&None), None, Some(&Some(Value::Double(0.0))), Some(&Some(list)), Some(&None), Some(&None)]
     );
     let find = |around: Option<&str>, object: &str| {
-        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && o.object == object).map(|o| &o.value)
+        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && *o.object == *object).map(|o| &o.value)
     };
     assert_eq!(find(None, ""), Some(&Ok(Value::Double(1.0))));
     assert_eq!(find(Some("c"), "v"), Some(&Ok(Value::Double(0.0))));
@@ -399,7 +399,7 @@ fn the_public_client_batches_gets_and_subscribes() {
     let collisions = client.call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, "")).unwrap();
     assert_eq!(collisions, Some(Value::Compound(vec![Value::Integer(0)])));
     assert!(matches!(client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")), Err(Error::Refused { .. })));
-    client.call(|b| b.vehicle_remove("v")).unwrap();
+    client.vehicle().remove("v", c::REMOVE_VAPORIZED).unwrap();
     client.step(&mut batch, 0.0).unwrap();
     client.close().unwrap();
 }
@@ -411,12 +411,11 @@ fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
     options.arguments.extend(["--net-file".into(), net().into()]);
     let (_process, mut client, _) = Process::start(&options).unwrap();
     let mut batch = Batch::new();
-    batch.route_add("r", &["west_in", "east_out"]);
-    for (vehicle, position, speed) in [("first", 100.0, 0.0), ("second", 90.0, 3.0), ("third", 80.0, 5.0)] {
-        let departure = Departure { route: "r", vehicle_type: "DEFAULT_VEHTYPE", position, speed: 0.0 };
-        batch.vehicle_add(vehicle, departure);
-        batch.vehicle_set_speed_mode(vehicle, 32);
-        batch.vehicle_set_speed(vehicle, speed);
+    batch.route().add("r", &["west_in", "east_out"]);
+    for (vehicle, position, speed) in [("first", "100", 0.0), ("second", "90", 3.0), ("third", "80", 5.0)] {
+        batch.vehicle().add(vehicle, &Addition { depart_pos: position, ..Addition::on_route("r") });
+        batch.vehicle().set_speed_mode(vehicle, 32);
+        batch.vehicle().set_speed(vehicle, speed);
     }
     batch.subscribe(Domain::SIMULATION, "", &[c::VAR_COLLISIONS]);
     let mut most = 0;

@@ -1,7 +1,7 @@
 //! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
 
 use super::{Error, Net, Scenario, reader::Reader};
-use crate::sumo::net::{self, Path};
+use crate::sumo::net::{self, Path, shorten};
 
 /// Slack of comparisons of positions \[m\].
 const SLACK: f64 = 1e-6;
@@ -53,7 +53,7 @@ fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader)
                 path: scenario.path.clone(),
                 line,
                 column,
-                route: route.id.clone(),
+                route: shorten(&route.id),
                 source: Box::new(source),
             }
         })?;
@@ -64,7 +64,7 @@ fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader)
             Error::Value { path, line, column, element: "route".into(), key: "arrivalPos", value, allowed }
         };
         if route.arrival_pos.abs() > length + SLACK {
-            let edge = route.edges.last().map_or("", String::as_str);
+            let edge = shorten(route.edges.last().map_or("", String::as_str));
             return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
         }
         // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
@@ -107,9 +107,9 @@ fn spawns(
                     path: scenario.path.clone(),
                     line,
                     column,
-                    route: route.id.clone(),
+                    route: shorten(&route.id),
                     pos,
-                    edge: route.edges[0].clone(),
+                    edge: shorten(&route.edges[0]),
                     half,
                     end,
                 });
@@ -128,7 +128,7 @@ fn spawns(
         path: scenario.path.clone(),
         line,
         column,
-        lane: map.lanes[*lane].id.clone(),
+        lane: shorten(&map.lanes[*lane].id),
         first: *first,
         second: *second,
         needed,
@@ -152,7 +152,9 @@ fn lanes(scenario: &Scenario, map: &net::Net, paths: &[Path], places: &Places, r
         value: scenario.jitter.lateral.to_string(),
         allowed: format!(
             "what keeps a vehicle {} m wide on lane `{}`, {} m wide",
-            scenario.vehicle.width, narrow.id, narrow.width
+            scenario.vehicle.width,
+            shorten(&narrow.id),
+            narrow.width
         ),
     })
 }

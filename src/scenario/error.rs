@@ -3,7 +3,7 @@
 
 use std::{io, path::PathBuf};
 
-use crate::sumo::net::{NetError, did_you_mean};
+use crate::sumo::net::{NetError, XmlError, did_you_mean};
 
 /// Why a scenario cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -25,8 +25,8 @@ pub enum Error {
         /// Largest size \[bytes\].
         limit: u64,
     },
-    /// The file is not well-formed XML.
-    #[error("{}:{line}:{column}: not well-formed XML", path.display())]
+    /// The file is not XML, or not XML that is read.
+    #[error("{}:{line}:{column}: cannot be read as XML", path.display())]
     Parse {
         /// The scenario file.
         path: PathBuf,
@@ -34,8 +34,8 @@ pub enum Error {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// What the XML parser said.
-        source: roxmltree::Error,
+        /// What is wrong with it.
+        source: XmlError,
     },
     /// An element, attribute or text that a scenario does not have at this place.
     #[error("{}:{line}:{column}: unknown {kind} `{key}` in {parent}{}", path.display(), did_you_mean(*nearest))]
@@ -84,6 +84,20 @@ pub enum Error {
         column: u32,
         /// What it is, as `element <agents>`.
         key: String,
+    },
+    /// There are more elements of a kind than any scenario has.
+    #[error("{}:{line}:{column}: more than {limit} elements <{element}>", path.display())]
+    TooMany {
+        /// The scenario file.
+        path: PathBuf,
+        /// Line of the first one that is too many, from 1.
+        line: u32,
+        /// Column, from 1.
+        column: u32,
+        /// Its name.
+        element: String,
+        /// Most.
+        limit: usize,
     },
     /// An attribute's value cannot be read or is out of range.
     #[error("{}:{line}:{column}: `{value}` is not a valid {key} of <{element}>, allowed: {allowed}", path.display())]

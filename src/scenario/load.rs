@@ -2,8 +2,6 @@
 
 use std::{
     collections::{HashMap, HashSet},
-    fs::File,
-    io::Read,
     path::Path,
 };
 
@@ -15,13 +13,18 @@ use super::{
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
-use crate::sumo::net::{nearest, shorten};
+use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest file that is read \[bytes\].
 const MAX_BYTES: u64 = 4 << 20;
 
 /// Most spawn places in a net.
 const MAX_PLACES: u32 = 10_000;
+
+/// Most nets, routes, and edges of a route: every route is laid through every net.
+const MAX_NETS: usize = 64;
+const MAX_ROUTES: usize = 256;
+const MAX_EDGES: usize = 4096;
 
 /// The elements of a scenario.
 const PARTS: Names = &[
@@ -47,13 +50,8 @@ impl Scenario {
     /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
     /// not go with its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let read = |source| Error::Read { path: path.into(), source };
-        let mut text = String::new();
-        let file = File::open(path).map_err(read)?;
-        let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
-        if bytes as u64 > MAX_BYTES {
-            return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
-        }
+        let text = xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
+        let text = text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })?;
         let document = document(&text, path)?;
         let reader = Reader { path, document: &document };
         let (scenario, places) = reader.scenario()?;
@@ -183,7 +181,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     fn routes(&self, node: Node<'a, 'input>) -> Result<(Vec<Route>, Vec<RoutePlaces>), Error> {
         self.expect(node, &[], &["route"])?;
         let (mut routes, mut places, mut ids) = (Vec::new(), Vec::new(), HashSet::new());
-        for route in node.children().filter(Node::is_element) {
+        for route in self.few(node, MAX_ROUTES)? {
             self.leaf(route, &["id", "edges", "arrivalPos"])?;
             let id = self.text(route, "id")?;
             if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
@@ -193,8 +191,8 @@ impl<'a, 'input> Reader<'a, 'input> {
                 return Err(self.duplicate(Self::offset(route, "id"), format!("route with the id `{}`", shorten(id))));
             }
             let edges: Vec<String> = self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
-            if edges.is_empty() {
-                return Err(self.value(route, "edges", "edge ids separated by spaces"));
+            if !(1..=MAX_EDGES).contains(&edges.len()) {
+                return Err(self.value(route, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
             }
             routes.push(Route { id: id.into(), edges, arrival_pos: self.any(route, "arrivalPos")? });
             places.push(RoutePlaces {
@@ -213,7 +211,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let index: HashMap<&str, usize> = routes.iter().enumerate().map(|(i, r)| (r.id.as_str(), i)).collect();
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let mut nets = Vec::new();
-        for net in node.children().filter(Node::is_element) {
+        for net in self.few(node, MAX_NETS)? {
             self.expect(net, &["file"], &["spawn"])?;
             let file = self.text(net, "file")?;
             if file.is_empty() {

@@ -5,7 +5,7 @@ use std::{fmt::Display, path::Path};
 use roxmltree::{Attribute, Document, Node};
 
 use super::Error;
-use crate::sumo::net::{nearest, shorten};
+use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest magnitude of any number in a scenario; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
@@ -24,10 +24,7 @@ pub(super) struct Reader<'a, 'input> {
 
 /// Parses the text of a file.
 pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, Error> {
-    Document::parse(text).map_err(|source| {
-        let at = source.pos();
-        Error::Parse { path: path.into(), line: at.row, column: at.col, source }
-    })
+    xml::parse(text).map_err(|(source, at)| Error::Parse { path: path.into(), line: at.row, column: at.col, source })
 }
 
 impl<'a, 'input> Reader<'a, 'input> {
@@ -81,6 +78,17 @@ impl<'a, 'input> Reader<'a, 'input> {
             None => Ok(child),
             Some(second) => Err(self.duplicate(second.range().start, format!("element <{name}>"))),
         }
+    }
+
+    /// The child elements, `limit` at most.
+    pub(super) fn few(&self, parent: Node<'a, 'input>, limit: usize) -> Result<Vec<Node<'a, 'input>>, Error> {
+        let children: Vec<_> = parent.children().filter(Node::is_element).collect();
+        let Some(excess) = children.get(limit) else {
+            return Ok(children);
+        };
+        let (line, column) = self.position(excess.range().start);
+        let element = excess.tag_name().name().into();
+        Err(Error::TooMany { path: self.path.into(), line, column, element, limit })
     }
 
     pub(super) fn text(&self, node: Node<'a, '_>, key: &'static str) -> Result<&'a str, Error> {

@@ -54,19 +54,6 @@ impl Call {
     }
 }
 
-/// What a vehicle needs to depart, see [`Batch::vehicle_add`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Departure<'a> {
-    /// Route identifier.
-    pub route: &'a str,
-    /// Vehicle type identifier.
-    pub vehicle_type: &'a str,
-    /// Position of the front bumper on the first edge \[m\].
-    pub position: f64,
-    /// Speed \[m/s\].
-    pub speed: f64,
-}
-
 /// Commands for one message, in the order in which SUMO carries them out. The methods of the domains, such
 /// as [`Batch::vehicle`], add commands; each returns a [`Ticket`](super::Ticket), for which the reply to the
 /// batch has the result. [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
@@ -77,18 +64,11 @@ pub struct Batch {
     writer: Writer,
     queued: Vec<Queued>,
     stepped: bool,
-    text: String,
 }
 
 impl Default for Batch {
     fn default() -> Self {
-        Batch {
-            number: new_number(),
-            writer: Writer::default(),
-            queued: Vec::new(),
-            stepped: false,
-            text: String::new(),
-        }
+        Batch { number: new_number(), writer: Writer::default(), queued: Vec::new(), stepped: false }
     }
 }
 
@@ -185,73 +165,6 @@ impl Batch {
             w.u8(around.get).f64(range);
             write_variables(w, variables);
         });
-    }
-
-    /// Puts a vehicle on the road at the next step, on the first lane that its type may use.
-    pub fn vehicle_add(&mut self, vehicle: &str, departure: Departure<'_>) {
-        use std::fmt::Write as _;
-        let mut text = std::mem::take(&mut self.text);
-        self.set(Domain::VEHICLE, c::ADD_FULL, vehicle, |w| {
-            w.compound(14).string(departure.route).string(departure.vehicle_type).string("now").string("first");
-            for number in [departure.position, departure.speed] {
-                text.clear();
-                // Writing to a `String` cannot fail.
-                let _ = write!(text, "{number}");
-                w.string(&text);
-            }
-            // Arrival on any lane, at the end of the route, at any speed; no zones, no line.
-            w.string("current").string("max").string("current").string("").string("").string("");
-            // No person capacity, no persons.
-            w.integer(0).integer(0);
-        });
-        self.text = text;
-    }
-
-    /// Takes a vehicle out of the simulation, also one that has not departed yet.
-    pub fn vehicle_remove(&mut self, vehicle: &str) {
-        self.set(Domain::VEHICLE, c::REMOVE, vehicle, |w| {
-            w.u8(c::TYPE_BYTE).u8(c::REMOVE_VAPORIZED);
-        });
-    }
-
-    /// Speed from the next step on \[m/s\]; a negative value gives the speed back to SUMO's driver.
-    pub fn vehicle_set_speed(&mut self, vehicle: &str, speed: f64) {
-        self.set(Domain::VEHICLE, c::VAR_SPEED, vehicle, |w| {
-            w.double(speed);
-        });
-    }
-
-    /// Which checks SUMO's driver applies to the set speed (32: none, 31: all).
-    pub fn vehicle_set_speed_mode(&mut self, vehicle: &str, mode: i32) {
-        self.set(Domain::VEHICLE, c::VAR_SPEEDSETMODE, vehicle, |w| {
-            w.integer(mode);
-        });
-    }
-
-    /// Makes a new vehicle type, a copy of `original` (`DEFAULT_VEHTYPE` always exists).
-    pub fn vehicle_type_copy(&mut self, original: &str, copy: &str) {
-        self.set(Domain::VEHICLE_TYPE, c::COPY, original, |w| {
-            w.string(copy);
-        });
-    }
-
-    /// Changes an attribute of a vehicle type that is a floating point number, such as [`c::VAR_LENGTH`].
-    pub fn vehicle_type_set(&mut self, vehicle_type: &str, variable: u8, value: f64) {
-        self.set(Domain::VEHICLE_TYPE, variable, vehicle_type, |w| {
-            w.double(value);
-        });
-    }
-
-    /// Adds a route: edge identifiers in driving order.
-    pub fn route_add<S: AsRef<str>>(&mut self, route: &str, edges: &[S]) {
-        self.set(Domain::ROUTE, c::ADD, route, |w| {
-            w.string_list(edges);
-        });
-    }
-
-    /// Reads the simulation time \[s\] before the step.
-    pub fn simulation_time(&mut self) {
-        self.get(Domain::SIMULATION, c::VAR_TIME, "");
     }
 
     pub(super) fn version(&mut self) {
@@ -359,10 +272,10 @@ mod tests {
     #[test]
     fn the_step_is_always_the_last_command() {
         let mut batch = Batch::new();
-        batch.vehicle_set_speed("a", 1.0);
+        batch.vehicle().set_speed("a", 1.0);
         let once = batch.seal(Some(0.0)).unwrap().to_vec();
         assert_eq!(batch.seal(Some(0.0)).unwrap(), once);
-        batch.vehicle_set_speed("b", 2.0);
+        batch.vehicle().set_speed("b", 2.0);
         batch.seal(Some(0.0)).unwrap();
         let (queued, stepped) = batch.sealed();
         assert!(stepped);
@@ -377,7 +290,7 @@ mod tests {
     #[test]
     fn a_long_command_keeps_the_name_of_its_object() {
         let mut batch = Batch::new();
-        batch.route_add("route", &vec!["a_rather_long_edge_name"; 50]);
+        batch.route().add("route", &["a_rather_long_edge_name"; 50]);
         batch.subscribe(Domain::VEHICLE, "v", &[c::VAR_SPEED]);
         let names: Vec<_> = batch.sealed().0.iter().map(|q| batch.object(q)).collect();
         assert_eq!(names, ["route", "v"]);
@@ -386,7 +299,7 @@ mod tests {
     #[test]
     fn bytes_of_a_set_speed_are_those_of_the_protocol() {
         let mut batch = Batch::new();
-        batch.vehicle_set_speed("v0", 3.0);
+        batch.vehicle().set_speed("v0", 3.0);
         let expected = [
             0, 0, 0, 31, // message length
             17, 0xc4, 0x40, 0, 0, 0, 2, b'v', b'0', 0x0b, 0x40, 0x08, 0, 0, 0, 0, 0, 0, // set speed

@@ -109,7 +109,7 @@ pub const MOVE_TO_XY: u8 = 0xb4;
 /// Set variable: copies an object.
 pub const COPY: u8 = 0x88;
 /// Reason of a removal: taken out without arriving.
-pub const REMOVE_VAPORIZED: u8 = 0x03;
+pub const REMOVE_VAPORIZED: i8 = 0x03;
 
 /// A kind of simulation object, by its command identifiers. An answer's identifier is 0x10 higher.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

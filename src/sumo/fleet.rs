@@ -10,6 +10,7 @@ use std::{
     io::{Seek as _, Write as _},
     os::fd::AsRawFd as _,
     path::PathBuf,
+    sync::Arc,
 };
 
 use super::{
@@ -18,7 +19,7 @@ use super::{
 };
 
 /// A route in one of the tiles.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct TileRoute {
     pub(super) id: String,
     pub(super) edges: Vec<String>,
@@ -43,7 +44,7 @@ pub(super) trait Orders {
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8);
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Fleet {
     config: SimulationConfig,
     /// `[worlds * slots]`, as all vectors of vehicles here.
@@ -56,7 +57,7 @@ pub(super) struct Fleet {
     pub(super) diagonal: f64,
     offsets: Vec<[f64; 2]>,
     /// The tiled net; it has no name in any folder, so that nothing is left behind however the program ends.
-    tiled: Option<File>,
+    tiled: Option<Arc<File>>,
     /// Whether SUMO knows a vehicle of that name, on the road or waiting to be put there.
     pub(super) known: Vec<bool>,
     /// `known` as it will be after the exchange under way.
@@ -263,12 +264,12 @@ impl Fleet {
     }
 }
 
-fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Option<File>, Vec<[f64; 2]>), Error> {
+fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Option<Arc<File>>, Vec<[f64; 2]>), Error> {
     let io = |source| Error::Io { doing: "write the tiled net to a temporary file", source };
     let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
     let mut file = tempfile::tempfile().map_err(io)?;
     file.write_all(tiled.text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
-    Ok((Some(file), tiled.offsets))
+    Ok((Some(Arc::new(file)), tiled.offsets))
 }
 
 fn finite(what: &str, value: f64) -> Result<(), Error> {

@@ -125,14 +125,16 @@ impl LibsumoSimulation {
             self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
         };
         match describe().map_err(|e| failed("introduce vehicle types and routes", py, &e))? {
-            Some((id, message)) => Err(Error::Refused { command: Domain::ROUTE.set, call: "route.add".to_owned(), id, message }),
+            Some((id, message)) => {
+                Err(Error::Refused { command: Domain::ROUTE.set, call: "route.add".to_owned(), id, message })
+            }
             None => Ok(()),
         }
     }
 
     /// One call across the bridge.
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
-        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Option<(String, String)>);
+        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Option<(String, String, String)>);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
         let reply = self.step.bind(py).call1((orders, &self.asked_names)).and_then(|reply| reply.extract::<Reply>());
@@ -150,7 +152,7 @@ impl LibsumoSimulation {
         }
         collisions.iter().for_each(|(collider, victim)| self.fleet.collision(collider, victim));
         match refusal {
-            Some((id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, call: "vehicle".to_owned(), id, message }),
+            Some((call, id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, call, id, message }),
             None => Ok(()),
         }
     }
@@ -283,13 +285,20 @@ impl Columns {
                         texts.by_ref().take(run.len()).map(|[route, kind]| (route.as_str(), kind.as_str())).unzip();
                     // SUMO wants these two as text.
                     let written = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k].to_string()));
-                    orders.append(("add", vehicles, routes, types, written(0)?, written(1)?))?;
+                    orders.append(("vehicle.add", vehicles, routes, types, written(0)?, written(1)?))?;
                 }
-                Kind::Remove => orders.append(("remove", vehicles))?,
-                Kind::Speed => orders.append(("speed", vehicles, numbers(0)?))?,
-                Kind::SpeedMode => orders.append(("speed_mode", vehicles, integers(0)?))?,
+                Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
+                Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
+                Kind::SpeedMode => orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?,
                 Kind::Move => {
-                    orders.append(("move", vehicles, numbers(0)?, numbers(1)?, numbers(2)?, integers(3)?))?;
+                    orders.append((
+                        "vehicle.moveToXY",
+                        vehicles,
+                        numbers(0)?,
+                        numbers(1)?,
+                        numbers(2)?,
+                        integers(3)?,
+                    ))?;
                 }
             }
         }

@@ -9,6 +9,8 @@ pub mod constants;
 pub mod domain;
 mod error;
 mod fleet;
+#[cfg(test)]
+mod fuzz;
 mod hosting;
 #[cfg(feature = "libsumo")]
 mod libsumo;
@@ -19,7 +21,7 @@ pub mod reply;
 mod simulation;
 mod traci;
 
-pub use batch::{Batch, Departure, Outcome};
+pub use batch::{Batch, Outcome};
 pub use client::{Client, ClientBatch, Version};
 pub use codec::Value;
 pub use constants::Domain;

@@ -9,11 +9,10 @@
 mod error;
 mod path;
 mod tile;
+pub(crate) mod xml;
 
 use std::{
     collections::{HashMap, HashSet},
-    fs::File,
-    io::Read,
     ops::Range,
     path::{Path as FilePath, PathBuf},
 };
@@ -24,12 +23,19 @@ pub use error::NetError;
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;
 pub use tile::{Tiled, tile, tiled_id};
+pub use xml::XmlError;
 
 /// Width of a lane for which the file gives none \[m\].
 pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
 
 /// Largest file that is read \[bytes\].
 const MAX_BYTES: u64 = 256 << 20;
+
+/// Most points of the lanes of a route.
+const MAX_POINTS: usize = 1 << 16;
+
+/// Shortest length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
+const MIN_LENGTH: f64 = 1e-3;
 
 /// Largest magnitude of any number in a net; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
@@ -139,14 +145,8 @@ impl Net {
 
     /// The text of a net file.
     pub(super) fn text(path: &FilePath) -> Result<String, NetError> {
-        let read = |source| NetError::Read { path: path.into(), source };
-        let mut text = String::new();
-        let file = File::open(path).map_err(read)?;
-        let bytes = file.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(read)?;
-        if bytes as u64 > MAX_BYTES {
-            return Err(NetError::TooLarge { path: path.into(), limit: MAX_BYTES });
-        }
-        Ok(text)
+        let text = xml::read(path, MAX_BYTES).map_err(|source| NetError::Read { path: path.into(), source })?;
+        text.ok_or_else(|| NetError::TooLarge { path: path.into(), limit: MAX_BYTES })
     }
 
     /// Reads a net from its text; `path` is for messages only.
@@ -154,9 +154,11 @@ impl Net {
     /// # Errors
     /// As [`Net::load`].
     pub fn parse(text: &str, path: &FilePath) -> Result<Self, NetError> {
-        let document = Document::parse(text).map_err(|source| {
-            let at = source.pos();
-            NetError::Xml { path: path.into(), line: at.row, column: at.col, source }
+        let document = xml::parse(text).map_err(|(source, at)| NetError::Xml {
+            path: path.into(),
+            line: at.row,
+            column: at.col,
+            source,
         })?;
         Reader { path, document: &document }.net()
     }
@@ -185,9 +187,14 @@ impl Net {
     /// Of the lanes from which the rest of the route can be driven without changing lanes, the rightmost is taken.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotConnected`] or [`NetError::LaneChange`].
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], [`NetError::NotConnected`],
+    /// [`NetError::LaneChange`] or [`NetError::LongRoute`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
         let lanes = self.route_lanes(edges)?;
+        let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
+        if points > MAX_POINTS {
+            return Err(NetError::LongRoute { path: self.path.clone(), points, limit: MAX_POINTS });
+        }
         Path::through(self, &lanes).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
     }
 
@@ -199,25 +206,25 @@ impl Net {
         let route: Vec<&Edge> = edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
         // Backwards: for each lane of an edge the best connection from which the route's end can be reached.
         let mut ways: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
-        let mut good: Vec<usize> = route[last].lanes.clone().collect();
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
             let mut connected = false;
             for lane in route[i].lanes.clone() {
                 let onward = self.connections_from(lane).filter(|c| next.contains(&c.to));
-                let onward = onward.inspect(|_| connected = true).filter(|c| good.contains(&c.to));
+                let onward = onward.inspect(|_| connected = true);
+                let onward = onward.filter(|c| ways.get(i + 1).is_none_or(|ways| ways.contains_key(&c.to)));
                 if let Some(best) = onward.min_by_key(|c| c.to) {
                     ways[i].insert(lane, best);
                 }
             }
-            good = route[i].lanes.clone().filter(|lane| ways[i].contains_key(lane)).collect();
             if !connected {
-                let (from, to) = (edges[i].clone(), edges[i + 1].clone());
+                let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
                 return Err(NetError::NotConnected { path: self.path.clone(), from, to });
             }
         }
-        let lane_change = || NetError::LaneChange { path: self.path.clone(), route: edges.join(" ") };
-        let mut lane = good.first().copied().ok_or_else(lane_change)?;
+        let lane_change = || NetError::LaneChange { path: self.path.clone(), route: shorten(&edges.join(" ")) };
+        let good = |lane: &usize| ways.first().is_none_or(|ways| ways.contains_key(lane));
+        let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
         for way in &ways {
             let connection = way.get(&lane).ok_or_else(lane_change)?;
@@ -231,9 +238,9 @@ impl Net {
     /// Appends the internal lanes of a connection; there are several where vehicles may wait within the junction.
     fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
         let mut via = connection.via;
-        let start = lanes.len();
+        let mut passed = HashSet::new();
         while let Some(lane) = via {
-            if lanes[start..].contains(&lane) {
+            if !passed.insert(lane) {
                 break; // a circle, which only a broken net has
             }
             lanes.push(lane);
@@ -241,12 +248,17 @@ impl Net {
         }
     }
 
+    /// The road of this id.
     fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
-        self.edge_index(id).map(|i| &self.edges[i]).ok_or_else(|| NetError::NoEdge {
-            path: self.path.clone(),
-            edge: shorten(id),
-            nearest: nearest(id, self.roads().map(|e| e.id.as_str())).map(Into::into),
-        })
+        match self.edge_index(id).map(|i| &self.edges[i]) {
+            Some(edge) if edge.function == EdgeFunction::Normal => Ok(edge),
+            Some(_) => Err(NetError::NotRoad { path: self.path.clone(), edge: shorten(id) }),
+            None => Err(NetError::NoEdge {
+                path: self.path.clone(),
+                edge: shorten(id),
+                nearest: nearest(id, self.roads().map(|e| e.id.as_str())).map(Into::into),
+            }),
+        }
     }
 
     fn roads(&self) -> impl Iterator<Item = &Edge> {
@@ -301,6 +313,9 @@ impl Reader<'_, '_> {
             let via = match node.attribute("via") {
                 None => None,
                 Some(id) => match lane_by_id.get(id) {
+                    Some(&lane) if net.edges[net.lanes[lane].edge].function == EdgeFunction::Normal => {
+                        return Err(self.value(node, "via", "a lane within a junction"));
+                    }
                     Some(&lane) => Some(lane),
                     None => return Err(self.reference(node, "via", id, lane_by_id.keys().map(String::as_str))),
                 },
@@ -364,7 +379,7 @@ impl Reader<'_, '_> {
             edge,
             index: self.integer(node, "index")?,
             speed: self.number(node, "speed", 0.0)?,
-            length: self.number(node, "length", f64::MIN_POSITIVE)?,
+            length: self.number(node, "length", MIN_LENGTH)?,
             width: match node.attribute("width") {
                 None => DEFAULT_LANE_WIDTH,
                 Some(_) => self.number(node, "width", 0.0)?,
@@ -393,7 +408,7 @@ impl Reader<'_, '_> {
         let allowed = match least {
             0.0 => "a number of at least 0",
             f64::NEG_INFINITY => "a number",
-            _ => "a number greater than 0",
+            _ => "a number of at least 0.001",
         };
         number.ok_or_else(|| self.value(node, key, allowed))
     }

@@ -1,7 +1,7 @@
 //! What comes back from a [`Batch`], as owned values: a result for each
 //! [`Ticket`], and what the subscriptions report after a step.
 
-use std::{cell::OnceCell, cmp::Ordering, ops::Deref, vec};
+use std::{cell::OnceCell, cmp::Ordering, ops::Deref, sync::Arc, vec};
 
 use super::{
     Error,
@@ -70,9 +70,9 @@ pub struct Observed {
     /// As [`Report::response`].
     pub response: u8,
     /// As [`Report::around`].
-    pub around: Option<String>,
+    pub around: Option<Arc<str>>,
     /// As [`Report::object`].
-    pub object: String,
+    pub object: Arc<str>,
     /// As [`Report::domain`].
     pub domain: u8,
     /// As [`Report::variable`].
@@ -143,7 +143,7 @@ impl StepReply {
             Err(message) => Err(Error::Refused {
                 command: observed.response.wrapping_sub(0x10),
                 call: observed.subscription(),
-                id: observed.object.clone(),
+                id: observed.object.to_string(),
                 message: message.clone(),
             }),
         })
@@ -180,7 +180,7 @@ impl<'a> Context<'a> {
         let mut last: Option<(u8, &str)> = None;
         order[start..].iter().map(|i| reply.at(*i)).take_while(move |o| head(o) == Ordering::Equal).filter_map(
             move |observed| {
-                let object = (observed.domain, observed.object.as_str());
+                let object = (observed.domain, &*observed.object);
                 (last.replace(object) != Some(object)).then_some(object.1)
             },
         )
@@ -199,6 +199,26 @@ impl<'a> Context<'a> {
 pub(super) struct Collector<'a> {
     batch: &'a Batch,
     pub(super) reply: StepReply,
+    around: Shared,
+    object: Shared,
+}
+
+/// The last of the names in a reply: a name stands there once, for any number of values, which share one copy.
+#[derive(Default)]
+struct Shared {
+    /// Address and length in the reply.
+    place: (usize, usize),
+    name: Arc<str>,
+}
+
+impl Shared {
+    fn copy(&mut self, name: &str) -> Arc<str> {
+        let place = (name.as_ptr().addr(), name.len());
+        if self.place != place {
+            *self = Shared { place, name: name.into() };
+        }
+        Arc::clone(&self.name)
+    }
 }
 
 impl<'a> Collector<'a> {
@@ -209,7 +229,8 @@ impl<'a> Collector<'a> {
             outcomes: queued.iter().map(|_| Ok(None)).collect(),
             places: queued.iter().map(|queued| (queued.call.name, 0)).collect(),
         };
-        Collector { batch, reply: StepReply { outcomes, ..StepReply::default() } }
+        let reply = StepReply { outcomes, ..StepReply::default() };
+        Collector { batch, reply, around: Shared::default(), object: Shared::default() }
     }
 }
 
@@ -237,8 +258,8 @@ impl Sink for Collector<'_> {
         if report.after_step {
             self.reply.subscriptions.push(Observed {
                 response: report.response,
-                around: report.around.map(str::to_owned),
-                object: report.object.to_owned(),
+                around: report.around.map(|name| self.around.copy(name)),
+                object: self.object.copy(report.object),
                 domain: report.domain,
                 variable: report.variable,
                 value,

@@ -5,11 +5,14 @@
 //! its former bearer. SUMO moves a vehicle by its new speed times the step (its default method), so a commanded speed
 //! is a mean speed.
 
+use std::fmt::Write as _;
+
 use super::{
-    Batch, Client, Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    Batch, Client, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     client::Version,
     codec::Reader,
     constants::{self as c, Domain},
+    domain::vehicle::{Addition, Placement},
     fleet::{Fleet, Orders, Vehicle},
     process::{Options, Process},
     reply::{Report, Sink, read_collision_count, read_value},
@@ -24,6 +27,7 @@ pub struct TraciSimulation {
     process: Process,
     version: Version,
     batch: Batch,
+    texts: [String; 2],
     awaiting: bool,
     exchanges: u64,
 }
@@ -37,8 +41,16 @@ impl TraciSimulation {
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
         let fleet = Fleet::new(config)?;
         let (process, client, version) = launch(&fleet)?;
-        let mut simulation =
-            TraciSimulation { fleet, client, process, version, batch: Batch::new(), awaiting: false, exchanges: 0 };
+        let mut simulation = TraciSimulation {
+            fleet,
+            client,
+            process,
+            version,
+            batch: Batch::new(),
+            texts: Default::default(),
+            awaiting: false,
+            exchanges: 0,
+        };
         simulation.introduce()?;
         Ok(simulation)
     }
@@ -58,31 +70,36 @@ impl TraciSimulation {
         &self.fleet.snapshot
     }
 
+    /// Lets SUMO load its net again.
+    fn load(&mut self) -> Result<(), Error> {
+        let arguments: Vec<String> =
+            self.fleet.arguments()?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
+        self.client.load(&arguments)?;
+        self.introduce()
+    }
+
     /// Vehicle types, routes and the subscription of the simulation, in one message.
     fn introduce(&mut self) -> Result<(), Error> {
         let batch = &mut self.batch;
         batch.clear();
         for kind in &self.fleet.config().vehicle_types {
-            batch.vehicle_type_copy("DEFAULT_VEHTYPE", &kind.id);
-            for (variable, value) in [
-                (c::VAR_LENGTH, kind.length),
-                (c::VAR_WIDTH, kind.width),
-                (c::VAR_MINGAP, kind.min_gap),
-                (c::VAR_MAXSPEED, kind.max_speed),
-                (c::VAR_ACCEL, kind.accel),
-                // Before the comfortable one, which may not exceed it.
-                (c::VAR_EMERGENCY_DECEL, kind.emergency_decel),
-                (c::VAR_DECEL, kind.decel),
-                (c::VAR_TAU, kind.tau),
-                (c::VAR_IMPERFECTION, 0.0),
-                (c::VAR_SPEED_FACTOR, 1.0),
-                (c::VAR_SPEED_DEVIATION, 0.0),
-            ] {
-                batch.vehicle_type_set(&kind.id, variable, value);
-            }
+            batch.vehicle_type().copy("DEFAULT_VEHTYPE", &kind.id);
+            let mut types = batch.vehicle_type();
+            types.set_length(&kind.id, kind.length);
+            types.set_width(&kind.id, kind.width);
+            types.set_min_gap(&kind.id, kind.min_gap);
+            types.set_max_speed(&kind.id, kind.max_speed);
+            types.set_accel(&kind.id, kind.accel);
+            // Before the comfortable one, which may not exceed it.
+            types.set_emergency_decel(&kind.id, kind.emergency_decel);
+            types.set_decel(&kind.id, kind.decel);
+            types.set_tau(&kind.id, kind.tau);
+            types.set_imperfection(&kind.id, 0.0);
+            types.set_speed_factor(&kind.id, 1.0);
+            types.set_speed_deviation(&kind.id, 0.0);
         }
         for route in &self.fleet.routes {
-            batch.route_add(&route.id, &route.edges);
+            batch.route().add(&route.id, &route.edges);
         }
         let of_simulation = [c::VAR_TIME, c::VAR_COLLISIONS, c::VAR_ARRIVED_VEHICLES_IDS];
         batch.subscribe(Domain::SIMULATION, "", &of_simulation);
@@ -102,28 +119,40 @@ impl TraciSimulation {
     }
 }
 
-impl Orders for Batch {
+/// The commands of a step on their way into its message.
+struct Message<'a> {
+    batch: &'a mut Batch,
+    /// Position and speed at departure, as SUMO wants them written.
+    texts: &'a mut [String; 2],
+}
+
+impl Orders for Message<'_> {
     fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64) {
-        self.vehicle_add(vehicle.name, Departure { route, vehicle_type, position, speed });
+        for (text, number) in self.texts.iter_mut().zip([position, speed]) {
+            text.clear();
+            // Writing to a `String` cannot fail.
+            let _ = write!(text, "{number}");
+        }
+        let [depart_pos, depart_speed] = &*self.texts;
+        let addition = Addition { vehicle_type, depart_pos, depart_speed, ..Addition::on_route(route) };
+        self.batch.vehicle().add(vehicle.name, &addition);
     }
 
     fn remove(&mut self, vehicle: Vehicle<'_>) {
-        self.vehicle_remove(vehicle.name);
+        self.batch.vehicle().remove(vehicle.name, c::REMOVE_VAPORIZED);
     }
 
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64) {
-        self.vehicle_set_speed(vehicle.name, speed);
+        self.batch.vehicle().set_speed(vehicle.name, speed);
     }
 
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
-        self.vehicle_set_speed_mode(vehicle.name, mode);
+        self.batch.vehicle().set_speed_mode(vehicle.name, mode);
     }
 
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {
-        self.set(Domain::VEHICLE, c::MOVE_TO_XY, vehicle.name, |w| {
-            // No edge is hinted at, and no lane of it.
-            w.compound(6).string("").integer(-1).double(x).double(y).double(angle).u8(c::TYPE_BYTE).u8(keep_route);
-        });
+        let placement = Placement { angle, keep_route, ..Placement::default() };
+        self.batch.vehicle().move_to_xy(vehicle.name, [x, y], &placement);
     }
 }
 
@@ -141,7 +170,8 @@ impl Simulation for TraciSimulation {
             return Err(Error::invalid("the answer to the last send has not been received"));
         }
         self.batch.clear();
-        self.fleet.order(commands, &mut self.batch)?;
+        let mut message = Message { batch: &mut self.batch, texts: &mut self.texts };
+        self.fleet.order(commands, &mut message)?;
         self.client.send(&mut self.batch, Some(0.0)).map_err(|e| self.process.explain(e))?;
         self.awaiting = true;
         self.exchanges += 1;
@@ -165,8 +195,12 @@ impl Simulation for TraciSimulation {
     }
 
     fn renew(&mut self) -> Result<Renewal, Error> {
-        self.awaiting = false;
+        // An answer that is still awaited would be taken for that to the load.
+        let awaited = std::mem::take(&mut self.awaiting);
         self.fleet.empty();
+        if !awaited && self.load().is_ok() {
+            return Ok(Renewal::Loaded);
+        }
         let (process, client, version) = launch(&self.fleet)?;
         self.client = client;
         self.process = process;
@@ -182,13 +216,13 @@ impl Simulation for TraciSimulation {
 }
 
 /// Reads what one step leaves into the snapshot.
-struct StepSink<'a> {
-    fleet: &'a mut Fleet,
+pub(super) struct StepSink<'a> {
+    pub(super) fleet: &'a mut Fleet,
     /// What was read of the vehicle that the reports of the moment are about.
-    distance: Option<f64>,
-    speed: Option<f64>,
+    pub(super) distance: Option<f64>,
+    pub(super) speed: Option<f64>,
     /// The first command that was refused, and why.
-    refused: Option<(usize, String)>,
+    pub(super) refused: Option<(usize, String)>,
 }
 
 impl Sink for StepSink<'_> {
@@ -212,8 +246,8 @@ impl Sink for StepSink<'_> {
                     self.fleet.arrived(value.str()?);
                 }
             }
-            c::VAR_DISTANCE => self.distance = Some(value.double()?),
-            c::VAR_SPEED => self.speed = Some(value.double()?),
+            c::VAR_DISTANCE => self.distance = Some(finite(value)?),
+            c::VAR_SPEED => self.speed = Some(finite(value)?),
             _ => drop(read_value(report.response, report.variable, value)?),
         }
         if let (Some(distance), Some(speed)) = (self.distance, self.speed) {
@@ -224,6 +258,12 @@ impl Sink for StepSink<'_> {
         }
         Ok(())
     }
+}
+
+/// Reads a double that takes part in the environments' arithmetic.
+fn finite(value: &mut Reader<'_>) -> Result<f64, Error> {
+    let number = value.double()?;
+    if number.is_finite() { Ok(number) } else { Err(value.unexpected("a finite number", number.to_string())) }
 }
 
 /// Reads the collisions between vehicles of ours.

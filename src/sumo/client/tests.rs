@@ -7,11 +7,11 @@ use proptest::{collection::vec, prelude::*};
 /// A batch with every kind of answer, and a reply to it as SUMO 1.15 lays it out.
 fn dialogue() -> (Batch, Vec<u8>) {
     let mut batch = Batch::new();
-    batch.vehicle_set_speed("a", 1.0);
-    batch.simulation_time();
+    batch.vehicle().set_speed("a", 1.0);
+    batch.simulation().get_time();
     batch.subscribe(Domain::VEHICLE, "a", &[c::VAR_SPEED]);
     batch.subscribe_context(Domain::JUNCTION, "j", Domain::VEHICLE, 9.0, &[c::VAR_SPEED]);
-    batch.vehicle_remove("b");
+    batch.vehicle().remove("b", 3);
     batch.seal(Some(0.0)).unwrap();
     let mut w = Writer::default();
     let status = |w: &mut Writer, id, result, text: &str| {
@@ -63,10 +63,32 @@ fn each_command_gets_its_own_result() {
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
     let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
     assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
-    let values: Vec<_> =
-        reply.subscriptions.iter().map(|o| (o.object.as_str(), o.around.as_deref(), &o.value)).collect();
+    let values: Vec<_> = reply.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref(), &o.value)).collect();
     let speed = Ok(Value::Double(2.5));
     assert_eq!(values, [("a", None, &speed), ("a", Some("j"), &speed), ("b", None, &Err("gone".to_owned()))]);
+}
+
+#[test]
+fn a_name_that_many_values_share_is_kept_once() {
+    let mut batch = Batch::new();
+    batch.seal(Some(0.0)).unwrap();
+    let mut w = Writer::default();
+    w.command(c::CMD_SIMSTEP, |w| {
+        w.u8(0).str("");
+    });
+    w.i32(1).command(0x99, |w| {
+        w.str(&"j".repeat(40_000)).u8(0xa4).u8(1).i32(5000);
+        for i in 0..5000 {
+            w.str(["a", "b"][i % 2]).u8(c::VAR_SPEED).u8(0).value(&Value::UByte(1));
+        }
+    });
+    let message = w.finish().unwrap();
+    let mut reply = Err(Error::invalid(""));
+    let heap = allocation_counter::measure(|| reply = collect(message, &batch)).bytes_max;
+    let subscriptions = reply.unwrap().subscriptions;
+    assert!(heap < 40 * message.len() as u64, "{heap}");
+    assert_eq!((&*subscriptions[0].object, &*subscriptions[4999].object), ("a", "b"));
+    assert!(subscriptions.iter().all(|observed| observed.around.as_ref().is_some_and(|name| name.len() == 40_000)));
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use std::{io, path::PathBuf};
 
+use super::XmlError;
+
 /// Why a net cannot be read or a route cannot be laid through it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -22,8 +24,8 @@ pub enum NetError {
         /// Largest size \[bytes\].
         limit: u64,
     },
-    /// The file is not well-formed XML.
-    #[error("{}:{line}:{column}: not well-formed XML", path.display())]
+    /// The file is not XML, or not XML that is read.
+    #[error("{}:{line}:{column}: cannot be read as XML", path.display())]
     Xml {
         /// The net file.
         path: PathBuf,
@@ -31,8 +33,8 @@ pub enum NetError {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// What the XML parser said.
-        source: roxmltree::Error,
+        /// What is wrong with it.
+        source: XmlError,
     },
     /// The file is XML, but no net.
     #[error("{}:{line}:{column}: expected the element <net>, found <{found}>", path.display())]
@@ -124,6 +126,14 @@ pub enum NetError {
         /// An edge that the net has and that looks like it.
         nearest: Option<String>,
     },
+    /// A route names an edge that is a part of a junction or for others than vehicles.
+    #[error("{}: the edge `{edge}` is no road that a route can name", path.display())]
+    NotRoad {
+        /// The net file.
+        path: PathBuf,
+        /// The id.
+        edge: String,
+    },
     /// No lane of an edge leads to the route's next edge.
     #[error("{}: the edge `{from}` does not lead to `{to}`", path.display())]
     NotConnected {
@@ -139,8 +149,18 @@ pub enum NetError {
     LaneChange {
         /// The net file.
         path: PathBuf,
-        /// The route's edges.
+        /// The route's edges, shortened if many.
         route: String,
+    },
+    /// The lanes of a route have more points than this program keeps.
+    #[error("{}: a route of {points} points is longer than the {limit} that are allowed", path.display())]
+    LongRoute {
+        /// The net file.
+        path: PathBuf,
+        /// Points of its lanes.
+        points: usize,
+        /// Most.
+        limit: usize,
     },
 }
 
@@ -172,7 +192,9 @@ pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> O
         return None;
     }
     let within = (letters / 3).max(2);
-    let similar = valid.filter(|v| v.len() <= 400).map(|v| (strsim::osa_distance(name, v), v));
+    let similar = valid
+        .filter(|v| v.len() <= 400 && v.chars().count().abs_diff(letters) <= within)
+        .map(|v| (strsim::osa_distance(name, v), v));
     similar.filter(|&(distance, _)| distance <= within).min().map(|(_, v)| v)
 }
 
@@ -187,5 +209,5 @@ pub(crate) fn shorten(value: &str) -> String {
 
 /// The end of a message: the name that was probably meant.
 pub(crate) fn did_you_mean(nearest: Option<&str>) -> String {
-    nearest.map_or_else(String::new, |name| format!("; did you mean `{name}`?"))
+    nearest.map_or_else(String::new, |name| format!("; did you mean `{}`?", shorten(name)))
 }

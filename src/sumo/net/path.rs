@@ -96,10 +96,12 @@ impl Path {
             None => self.cumulative.push(0.0),
             Some(&[x, y]) => {
                 let distance = (point[0] - x).hypot(point[1] - y);
-                if distance < SAME_POINT {
+                let s = self.length() + distance;
+                // At the far end of a very long path, short ways are lost in rounding.
+                if s - self.length() < SAME_POINT {
                     return;
                 }
-                self.cumulative.push(self.length() + distance);
+                self.cumulative.push(s);
                 self.widths.push(width);
                 self.headings.push((point[1] - y).atan2(point[0] - x));
             }
@@ -196,7 +198,7 @@ impl Path {
     /// Unit vector of a segment.
     fn direction(&self, segment: usize) -> [f64; 2] {
         let ([x0, y0], [x1, y1]) = (self.points[segment], self.points[segment + 1]);
-        let length = self.cumulative[segment + 1] - self.cumulative[segment];
+        let length = (x1 - x0).hypot(y1 - y0);
         [(x1 - x0) / length, (y1 - y0) / length]
     }
 

@@ -4,7 +4,7 @@ use std::{f64::consts::FRAC_PI_2, path::Path as FilePath};
 
 use proptest::prelude::*;
 
-use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, nearest};
+use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, XmlError, nearest};
 
 /// Two lanes into a bend; only lane 1 of `a` leads to `c`, through two chained internal lanes.
 const NET: &str = r#"<net version="1.9">
@@ -106,7 +106,7 @@ fn broken_nets_are_refused_with_their_place() {
     insta::assert_snapshot!(broken(r#"id="b""#, r#"id="a""#), @"x.net.xml:9:11: a second edge with the id `a`");
     insta::assert_snapshot!(broken(r#"convBoundary="0,0,30,30""#, r#"convBoundary="0,0,30""#), @"x.net.xml:2:15: `0,0,30` is not a valid convBoundary of <location>, allowed: left,bottom,right,top");
     insta::assert_snapshot!(parse("<nodes/>").unwrap_err(), @"x.net.xml:1:1: expected the element <net>, found <nodes>");
-    insta::assert_snapshot!(parse("<net>\n<edge></net>").unwrap_err(), @"x.net.xml:2:7: not well-formed XML");
+    insta::assert_snapshot!(parse("<net>\n<edge></net>").unwrap_err(), @"x.net.xml:2:7: cannot be read as XML");
     insta::assert_snapshot!(Net::load(FilePath::new("none.net.xml")).unwrap_err(), @"none.net.xml: cannot read the net");
 }
 
@@ -115,6 +115,74 @@ fn entities_and_deep_nesting_are_harmless() {
     let bomb = "<!DOCTYPE net [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;'>]><net>&b;</net>";
     assert!(matches!(parse(bomb), Err(NetError::Xml { .. })));
     assert!(parse(&"<net>".repeat(200_000)).is_err());
+}
+
+#[test]
+fn more_than_the_parser_bears_is_refused_at_once() {
+    let many = |item: &dyn Fn(usize) -> String| (0..40_000).map(item).collect::<String>();
+    let attributes = format!("<net>\n <edge{}/></net>", many(&|i| format!(" a{i}='\"'")));
+    let namespaces =
+        format!("<net{}>{}</net>", many(&|i| format!(" xmlns:n{i}='{i}'")), "<a xmlns:a='a'/>".repeat(40_000));
+    let place = |text: &str| match parse(text).unwrap_err() {
+        NetError::Xml { line, column, source: XmlError::Excess { limit, .. }, .. } => (line, column, limit),
+        error => panic!("{error}"),
+    };
+    assert_eq!(place(&attributes), (2, 2, 256));
+    assert_eq!(place(&format!("<!-- don't -->\n{namespaces}")).0, 2);
+    // Quotes in texts, values and comments are no attributes.
+    let text =
+        NET.replace("<location", &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)));
+    assert!(parse(&text).is_ok());
+}
+
+#[test]
+fn a_file_that_is_not_utf8_is_refused_with_the_place() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), b"<net>\n \xc3\xa9\xe9</net>").unwrap();
+    let Err(NetError::Read { source, .. }) = Net::load(file.path()) else { panic!("read") };
+    assert_eq!(source.to_string(), "not UTF-8 at line 2, column 3");
+}
+
+#[test]
+fn a_route_names_roads_and_connections_lead_over_junctions() {
+    assert_eq!(
+        route(&["a", ":j_0"]).unwrap_err().to_string(),
+        "x.net.xml: the edge `:j_0` is no road that a route can name"
+    );
+    insta::assert_snapshot!(broken(r#"via=":j_0_0""#, r#"via="b_0""#), @"x.net.xml:14:57: `b_0` is not a valid via of <connection>, allowed: a lane within a junction");
+}
+
+#[test]
+fn positions_on_a_lane_of_next_to_no_length_are_numbers() {
+    insta::assert_snapshot!(broken(r#"length="40""#, r#"length="1e-308""#), @"x.net.xml:10:70: `1e-308` is not a valid length of <lane>, allowed: a number of at least 0.001");
+}
+
+#[test]
+fn points_that_rounding_makes_one_are_one() {
+    // After 2e12 m, positions are told apart to 0.24 mm.
+    let far = (0..1000).map(|i| [if i % 2 == 0 { -1e9 } else { 1e9 }, 0.0]);
+    let path = Path::from_points(far.chain([[1e9, 1e-5], [1e9, 2.0]]), 1.0).unwrap();
+    assert!(path.cumulative.windows(2).all(|pair| pair[0] < pair[1]));
+    assert_eq!(path.points.len(), 1001);
+    assert_eq!(path.at(path.length()), ([1e9, 2.0], FRAC_PI_2));
+}
+
+#[test]
+fn routes_of_very_many_points_are_refused() {
+    let shape = "0,0 1,0 ".repeat(1 << 10);
+    let circle = format!(
+        r#"<net><location convBoundary="0,0,1,1"/><edge id="a"><lane id="l" index="0" speed="1" length="1" shape="{shape}"/>
+        </edge><connection from="a" to="a" fromLane="0" toLane="0"/></net>"#
+    );
+    let net = parse(&circle).unwrap();
+    assert!(net.route_path(&vec!["a".to_owned(); 32]).is_ok());
+    assert!(matches!(net.route_path(&vec!["a".to_owned(); 33]), Err(NetError::LongRoute { points: 67_584, .. })));
+}
+
+#[test]
+fn messages_show_no_control_characters_of_the_file() {
+    let error = broken(r#"<lane id=":j_0_0""#, "<lane id=\":j_0\u{9b}_0\"");
+    assert!(error.ends_with("via=`:j_0_0` names nothing in this net; did you mean `:j_0\\u{9b}_0`?"), "{error}");
 }
 
 #[test]

@@ -6,9 +6,9 @@
 
 use std::{fmt::Write as _, path::Path as FilePath};
 
-use roxmltree::{Document, Node};
+use roxmltree::Node;
 
-use super::NetError;
+use super::{NetError, xml};
 
 /// Free space between two copies, beyond the diagonal of one \[m\].
 const GAP: f64 = 100.0;
@@ -37,9 +37,11 @@ pub fn tiled_id(world: u32, id: &str) -> String {
 pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError> {
     let net = super::Net::parse(text, path)?;
     // `Net::parse` has read the same text.
-    let document = Document::parse(text).map_err(|source| {
-        let at = source.pos();
-        NetError::Xml { path: path.into(), line: at.row, column: at.col, source }
+    let document = xml::parse(text).map_err(|(source, at)| NetError::Xml {
+        path: path.into(),
+        line: at.row,
+        column: at.col,
+        source,
     })?;
     let [low, high] = net.extent();
     let gap = GAP + (high[0] - low[0]).hypot(high[1] - low[1]);
@@ -113,7 +115,7 @@ fn write_attribute(out: &mut String, name: &str, value: &str) {
 
 /// The value of an attribute in a copy.
 fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 2]) -> String {
-    let ids = |value: &str| value.split_whitespace().map(|id| tiled_id(world, id)).collect::<Vec<_>>().join(" ");
+    let ids = || value.split_whitespace().map(|id| tiled_id(world, id)).collect::<Vec<_>>().join(" ");
     match (element, attribute) {
         (_, "shape" | "outlineShape") => value
             .split_whitespace()
@@ -128,11 +130,10 @@ fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 
         ("junction", "y") => shifted(value, offset[1]),
         ("edge" | "lane" | "junction" | "tlLogic", "id")
         | ("edge" | "connection", "from" | "to")
-        | ("edge", "bidi" | "crossingEdges")
+        | ("edge", "bidi")
         | ("neigh", "lane")
-        | ("junction", "incLanes" | "intLanes")
-        | ("connection", "via" | "tl")
-        | ("roundabout", "nodes" | "edges") => ids(value),
+        | ("connection", "via" | "tl") => tiled_id(world, value),
+        ("edge", "crossingEdges") | ("junction", "incLanes" | "intLanes") | ("roundabout", "nodes" | "edges") => ids(),
         ("prohibition", _) => value.split("->").map(|edge| tiled_id(world, edge.trim())).collect::<Vec<_>>().join("->"),
         _ => value.to_owned(),
     }
