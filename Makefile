@@ -5,6 +5,8 @@
 #            dependencies in full, so that tests which train are quick. Both targets share one build of libtorch's shim.
 #   release  `build`, `demo` and `bench`: what is measured and used.
 CARGO ?= cargo
+# What is built in besides: `make FEATURES=` leaves libsumo out, and with it Python.
+FEATURES ?= libsumo
 # rustup's folder, in case no new shell was opened since.
 export PATH := $(PATH):$(HOME)/.cargo/bin
 
@@ -19,18 +21,18 @@ bootstrap: ## install what is missing: SUMO, build tools, Python headers, libtor
 	@scripts/bootstrap
 
 build: bootstrap ## build target/release/iwol
-	$(CARGO) build --locked --release
+	$(CARGO) build --locked --release --features "$(FEATURES)"
 
 demo: build ## train vehicles to cross an intersection, and compare them with SUMO's own driver
 	scripts/demo
 
 test: bootstrap ## run every test: unit, integration (against the real SUMO) and documentation
-	$(CARGO) test --locked
+	$(CARGO) test --locked --features "$(FEATURES)"
 
 lint: bootstrap ## check formatting, clippy's lints and the documentation; a warning is an error
 	$(CARGO) fmt --check
-	$(CARGO) clippy --locked --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
+	$(CARGO) clippy --locked --all-targets --features "$(FEATURES)" -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --features "$(FEATURES)"
 
 bench: bootstrap ## measure speed with criterion
-	$(CARGO) bench --locked
+	$(CARGO) bench --locked --features "$(FEATURES)"

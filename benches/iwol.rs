@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use iwol_sumo::algo::{self, ActMode, Observation, Settings};
-use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions};
+use iwol_sumo::env::{Driver, Pose, Task, VecEnv, VecOptions, World, boxes_overlap, physical_mask};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::Hosting;
+use iwol_sumo::sumo::codec::{Reader, Writer};
+use iwol_sumo::sumo::{Batch, Hosting, Simulation as _, TraciSimulation};
 use tch::{Device, Kind, Tensor};
 
 fn task(agents: u32) -> Arc<Task> {
@@ -41,6 +42,82 @@ fn step(c: &mut Criterion) {
         });
     }
     group.finish();
+}
+
+/// What a decision costs beside SUMO: dynamics, collisions, rewards, masks, observations and privileged state of one world,
+/// over the first 60 steps of an episode whose snapshots were recorded.
+fn world(c: &mut Criterion) {
+    const STEPS: usize = 60;
+    let mut group = c.benchmark_group("env/world, beside SUMO");
+    for agents in [8, 24, 48] {
+        let task = task(agents);
+        let actions = vec![0.4; agents as usize];
+        let mut simulation =
+            TraciSimulation::start(task.simulation_config(0, 1, &Hosting::default())).expect("SUMO runs");
+        let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, u64::MAX);
+        let (mut commands, mut snapshots) = (Vec::new(), Vec::new());
+        world.reset(0);
+        for _ in 0..STEPS {
+            commands.clear();
+            world.act(0, &actions, &mut commands);
+            snapshots.push(simulation.step(&commands).expect("a step").clone());
+            world.observe(0, snapshots.last().expect("one")).expect("no vehicle is lost");
+        }
+        group.throughput(Throughput::Elements(STEPS as u64));
+        group.bench_function(format!("{agents} vehicles, {STEPS} steps"), |b| {
+            b.iter(|| {
+                world.reset(0);
+                for snapshot in &snapshots {
+                    commands.clear();
+                    world.act(0, black_box(&actions), &mut commands);
+                    world.observe(0, black_box(snapshot)).expect("no vehicle is lost");
+                }
+            });
+        });
+    }
+    group.finish();
+}
+
+/// The physical mask and the collision test by themselves.
+fn parts(c: &mut Criterion) {
+    let poses: Vec<Pose> =
+        (0..48).map(|i| Pose { x: f64::from(i % 7) * 9.0, y: f64::from(i / 7) * 6.0, heading: f64::from(i) }).collect();
+    let (present, mut mask) = (vec![true; 48], vec![0.0; 48 * 48]);
+    c.bench_function("physical mask/48 vehicles", |b| {
+        b.iter(|| physical_mask(black_box(&poses), &present, 30.0, &mut mask));
+    });
+    c.bench_function("boxes overlap/one pair", |b| {
+        b.iter(|| boxes_overlap(black_box(&poses[0]), black_box(&poses[8]), 4.515, 1.852));
+    });
+}
+
+/// Bytes out and in for 48 vehicles: the commands of a step, and values as a step reports them.
+fn codec(c: &mut Criterion) {
+    let names: Vec<String> = (0..48).map(|i| format!("w0s{i}")).collect();
+    let mut batch = Batch::new();
+    c.bench_function("codec/write 48 speeds", |b| {
+        b.iter(|| {
+            batch.clear();
+            for name in &names {
+                batch.vehicle().set_speed(name, black_box(7.5));
+            }
+        });
+    });
+    let mut writer = Writer::default();
+    for name in &names {
+        writer.str(name).double(12.5).double(7.5);
+    }
+    c.bench_function("codec/read 48 vehicles", |b| {
+        b.iter(|| {
+            let mut reader = Reader::new(black_box(&writer.bytes()[4..]), 4);
+            let mut sum = 0.0;
+            for _ in 0..48 {
+                sum += reader.str().expect("a name").len() as f64;
+                sum += reader.double().expect("a number") + reader.double().expect("a number");
+            }
+            sum
+        });
+    });
 }
 
 /// A policy's decision for sixteen worlds of eight vehicles.
@@ -92,5 +169,5 @@ fn update(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, step, act, update);
+criterion_group!(benches, codec, parts, world, step, act, update);
 criterion_main!(benches);

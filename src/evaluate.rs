@@ -128,7 +128,8 @@ pub fn evaluate(
     stop: &AtomicBool,
     report: &mut dyn FnMut(u64),
 ) -> Result<Evaluation, env::Error> {
-    let mut records = play(task, policy, 0..episodes, seed, hosting, stop, RETRIES, report)?;
+    let stage = Stage { task, policy, seed, hosting, stop };
+    let mut records = stage.play(0..episodes, RETRIES, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -140,16 +141,7 @@ pub fn evaluate(
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(play(
-            task,
-            policy,
-            next..next + missing.div_ceil(mean) as u64,
-            seed,
-            hosting,
-            stop,
-            RETRIES,
-            &mut |_| {},
-        )?);
+        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut |_| {})?);
     }
 }
 
@@ -169,47 +161,59 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     sums
 }
 
-/// Plays a range of episodes of the stream `seed`, in order of their numbers; interrupted ones are played again.
-fn play(
-    task: &Arc<Task>,
-    policy: &Policy<'_>,
-    episodes: Range<u64>,
+/// What the episodes of an evaluation have in common.
+struct Stage<'a> {
+    task: &'a Arc<Task>,
+    policy: &'a Policy<'a>,
     seed: Seed,
-    hosting: &Hosting,
-    stop: &AtomicBool,
-    retries: u32,
-    report: &mut dyn FnMut(u64),
-) -> Result<Vec<EpisodeRecord>, env::Error> {
-    let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
-    let driver = if matches!(policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
-    let options =
-        VecOptions { worlds, driver, seed: seed.child("episodes"), episodes: episodes.clone(), hosting: *hosting };
-    let mut records = Vec::new();
-    if worlds == 0 {
-        return Ok(records);
-    }
-    let mut env = VecEnv::new(task, &options)?;
-    let mut driver = PolicyDriver::new(policy, task, seed.child("actions"));
-    while !env.is_finished() && !stop.load(Ordering::Relaxed) {
-        let actions = driver.act(env.worlds());
-        env.step(actions)?;
-        let finished = env.take_finished();
-        if !finished.is_empty() {
-            records.extend(finished);
-            report(records.iter().filter(|r: &&EpisodeRecord| !r.interrupted).count() as u64);
+    hosting: &'a Hosting,
+    stop: &'a AtomicBool,
+}
+
+impl Stage<'_> {
+    /// Plays a range of episodes, in order of their numbers; interrupted ones are played again.
+    fn play(
+        &self,
+        episodes: Range<u64>,
+        retries: u32,
+        report: &mut dyn FnMut(u64),
+    ) -> Result<Vec<EpisodeRecord>, env::Error> {
+        let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
+        let driver = if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+        let options = VecOptions {
+            worlds,
+            driver,
+            seed: self.seed.child("episodes"),
+            episodes: episodes.clone(),
+            hosting: *self.hosting,
+        };
+        let mut records = Vec::new();
+        if worlds == 0 {
+            return Ok(records);
         }
-    }
-    drop(env);
-    let again: Vec<u64> = records.iter().filter(|r| r.interrupted).map(|r| r.episode).collect();
-    records.retain(|record| !record.interrupted);
-    for episode in again {
-        if retries == 0 {
-            return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
+        let mut env = VecEnv::new(self.task, &options)?;
+        let mut driver = PolicyDriver::new(self.policy, self.task, self.seed.child("actions"));
+        while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
+            let actions = driver.act(env.worlds());
+            env.step(actions)?;
+            let finished = env.take_finished();
+            if !finished.is_empty() {
+                records.extend(finished);
+                report(records.iter().filter(|r: &&EpisodeRecord| !r.interrupted).count() as u64);
+            }
         }
-        records.extend(play(task, policy, episode..episode + 1, seed, hosting, stop, retries - 1, &mut |_| {})?);
+        drop(env);
+        let again: Vec<u64> = records.iter().filter(|r| r.interrupted).map(|r| r.episode).collect();
+        records.retain(|record| !record.interrupted);
+        for episode in again {
+            if retries == 0 {
+                return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
+            }
+            records.extend(self.play(episode..episode + 1, retries - 1, &mut |_| {})?);
+        }
+        records.sort_by_key(|record| record.episode);
+        Ok(records)
     }
-    records.sort_by_key(|record| record.episode);
-    Ok(records)
 }
 
 /// Turns frames into actions, without randomness that depends on anything but seed, episode and step.

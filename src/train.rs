@@ -14,7 +14,7 @@ use tch::Tensor;
 use crate::algo::{self, ActMode, Algorithm, Losses, Observation};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
-use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions};
+use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
 use crate::evaluate::{Evaluation, Policy, evaluate};
 use crate::record::{self, JsonLines, TensorBoard};
 use crate::rng::{self, Seed};
@@ -102,6 +102,12 @@ struct Timers {
     copy: f64,
     #[serde(rename = "time/update_s")]
     update: f64,
+}
+
+/// Where the worlds stood between two iterations.
+struct Mark {
+    worlds: Vec<WorldState>,
+    memory: Tensor,
 }
 
 /// A learner and its worlds.
@@ -298,20 +304,29 @@ impl Trainer {
 
     /// Everything needed to go on from here.
     pub fn checkpoint(&self) -> Checkpoint {
+        self.checkpoint_at(self.mark())
+    }
+
+    /// Where the worlds stand.
+    fn mark(&self) -> Mark {
+        Mark { worlds: self.env.states(), memory: self.memory.shallow_clone() }
+    }
+
+    fn checkpoint_at(&self, mark: Mark) -> Checkpoint {
         Checkpoint {
             progress: self.progress.clone(),
             config: self.config.to_toml(),
             algorithm: self.config.algorithm.clone(),
             learner: self.learner.state(),
-            worlds: self.env.states(),
-            memory: Vec::try_from(self.memory.reshape([-1])).expect("memory is of floats"),
+            worlds: mark.worlds,
+            memory: Vec::try_from(mark.memory.reshape([-1])).expect("memory is of floats"),
         }
     }
 
     /// Trains until the end, the stop mark or `stop`, writing the run's files.
     ///
     /// # Errors
-    /// [`Error`]; the last checkpoint stays usable.
+    /// [`Error`]; the last checkpoint stays usable, and is one from before the rollout if it was the simulation that failed.
     pub fn run(&mut self, dir: &RunDir, stop: &AtomicBool, report: &mut dyn FnMut(&Report)) -> Result<Outcome, Error> {
         let mut files = Files::open(dir, &self.config, self.progress.step)?;
         let mut validation_success = None;
@@ -339,7 +354,15 @@ impl Trainer {
             let before = (self.progress.step, self.progress.seconds);
             self.timers = Timers::default();
             self.finished.clear();
-            let losses = self.iterate()?;
+            let begin = self.mark();
+            let losses = match self.iterate() {
+                // The rollout has changed nothing but the worlds: it can be played again from where it began.
+                Err(error @ Error::Env(_)) => {
+                    self.checkpoint_at(begin).save(&dir.last())?;
+                    return Err(error);
+                }
+                other => other?,
+            };
             let seconds = self.progress.seconds - before.1;
             let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
             let training_success = files.iteration(self, &losses, steps_per_second)?;

@@ -36,7 +36,9 @@ fn play(
     for step in 0..steps {
         // Around a fair speed, so that vehicles crash, arrive and queue.
         rng::fill_normal(&mut Seed::new(5).index(step).rng(), &mut actions);
-        actions.iter_mut().for_each(|action| *action = 0.6 + 0.5 * *action);
+        for action in &mut actions {
+            *action = 0.6 + 0.5 * *action;
+        }
         env.step(&actions).expect("a step");
         for world in env.worlds() {
             let frame = world.frame();

@@ -264,6 +264,34 @@ fn the_same_commands_give_the_same_bits() {
 }
 
 #[test]
+fn a_step_in_the_steady_state_allocates_nothing() {
+    let mut tiled = config(8);
+    tiled.worlds = 3;
+    let mut simulation = TraciSimulation::start(tiled).unwrap();
+    let all = || (0..3).flat_map(|world| (0..8).map(move |slot| (world, slot)));
+    let mut begin = Vec::new();
+    for (world, slot) in all() {
+        let depart_pos = 10.0 + 8.0 * f64::from(slot);
+        begin.push(Command::Add { world, slot, route: slot % 2, vehicle_type: 0, depart_pos, depart_speed: 0.0 });
+        begin.push(Command::SpeedMode { world, slot, mode: 32 });
+    }
+    let speeds: Vec<Command> = all().map(|(world, slot)| Command::SetSpeed { world, slot, speed: 5.0 }).collect();
+    let round: Vec<Command> = all().map(|(world, slot)| Command::Remove { world, slot }).chain(begin).collect();
+    let mut play = || {
+        simulation.step(&round).unwrap();
+        for _ in 0..150 {
+            simulation.step(&speeds).unwrap();
+        }
+    };
+    // Buffers grow with the first of all that can happen: respawns, removals, collisions.
+    play();
+    play();
+    let allocated = allocation_counter::measure(&mut play);
+    assert_eq!(allocated.count_total, 0);
+    assert_eq!(simulation.snapshot().vehicles.iter().flatten().count(), 24);
+}
+
+#[test]
 fn a_refusal_leaves_the_connection_usable() {
     let mut simulation = start(2);
     simulation.step(&add(0, EAST, 50.0)).unwrap();
@@ -555,7 +583,11 @@ fn kill_owner(test: &str) {
         }
         thread::sleep(Duration::from_millis(2));
     };
-    assert!(lives(pid));
+    // In the moment of an exec a process has no command line.
+    while !lives(pid) {
+        assert!(begin.elapsed() < Duration::from_secs(20), "SUMO ended by itself");
+        thread::sleep(Duration::from_millis(1));
+    }
     victim.kill().unwrap();
     victim.wait().unwrap();
     let ended = ends(pid);

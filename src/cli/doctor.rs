@@ -100,6 +100,7 @@ fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
         Ok(answer) => findings.row("TraCI", answer),
         Err(error) => findings.fault("TraCI", chain(&error), error.hint().as_deref()),
     }
+    findings.row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
     Ok(())
 }
 

@@ -161,7 +161,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
     });
     bar.finish_and_clear();
-    let outcome = outcome.with_context(|| format!("training {} stopped", config.algorithm))?;
+    let outcome = outcome.with_context(|| {
+        let kept = if dir.last().exists() {
+            format!("; go on with: iwol train --resume --out {}", dir.path().display())
+        } else {
+            String::new()
+        };
+        format!("training {} stopped after {} steps{kept}", config.algorithm, trainer.progress().step)
+    })?;
     let progress = trainer.progress();
     let end = match outcome {
         Outcome::Finished => "finished",

@@ -183,6 +183,11 @@ impl VecEnv {
         self.hosts.iter_mut().flat_map(|host| &mut host.worlds)
     }
 
+    /// Lets the coming step start the next episode in every world, whatever is on the road now.
+    pub fn reset(&mut self) {
+        self.worlds_mut().for_each(|world| world.reset(world.next_episode()));
+    }
+
     /// Where every world stands in its episodes.
     pub fn states(&self) -> Vec<WorldState> {
         self.worlds().map(World::state).collect()
@@ -281,5 +286,63 @@ impl Host {
     fn place(&self, source: sumo::Error) -> Error {
         let world = &self.worlds[0];
         Error::Sumo { world: self.first, episode: world.episode(), step: world.step_count(), source }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Scenario;
+    use crate::sumo::{Meter, Snapshot};
+
+    /// A simulator with a defect.
+    struct Broken(Snapshot);
+
+    impl Simulation for Broken {
+        fn worlds(&self) -> u32 {
+            1
+        }
+
+        fn slots(&self) -> u32 {
+            8
+        }
+
+        fn send(&mut self, _: &[Command]) -> Result<(), sumo::Error> {
+            Ok(())
+        }
+
+        fn receive(&mut self) -> Result<&Snapshot, sumo::Error> {
+            // A snapshot of no vehicles at all is not what any simulation may give.
+            assert!(!self.0.vehicles.is_empty(), "slots are missing");
+            Ok(&self.0)
+        }
+
+        fn renew(&mut self) -> Result<Renewal, sumo::Error> {
+            panic!("a defect is not to be covered up");
+        }
+
+        fn meter(&self) -> Meter {
+            Meter::default()
+        }
+    }
+
+    #[test]
+    fn a_panic_in_a_worker_is_an_error_of_the_step() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        let task = Arc::new(Task::new(&Scenario::load(&path).unwrap(), 8).unwrap());
+        let world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, u64::MAX);
+        let host = Host {
+            simulation: Box::new(Broken(Snapshot::default())),
+            first: 0,
+            worlds: vec![world],
+            commands: Vec::new(),
+            failed: None,
+            failures: 0,
+        };
+        let mut env = VecEnv { task, hosts: vec![host], worlds: 1, loads: 0, restarts: 0 };
+        match env.step(&[0.0; 8]) {
+            Err(Error::Panicked { message }) => assert_eq!(message, "slots are missing"),
+            other => panic!("{other:?}"),
+        }
     }
 }

@@ -178,6 +178,11 @@ impl World {
         self.episode
     }
 
+    /// Number of the episode after this one.
+    pub(super) fn next_episode(&self) -> u64 {
+        self.next_episode
+    }
+
     /// Step of the current episode.
     pub fn step_count(&self) -> u32 {
         self.step

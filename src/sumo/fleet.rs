@@ -29,6 +29,7 @@ pub(super) struct TileRoute {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Vehicle<'a> {
     /// In the fleet's vectors.
+    #[cfg_attr(not(feature = "libsumo"), expect(dead_code, reason = "TraCI goes by names"))]
     pub(super) index: usize,
     /// In SUMO.
     pub(super) name: &'a str,
@@ -76,7 +77,12 @@ impl Fleet {
         let vehicles = (worlds as usize) * slots as usize;
         let text = Net::text(&config.net).map_err(Box::new)?;
         let net = Net::parse(&text, &config.net).map_err(Box::new)?;
-        let (tiled, offsets) = if worlds == 1 { (None, vec![[0.0; 2]]) } else { write_tiles(&config, &text)? };
+        let (tiled, offsets) = if worlds == 1 {
+            (None, vec![[0.0; 2]])
+        } else {
+            let (file, offsets) = write_tiles(&config, &text)?;
+            (Some(file), offsets)
+        };
         let [low, high] = net.extent();
         let junctions = net
             .junctions
@@ -264,12 +270,13 @@ impl Fleet {
     }
 }
 
-fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Option<Arc<File>>, Vec<[f64; 2]>), Error> {
+/// The net with a copy for each world, and where the copies lie.
+fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Arc<File>, Vec<[f64; 2]>), Error> {
     let io = |source| Error::Io { doing: "write the tiled net to a temporary file", source };
     let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
     let mut file = tempfile::tempfile().map_err(io)?;
     file.write_all(tiled.text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
-    Ok((Some(Arc::new(file)), tiled.offsets))
+    Ok((Arc::new(file), tiled.offsets))
 }
 
 fn finite(what: &str, value: f64) -> Result<(), Error> {

@@ -171,6 +171,8 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
     });
 }
 
+static FLEET: LazyLock<Fleet> = LazyLock::new(fleet);
+
 /// The vehicles of one world with four slots.
 fn fleet() -> Fleet {
     Fleet::new(SimulationConfig {
@@ -223,7 +225,6 @@ fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
     within("collected", heap.bytes_max);
     let refused = collector.reply.outcomes.iter().filter(|outcome| outcome.is_err()).count();
 
-    static FLEET: LazyLock<Fleet> = LazyLock::new(fleet);
     let mut fleet = FLEET.clone();
     let mut sink = StepSink { fleet: &mut fleet, distance: None, speed: None, refused: None };
     let mut stepped = Ok(0);

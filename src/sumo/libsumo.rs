@@ -141,7 +141,9 @@ impl LibsumoSimulation {
         let (time, arrived, distances, speeds, collisions, refusal) = reply.map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
-        arrived.iter().for_each(|name| self.fleet.arrived(name));
+        for name in &arrived {
+            self.fleet.arrived(name);
+        }
         let mut values = distances.into_iter().zip(speeds);
         for &vehicle in &self.asked {
             if self.fleet.known[vehicle]
@@ -150,7 +152,9 @@ impl LibsumoSimulation {
                 self.fleet.report(vehicle, distance, speed);
             }
         }
-        collisions.iter().for_each(|(collider, victim)| self.fleet.collision(collider, victim));
+        for (collider, victim) in &collisions {
+            self.fleet.collision(collider, victim);
+        }
         match refusal {
             Some((call, id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, call, id, message }),
             None => Ok(()),
@@ -203,15 +207,13 @@ impl Simulation for LibsumoSimulation {
         Python::attach(|py| {
             let module = self.module.bind(py);
             let arguments = self.fleet.arguments()?;
-            let loaded = module.call_method1("load", (&arguments,));
-            let renewal = match loaded {
-                Ok(_) => Renewal::Loaded,
-                Err(_) => {
-                    // Nothing may be left to close.
-                    let _ = module.call_method0("close");
-                    module.call_method1("start", (&arguments,)).map_err(|e| failed("start", py, &e))?;
-                    Renewal::Restarted
-                }
+            let renewal = if module.call_method1("load", (&arguments,)).is_ok() {
+                Renewal::Loaded
+            } else {
+                // There may be nothing left to close.
+                let _ = module.call_method0("close");
+                module.call_method1("start", (&arguments,)).map_err(|e| failed("start", py, &e))?;
+                Renewal::Restarted
             };
             self.introduce(py)?;
             Ok(renewal)

@@ -7,7 +7,7 @@ use std::process::Command as Program;
 use std::time::Instant;
 
 use anyhow::{Context as _, bail, ensure};
-use iwol_sumo::sumo::{self, Backend, Command};
+use iwol_sumo::sumo::{self, Backend, Command, Snapshot};
 use serde::{Deserialize, Serialize};
 
 use super::workload::{EPISODE, Workload};
@@ -155,25 +155,20 @@ fn play(workload: &Workload, backend: Backend, worlds: usize, processes: usize, 
         if step == WARMUP {
             begin = Instant::now();
         }
-        let sums = Host::exchange(
-            &mut hosts,
-            |world, out: &mut Vec<Command>| workload.commands(world, step, out),
-            |snapshot| {
-                let vehicles = snapshot.vehicles.iter().enumerate();
-                let agents = workload.task.agents;
-                let mut sums =
-                    vehicles.filter_map(|(i, v)| Some((i / agents, workload.checksum(i % agents, v.as_ref()?))));
-                let mut first = 0.0;
-                sums.by_ref().for_each(|(world, sum)| {
-                    if world == 0 {
-                        first += sum
-                    } else {
-                        std::hint::black_box(sum);
-                    }
-                });
-                first
-            },
-        )?;
+        let commands = |world: u32, out: &mut Vec<Command>| workload.commands(world, step, out);
+        // All that is reported is read; that of the first world is what other clients play, too.
+        let read = |snapshot: &Snapshot| {
+            let mut sums = snapshot.vehicles.chunks(workload.task.agents).map(|world| {
+                let vehicles = world.iter().enumerate();
+                vehicles.filter_map(|(slot, vehicle)| Some(workload.checksum(slot, vehicle.as_ref()?))).sum::<f64>()
+            });
+            let first = sums.next().unwrap_or_default();
+            for sum in sums {
+                std::hint::black_box(sum);
+            }
+            first
+        };
+        let sums = Host::exchange(&mut hosts, commands, read)?;
         if step >= WARMUP {
             checksum += sums;
         }

@@ -224,11 +224,11 @@ fn measure(
     let (mut plain, mut respawning) = (Vec::new(), Vec::new());
     while begin.elapsed().as_secs_f64() < seconds {
         let took = advance(&mut hosts, step)?;
-        let respawns = (0..per_host).any(|w| (step - late(w)) % EPISODE == 0);
+        let respawns = (0..per_host).any(|w| (step - late(w)).is_multiple_of(EPISODE));
         if respawns {
-            respawning.push(took)
+            respawning.push(took);
         } else {
-            plain.push(took)
+            plain.push(took);
         }
         step += 1;
     }

@@ -74,7 +74,9 @@ pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError>
             "type" => kind.iter().for_each(|node| write_element(&mut out, *node, None)),
             _ => {
                 for (world, offset) in offsets.iter().enumerate() {
-                    kind.iter().for_each(|node| write_element(&mut out, *node, Some((world as u32, *offset))));
+                    for node in kind {
+                        write_element(&mut out, *node, Some((world as u32, *offset)));
+                    }
                 }
             }
         }
