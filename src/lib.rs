@@ -24,3 +24,8 @@ pub mod stats;
 pub mod suggest;
 pub mod sumo;
 pub mod train;
+
+/// The examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
