@@ -13,7 +13,11 @@ use iwol_sumo::sumo::Hosting;
 
 fn play(policy: &Policy<'_>, agents: u32, episodes: u64) -> (Evaluation, Metrics) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
-    let scenario = Scenario::load(&path).expect("the shipped scenario");
+    play_on(&path, policy, agents, episodes)
+}
+
+fn play_on(path: &Path, policy: &Policy<'_>, agents: u32, episodes: u64) -> (Evaluation, Metrics) {
+    let scenario = Scenario::load(path).expect("a scenario");
     let task = Arc::new(Task::new(&scenario, agents).expect("a task"));
     let seed = Seed::new(0).child("calibration");
     let evaluation = evaluate(&task, policy, episodes, seed, &Hosting::default(), &AtomicBool::new(false), &mut |_| {})
@@ -37,8 +41,35 @@ fn full_throttle() {
     // The audit. SUMO tests once per step and along lanes; our boxes are tested five times per step.
     let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
     let sumo: u32 = evaluation.episodes.iter().map(|e| e.sumo_collisions).sum();
-    within("colliding pairs by SUMO against ours", f64::from(sumo), f64::from(own), 0.5);
+    within("colliding pairs by SUMO against ours", f64::from(sumo), f64::from(own), 0.2);
     assert!(evaluation.episodes.iter().all(|e| (e.crash > 0.0) == (e.own_collisions > 0)));
+    let audit = metrics.audit;
+    let differences: u32 = audit.differences().iter().map(|(_, pairs)| pairs).sum();
+    let only_sumo = audit.sumo_ended + audit.sumo_touching + audit.sumo_other;
+    assert_eq!((audit.agreed + differences, audit.agreed + only_sumo), (own + only_sumo, sumo));
+    assert_eq!(audit.ours_unregulated, 0);
+    assert!(f64::from(audit.ours_other + audit.sumo_other) < 0.02 * f64::from(own), "{audit:?}");
+}
+
+#[test]
+fn the_audit_says_that_sumo_does_not_look_into_unregulated_junctions() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir_all(path("sumo_nets/intersection")).expect("a folder");
+    std::fs::create_dir(path("scenarios")).expect("a folder");
+    std::fs::copy(root.join("scenarios/intersection.xml"), path("scenarios/intersection.xml")).expect("a copy");
+    for size in ["arm30", "arm42", "arm74", "arm106"] {
+        let name = format!("sumo_nets/intersection/{size}.net.xml");
+        let net = std::fs::read_to_string(root.join(&name)).expect("a net");
+        assert!(net.contains("right_before_left"));
+        std::fs::write(path(&name), net.replace("right_before_left", "unregulated")).expect("a net");
+    }
+    let (evaluation, metrics) = play_on(&path("scenarios/intersection.xml"), &Policy::Throttle(1.0), 8, 40);
+    let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
+    // What is left are queues that run into each other on a lane.
+    assert!(f64::from(metrics.audit.ours_unregulated) > 0.5 * f64::from(own), "{:?} of {own}", metrics.audit);
+    assert_eq!(metrics.crash, play(&Policy::Throttle(1.0), 8, 40).1.crash, "ours does not depend on the type");
 }
 
 #[test]

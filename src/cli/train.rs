@@ -77,7 +77,7 @@ impl Args {
 }
 
 /// What somebody needs to know who finds the folder in a year.
-fn write_meta(dir: &RunDir) -> anyhow::Result<()> {
+fn write_meta(dir: &RunDir, worlds: &str) -> anyhow::Result<()> {
     let sumo = sumo::find_sumo()?;
     let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let meta = serde_json::json!({
@@ -85,6 +85,7 @@ fn write_meta(dir: &RunDir) -> anyhow::Result<()> {
         "command": std::env::args().collect::<Vec<_>>(),
         "started_unix_s": started,
         "sumo": sumo::sumo_version(&sumo)?,
+        "worlds": worlds,
         "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
         "torch_threads": tch::get_num_threads(),
     });
@@ -133,8 +134,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         all,
         deployed
     );
-    eprintln!("{}", config.hosting().describe(config.train.envs));
-    write_meta(&dir)?;
+    let worlds = config.hosting().describe(config.train.envs);
+    eprintln!("{worlds}");
+    write_meta(&dir, &worlds)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(
         ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")

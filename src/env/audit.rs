@@ -6,6 +6,15 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::geometry::{Pose, boxes_overlap};
+use super::slots::{Slot, Status};
+use super::task::{JunctionStretch, Task};
+use crate::scenario::Vehicle;
+use crate::sumo::Collision;
+
+/// Boxes that overlap only when this much longer and wider have a gap of at most half of it \[m\].
+const NEAR: f64 = 0.2;
+
 /// Pairs of vehicles that collided in an episode.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Audit {
@@ -82,12 +91,64 @@ pub(super) enum Ours {
     Other,
 }
 
+impl Ours {
+    /// Why SUMO would not report that these two overlap, given all collisions that it reports of their world.
+    pub(super) fn reason<'a>(
+        task: &Task,
+        pair: [(u32, &Slot); 2],
+        mut reported: impl Iterator<Item = &'a Collision>,
+    ) -> Self {
+        let Vehicle { length, width, .. } = task.scenario.vehicle;
+        let [a, b] = pair.map(|(_, slot)| slot);
+        let overlap = |a: &Pose, b: &Pose, more: f64| boxes_overlap(a, b, length + more, width + more);
+        let centred = |slot: &Slot| Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
+        let front_inside = |slot: &Slot| {
+            let front = slot.s + length / 2.0;
+            task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
+        };
+        let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| {
+            let body = (slot.s - length / 2.0, slot.s + length / 2.0);
+            task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
+        };
+        let of_pair = |slot: u32| pair.iter().any(|(other, _)| *other == slot);
+        if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
+            Ours::Unregulated
+        } else if !overlap(&a.pose, &b.pose, 0.0) {
+            Ours::BetweenSteps
+        } else if !overlap(&centred(a), &centred(b), 0.0) {
+            Ours::LateralOffset
+        } else if (touches(a, |_| true) || touches(b, |_| true)) && !(front_inside(a) && front_inside(b)) {
+            Ours::JunctionEdge
+        } else if !overlap(&a.pose, &b.pose, -NEAR) {
+            Ours::Touching
+        } else if reported.any(|c| of_pair(c.collider) != of_pair(c.victim)) {
+            Ours::OneOfSeveral
+        } else {
+            Ours::Other
+        }
+    }
+}
+
 /// Why SUMO alone may see a collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sumos {
     Ended,
     Touching,
     Other,
+}
+
+impl Sumos {
+    /// Why our test would not see what SUMO reports of these two.
+    pub(super) fn reason(vehicle: &Vehicle, a: &Slot, b: &Slot) -> Self {
+        let ended = |slot: &Slot| slot.status != Status::Active;
+        if a.status == Status::Empty || b.status == Status::Empty || (ended(a) && ended(b)) {
+            Sumos::Ended
+        } else if boxes_overlap(&a.pose, &b.pose, vehicle.length + NEAR, vehicle.width + NEAR) {
+            Sumos::Touching
+        } else {
+            Sumos::Other
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy)]

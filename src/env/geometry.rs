@@ -12,6 +12,12 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// The pose at `lateral` metres to the left of a point.
+    pub(super) fn beside(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
+        let (sin, cos) = heading.sin_cos();
+        Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
+    }
+
     /// Linear interpolation towards `next` (headings the short way round); `t` in 0..=1.
     #[must_use]
     pub fn towards(&self, next: &Pose, t: f64) -> Pose {

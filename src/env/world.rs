@@ -11,18 +11,16 @@ use super::comm::physical_mask;
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
-use super::task::{AGENT_TYPE, JunctionStretch, SUMO_TYPE, Task};
+use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
 use crate::rng::{self, Seed};
-use crate::scenario::{Reward, Vehicle};
+use crate::scenario::Reward;
 use crate::sumo::{Command, Snapshot};
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
-/// Boxes that overlap only when this much longer and wider have a gap of at most half of it \[m\].
-const NEAR: f64 = 0.2;
 /// SUMO's speed mode with every check off.
 const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
@@ -280,7 +278,7 @@ impl World {
             let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
             let path = &task.routes[place.route].path;
             let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
-            let pose = offset(point, heading, lateral);
+            let pose = Pose::beside(point, heading, lateral);
             *slot = Slot {
                 status: Status::Active,
                 route: place.route,
@@ -413,7 +411,7 @@ impl World {
             let front = path.arc_of_distance(vehicle.distance);
             let (point, heading, segment) = path.body(front, 2.0 * half);
             let (sin, cos) = heading.sin_cos();
-            slot.pose = offset([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
+            slot.pose = Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
             slot.s = front - half;
             slot.segment = segment;
         }
@@ -430,7 +428,7 @@ impl World {
         for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
             let (a, b) = (collision.collider, collision.victim);
             let (slots, vehicle) = (&self.traffic.slots, &self.task.scenario.vehicle);
-            self.pairs.sumo(a, b, || Self::why_only_sumo(slots, vehicle, a as usize, b as usize));
+            self.pairs.sumo(a, b, || Sumos::reason(vehicle, &slots[a as usize], &slots[b as usize]));
         }
         let task = &*self.task;
         let scenario = &task.scenario;
@@ -496,33 +494,11 @@ impl World {
                 if hit {
                     self.involved[i] = true;
                     self.involved[j] = true;
-                    let of_pair = |k: u32| k == i as u32 || k == j as u32;
-                    let several = || {
-                        let mut of_world = snapshot.collisions.iter().filter(|c| c.world == world);
-                        of_world.any(|c| of_pair(c.collider) != of_pair(c.victim))
-                    };
-                    let reason = || match why_only_ours(&self.task, &slots[i], &slots[j]) {
-                        Ours::Other if several() => Ours::OneOfSeveral,
-                        reason => reason,
-                    };
+                    let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);
+                    let reason = || Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world());
                     self.pairs.ours(j as u32, i as u32, reason);
                 }
             }
-        }
-    }
-
-    /// Why our test would not see what SUMO reports.
-    fn why_only_sumo(slots: &[Slot], vehicle: &Vehicle, a: usize, b: usize) -> Sumos {
-        let (a, b) = (&slots[a], &slots[b]);
-        if a.status == Status::Empty
-            || b.status == Status::Empty
-            || (a.status, b.status) == (Status::Wreck, Status::Wreck)
-        {
-            Sumos::Ended
-        } else if boxes_overlap(&a.pose, &b.pose, vehicle.length + NEAR, vehicle.width + NEAR) {
-            Sumos::Touching
-        } else {
-            Sumos::Other
         }
     }
 
@@ -567,37 +543,4 @@ impl World {
             step_rewards: std::mem::take(&mut self.step_rewards),
         }
     }
-}
-
-/// Why SUMO would not report what our test sees.
-fn why_only_ours(task: &Task, a: &Slot, b: &Slot) -> Ours {
-    let Vehicle { length, width, .. } = task.scenario.vehicle;
-    let centred = |slot: &Slot| offset([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
-    let front_inside = |slot: &Slot| {
-        let front = slot.s + length / 2.0;
-        task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
-    };
-    let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| {
-        let body = (slot.s - length / 2.0, slot.s + length / 2.0);
-        task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
-    };
-    if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
-        Ours::Unregulated
-    } else if !boxes_overlap(&a.pose, &b.pose, length, width) {
-        Ours::BetweenSteps
-    } else if !boxes_overlap(&centred(a), &centred(b), length, width) {
-        Ours::LateralOffset
-    } else if (touches(a, |_| true) || touches(b, |_| true)) && !(front_inside(a) && front_inside(b)) {
-        Ours::JunctionEdge
-    } else if !boxes_overlap(&a.pose, &b.pose, length - NEAR, width - NEAR) {
-        Ours::Touching
-    } else {
-        Ours::Other
-    }
-}
-
-/// The pose at `lateral` metres to the left of a point.
-fn offset(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
-    let (sin, cos) = heading.sin_cos();
-    Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
 }
