@@ -5,7 +5,10 @@ use std::{collections::BTreeMap, process::Command};
 
 use iwol_sumo::sumo::{
     Batch, Error, Replies, Ticket,
-    domain::simulation::{IntermodalQuery, RouteQuery},
+    domain::{
+        simulation::{IntermodalQuery, RouteQuery},
+        vehicle::Side,
+    },
 };
 use serde_json::Value as Json;
 
@@ -215,14 +218,14 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_id_count(); get_id_list(); get_taxi_fleet(-1)
         }
         {
-            could_change_lane(1); get_accel; get_acceleration; get_accumulated_waiting_time; get_action_step_length;
+            could_change_lane(Side::Left); get_accel; get_acceleration; get_accumulated_waiting_time; get_action_step_length;
             get_adapted_traveltime(60.0, "ce"); get_allowed_speed; get_angle; get_apparent_decel; get_best_lanes;
             get_co2_emission; get_co_emission; get_color; get_decel; get_distance;
             get_driving_distance("ce", 30.0, 1); get_driving_distance2d([800.0, 195.0]); get_effort(60.0, "ce");
             get_electricity_consumption; get_emergency_decel; get_emission_class;
             get_follow_speed(10.0, 20.0, 5.0, 4.5, ""); get_follower(100.0); get_fuel_consumption; get_hc_emission;
-            get_height; get_imperfection; get_lane_change_mode; get_lane_change_state(1);
-            get_lane_change_state_pretty(-1); get_lane_id; get_lane_index; get_lane_position; get_last_action_time;
+            get_height; get_imperfection; get_lane_change_mode; get_lane_change_state(Side::Left);
+            get_lane_change_state_pretty(Side::Right); get_lane_id; get_lane_index; get_lane_position; get_last_action_time;
             get_lateral_alignment; get_lateral_lane_position; get_lateral_speed; get_leader(100.0);
             get_left_followers(false); get_left_leaders(true); get_length; get_line; get_max_speed;
             get_max_speed_lat; get_min_gap; get_min_gap_lat; get_nox_emission; get_neighbors(2); get_next_stops;
@@ -234,7 +237,7 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_stop_arrival_delay; get_stop_delay; get_stop_parameter(0, "duration"); get_stop_speed(10.0, 20.0);
             get_stop_state; get_stops(0); get_tau; get_time_loss; get_type_id; get_vehicle_class; get_via;
             get_waiting_time; get_width; is_at_bus_stop; is_at_container_stop; is_route_valid; is_stopped;
-            is_stopped_parking; is_stopped_triggered; wants_and_could_change_lane(-1)
+            is_stopped_parking; is_stopped_triggered; wants_and_could_change_lane(Side::Right)
         }
     }
     let ids = client.vehicle_type().get_id_list().unwrap();
