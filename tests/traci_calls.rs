@@ -1,5 +1,5 @@
 //! Calls that change something, against the real simulator: what is set can be read back, a refused call harms
-//! no other, subscriptions and filters, states, several clients.
+//! no other, states, several clients.
 
 use std::{
     net::{Ipv4Addr, SocketAddr, TcpListener},
@@ -9,15 +9,15 @@ use std::{
 };
 
 use iwol_sumo::sumo::{
-    Batch, Client, Domain, Error, Variable, Version,
+    Batch, Client, Domain, Error, Value, Variable, Version,
     constants::INVALID_DOUBLE_VALUE,
     domain::{
         Color, Highlight, gui,
-        person::{self, Place, Walk},
+        person::{Place, Walk},
         poi, polygon,
         simulation::{self, Stage},
         traffic_light::{Logic, Phase},
-        vehicle::{self, Addition, Gap, Placement, Side, Stop, StopChange},
+        vehicle::{self, Addition, Gap, Placement, Stop, StopChange},
     },
     find_sumo,
     process::{Options, Process},
@@ -322,6 +322,7 @@ fn vehicles_do_as_they_are_told() {
         reroute_effort("many.12");
         change_target("many.10", "ce");
         highlight("many.12", &Highlight { fade: Some((99, 3.0)), ..Highlight::default() });
+        highlight("many.12", &Highlight { kind: 1, ..Highlight::default() });
         move_to("north.6", "sc_1", 70.0, 0);
         move_to_xy("west.3", [700.0, 205.0], &Placement { keep_route: 2, angle: 90.0, ..Placement::default() });
         set_speed("many.7", 1.5);
@@ -332,7 +333,12 @@ fn vehicles_do_as_they_are_told() {
     assert_eq!(stops.iter().map(|stop| (stop.end_pos, stop.duration)).collect::<Vec<_>>(), [(60.0, 8.0), (120.0, 9.0)]);
     assert_eq!(client.vehicle().get_stop_parameter("many.13", 0, "duration").unwrap(), "7.00");
     assert_eq!(client.vehicle().get_next_stops("many.15").unwrap()[0].end_pos, 99.0);
-    assert_eq!(client.vehicle().get_next_stops("many.14").unwrap()[0].stopping_place, "stop");
+    let next = |client: &mut Client, id| {
+        let stop = client.vehicle().get_next_stops(id).unwrap().remove(0);
+        (stop.stopping_place, stop.flags)
+    };
+    assert_eq!(next(&mut client, "many.14"), ("stop".to_owned(), 16));
+    assert_eq!(next(&mut client, "parker"), ("park".to_owned(), 1 | 2 | 128));
     assert_eq!(client.vehicle().get_adapted_traveltime("many.13", 60.0, "ce").unwrap(), 77.0);
     assert_eq!(client.vehicle().get_adapted_traveltime("many.13", 150.0, "cn").unwrap(), 78.0);
     assert_eq!(client.vehicle().get_effort("many.13", 60.0, "ce").unwrap(), 87.0);
@@ -346,96 +352,6 @@ fn vehicles_do_as_they_are_told() {
     assert_eq!(vehicle.get_lane_id("many.11").unwrap(), "wc_1");
     let brakes = vehicle.get_acceleration("many.7").unwrap();
     assert!(brakes < -4.0, "{brakes}");
-}
-
-#[test]
-fn context_subscriptions_are_reported_and_filtered() {
-    let world = World::new();
-    let (_process, mut client) = world.start();
-    client.simulation_step(50.0).unwrap();
-    // No subscription is there that a filter could restrict.
-    let (call, ..) = refused(client.vehicle().add_subscription_filter_downstream_distance(10.0));
-    assert_eq!(call, "vehicle.addSubscriptionFilterDownstreamDistance");
-    let variables = [vehicle::VAR_SPEED.id(), vehicle::VAR_POSITION.id(), vehicle::VAR_LANE_ID.id()];
-    // Around a lane detector, a junction, a vehicle: objects of the same identifier in different domains.
-    client.junction().subscribe_context("c", Domain::VEHICLE, 60.0, &variables).unwrap();
-    client.junction().subscribe_context("c", Domain::PERSON, 500.0, &[person::VAR_SPEED.id()]).unwrap();
-    client.vehicle().subscribe_context("many.13", Domain::VEHICLE, 100.0, &variables).unwrap();
-    client.vehicle().subscribe("many.13", &[vehicle::VAR_SPEED.id(), vehicle::VAR_BEST_LANES.id()]).unwrap();
-    client.vehicle().subscribe_leader("many.14", 150.0).unwrap();
-    client.vehicle().subscribe_during("many.15", &[vehicle::VAR_SPEED.id()], 53.0, 54.0).unwrap();
-    client.vehicle().subscribe_parameter_with_key("bus", "key").unwrap();
-    let reply = client.simulation_step(0.0).unwrap();
-    let near = reply.around(Domain::JUNCTION, "c");
-    let ids: Vec<_> = near.objects().collect();
-    assert!(ids.len() > 4 && ids.contains(&"walker"), "{ids:?}");
-    for id in ids {
-        let Some(position) = near.get(id, vehicle::VAR_POSITION) else {
-            assert!(near.get(id, person::VAR_SPEED).unwrap().unwrap() < 3.0);
-            continue;
-        };
-        assert_eq!(position.unwrap(), client.vehicle().get_position(id).unwrap());
-        assert_eq!(near.get(id, vehicle::VAR_LANE_ID).unwrap().unwrap(), client.vehicle().get_lane_id(id).unwrap());
-        assert!(near.get(id, vehicle::VAR_ANGLE).is_none() && near.get(id, person::VAR_SPEED).is_none());
-    }
-    assert_eq!(
-        reply.get("many.13", vehicle::VAR_BEST_LANES).unwrap().unwrap(),
-        client.vehicle().get_best_lanes("many.13").unwrap()
-    );
-    assert_eq!(
-        reply.get("many.14", vehicle::VAR_LEADER).unwrap().unwrap(),
-        client.vehicle().get_leader("many.14", 150.0).unwrap()
-    );
-    let parameter = reply.get("bus", vehicle::VAR_PARAMETER_WITH_KEY).unwrap().unwrap();
-    assert_eq!(parameter, ("key".to_owned(), String::new()));
-    assert!(reply.get("many.15", vehicle::VAR_SPEED).is_none());
-    assert!(reply.get("nobody", vehicle::VAR_SPEED).is_none());
-    // The same variable, taken for another type.
-    let wrong = Variable::<String>::new(Domain::VEHICLE, vehicle::VAR_SPEED.number());
-    match reply.get("many.13", wrong) {
-        Some(Err(error @ Error::Type { .. })) => {
-            let words = "the subscription to variable 0x40 gives a double where a string should be";
-            assert_eq!((error.is_fatal(), error.to_string().as_str()), (false, words));
-        }
-        other => panic!("{other:?}"),
-    }
-    let all: Vec<_> = reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
-    assert!(all.len() > 5, "{all:?}");
-    // Each filter leaves fewer.
-    macro_rules! filtered {
-        ($($filter:ident($($argument:expr),*)),+) => {{
-            let mut batch = client.batch();
-            batch.vehicle().subscribe_context("many.13", Domain::VEHICLE, 100.0, &variables);
-            let tickets = [$(batch.vehicle().$filter($($argument),*)),+];
-            let mut reply = batch.step(0.0).unwrap();
-            for ticket in tickets {
-                reply.take(ticket).unwrap();
-            }
-            let ids: Vec<_> = reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
-            assert!(ids.len() < all.len(), "{} {ids:?}", concat!($(stringify!($filter)),+));
-            ids
-        }};
-    }
-    assert!(filtered!(add_subscription_filter_vtype(&["taxi"])).is_empty());
-    assert!(filtered!(add_subscription_filter_vclass(&["bicycle"])).is_empty());
-    filtered!(add_subscription_filter_field_of_vision(40.0));
-    filtered!(
-        add_subscription_filter_lanes(&[0, 0]),
-        add_subscription_filter_no_opposite(),
-        add_subscription_filter_downstream_distance(60.0),
-        add_subscription_filter_upstream_distance(0.0)
-    );
-    assert!(filtered!(add_subscription_filter_cf_maneuver()).len() <= 2);
-    assert!(filtered!(add_subscription_filter_lc_maneuver(Some(Side::Left))).len() <= 4);
-    filtered!(add_subscription_filter_lead_follow(&[-1, 0]));
-    filtered!(add_subscription_filter_turn(50.0));
-    filtered!(add_subscription_filter_lateral_distance(1.0), add_subscription_filter_downstream_distance(30.0));
-    // It begins in its time only, and ends when told.
-    client.vehicle().unsubscribe("many.13").unwrap();
-    client.vehicle().unsubscribe_context("many.13", Domain::VEHICLE).unwrap();
-    let reply = client.simulation_step(0.0).unwrap();
-    assert!(reply.get("many.13", vehicle::VAR_SPEED).is_none());
-    assert_eq!(reply.around(Domain::VEHICLE, "many.13").objects().count(), 0);
 }
 
 #[test]
@@ -459,10 +375,20 @@ fn a_refused_command_harms_no_other_of_its_batch() {
         (call.as_str(), id.as_str(), message.as_str()),
         ("vehicle.setSpeed", "nobody", "Vehicle 'nobody' is not known")
     );
+    // Its ticket is taken; without tickets, the check tells of the first refusal.
+    reply.check().unwrap();
+    batch.vehicle().set_speed("v", 2.0);
+    batch.vehicle().set_speed("stranger", 1.0);
+    batch.vehicle().remove("another", 3);
+    let replies = client.run(&mut batch).unwrap();
+    for _ in 0..2 {
+        assert_eq!(refused(replies.check()).1, "stranger");
+    }
     reply.take(speed).unwrap();
     assert_eq!(reply.take(ids).unwrap(), Vec::<String>::new());
     assert_eq!(reply.take(time).unwrap(), 0.0);
-    client.simulation_step(0.0).unwrap();
+    batch.vehicle().set_speed("stranger", 1.0);
+    assert_eq!(refused(client.step(&mut batch, 0.0).unwrap().check()).1, "stranger");
     assert_eq!(client.vehicle().get_speed("v").unwrap(), 2.0);
     let (call, id, _) = refused(client.vehicle().get_speed("nobody"));
     assert_eq!((call.as_str(), id.as_str()), ("vehicle.getSpeed", "nobody"));
@@ -480,6 +406,60 @@ fn start(arguments: &[&str]) -> (Process, Client) {
     let arguments = arguments.iter().map(Into::into).collect();
     let (process, client, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
     (process, client)
+}
+
+#[test]
+fn a_step_goes_to_a_time_in_the_future_or_nowhere() {
+    let (process, mut client) = start(&["--net-file", NET]);
+    for until in [-1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(client.simulation_step(until), Err(Error::Invalid { .. })), "{until}");
+    }
+    assert_eq!(client.simulation().get_time().unwrap(), 0.0);
+    client.simulation_step(7.0).unwrap();
+    for until in [3.0, 7.0] {
+        client.simulation_step(until).unwrap();
+        assert_eq!(client.simulation().get_time().unwrap(), 7.0);
+    }
+    client.simulation_step(0.0).unwrap();
+    assert_eq!(client.simulation().get_time().unwrap(), 8.0);
+    // An error names the time that was known last.
+    drop(process);
+    match client.simulation_step(0.0) {
+        Err(Error::Closed { sim_time_s, .. }) => assert_eq!(sim_time_s, Some(8.0)),
+        other => panic!("{other:?}"),
+    }
+    let (process, mut client) = start(&["--net-file", NET]);
+    drop(process);
+    match client.simulation_step(0.0) {
+        Err(error @ Error::Closed { sim_time_s: None, .. }) => assert!(!error.to_string().contains("time")),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn kinds_of_objects_without_a_module_are_reached_by_number() {
+    let world = World::new();
+    let (_process, mut client) = world.start();
+    let (list, name) = (0x00, 0x1b);
+    for (domain, ids) in [
+        (Domain::BUS_STOP, &["stop"][..]),
+        (Domain::CALIBRATOR, &[]),
+        (Domain::CHARGING_STATION, &[]),
+        (Domain::MULTI_ENTRY_EXIT, &[]),
+        (Domain::OVERHEAD_WIRE, &[]),
+        (Domain::REROUTER, &[]),
+        (Domain::ROUTE_PROBE, &[]),
+        (Domain::VARIABLE_SPEED_SIGN, &[]),
+    ] {
+        let answer = client.call(|batch| batch.get(domain, list, "")).unwrap();
+        assert_eq!(answer, Some(Value::StringList(strings(ids))), "{domain:?}");
+    }
+    let name = Variable::<String>::new(Domain::BUS_STOP, name);
+    let mut batch = Batch::new();
+    batch.subscribe(Domain::BUS_STOP, "stop", &[name.id()]);
+    let reply = client.step(&mut batch, 0.0).unwrap();
+    reply.check().unwrap();
+    assert_eq!(reply.get("stop", name).unwrap().unwrap(), "Halt");
 }
 
 #[test]

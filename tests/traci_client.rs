@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, process::Command};
 
 use iwol_sumo::sumo::{
-    Batch, Error, Replies, Ticket,
+    Batch, Domain, Error, Replies, Ticket, Value, Variable,
     domain::{
         simulation::{IntermodalQuery, RouteQuery},
         vehicle::Side,
@@ -374,4 +374,81 @@ fn nothing_is_missing(methods: &Json) {
             assert!(here(&source) || here(&shared), "{domain}.{python}: no {snake}");
         }
     }
+}
+
+/// The variables that a text of tables makes constants of: those without an argument, and those with one.
+fn constants(source: &str) -> [Vec<(&str, u8)>; 2] {
+    let words: Vec<&str> = source.split_whitespace().collect();
+    let mut found = [Vec::new(), Vec::new()];
+    for row in words.windows(4) {
+        let [sumo, name, number, next] = row else { continue };
+        let number = number.strip_prefix("0x").and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        if let (true, Some(number)) = (sumo.starts_with('"') && sumo.ends_with('"'), number) {
+            found[usize::from(*next != "->")].push((*name, number));
+        }
+    }
+    found
+}
+
+#[test]
+fn sumo_takes_subscriptions_to_all_constants() {
+    let world = World::new();
+    let (_process, mut client) = world.start();
+    client.simulation_step(SECONDS).unwrap();
+    let shared = |name: &str| {
+        let start = SHARED.find(&format!("macro_rules! {name} ")).unwrap();
+        let text = &SHARED[start..];
+        &text[..text.find("\n}\n").unwrap()]
+    };
+    let mut told = 0;
+    for (name, source) in SOURCES {
+        let domain = match name {
+            "edge" => Domain::EDGE,
+            "inductionloop" => Domain::INDUCTION_LOOP,
+            "junction" => Domain::JUNCTION,
+            "lane" => Domain::LANE,
+            "lanearea" => Domain::LANE_AREA,
+            "parkingarea" => Domain::PARKING_AREA,
+            "person" => Domain::PERSON,
+            "poi" => Domain::POI,
+            "polygon" => Domain::POLYGON,
+            "route" => Domain::ROUTE,
+            "simulation" => Domain::SIMULATION,
+            "trafficlight" => Domain::TRAFFIC_LIGHT,
+            "vehicle" => Domain::VEHICLE,
+            "vehicletype" => Domain::VEHICLE_TYPE,
+            // There is none here.
+            _ => continue,
+        };
+        let mut batch = Batch::new();
+        batch.get(domain, 0, "");
+        let ids = client.run(&mut batch).unwrap().into_iter().next();
+        let object = match ids {
+            Some(Ok(Some(Value::StringList(ids)))) => ids[0].clone(),
+            _ => String::new(),
+        };
+        let mut text = format!("{source} {}", shared("domain"));
+        for macro_name in ["identifiers", "type_attributes", "emissions"] {
+            if source.contains(&format!("\n{macro_name}! {{")) {
+                text.push_str(shared(macro_name));
+            }
+        }
+        let [plain, with] = constants(&text);
+        // For a stop, or for an option.
+        let takes_stop = |number| domain == Domain::SIMULATION && [0x67, 0xef, 0x32].contains(&number);
+        for (constant, number) in plain {
+            let variable = Variable::<Value>::new(domain, number);
+            let object = if takes_stop(number) { if number == 0x32 { "seed" } else { "stop" } } else { &object };
+            batch.subscribe(domain, object, &[variable.id()]);
+            let reply = client.step(&mut batch, 0.0).unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
+            reply.check().unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
+            assert!(reply.get(object, variable).is_some_and(|value| value.is_ok()), "{name} {constant}");
+            told += 1;
+        }
+        let mut names: Vec<_> = with.into_iter().map(|(constant, _)| constant).collect();
+        names.sort_unstable();
+        let leaders = if domain == Domain::VEHICLE { &["VAR_FOLLOWER", "VAR_LEADER"][..] } else { &[] };
+        assert_eq!(names, [leaders, &["VAR_PARAMETER", "VAR_PARAMETER_WITH_KEY"]].concat(), "{name}");
+    }
+    assert!(told > 250, "{told}");
 }

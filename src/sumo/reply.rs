@@ -93,6 +93,13 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
         status.end("the end of a status")?;
         if !carried_out {
             sink.refused(index, text);
+            // 1.15 answers a refused subscription all the same, with the reason in place of the values. No command
+            // has the identifier of such an answer.
+            let mut ahead = reader.clone();
+            let subscription = matches!(call.answer, Answer::Subscription { .. });
+            if subscription && ahead.command().is_ok_and(|(id, _)| id == call.command.wrapping_add(0x10)) {
+                reader = ahead;
+            }
             continue;
         }
         if call.answer == Answer::Nothing {

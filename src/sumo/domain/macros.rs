@@ -66,7 +66,8 @@ macro_rules! domain {
                 self.0.request(fill, crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`.
+            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`. Of several keys,
+            /// `Reports::get` gives the last; `Reports::subscriptions` has all.
             pub fn subscribe_parameter_with_key(&mut self, id: &str, key: &str) -> S::Output<()> {
                 self.subscribe_with(id, VAR_PARAMETER_WITH_KEY, key)
             }
