@@ -184,6 +184,25 @@ fn a_silent_peer_costs_no_more_than_the_timeout() {
     peer.join().unwrap();
 }
 
+#[test]
+fn a_client_waits_for_a_listener_as_long_as_it_is_told() {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let address = listener.local_addr().unwrap();
+    drop(listener);
+    let start = Instant::now();
+    match Client::connect_within(address, Duration::from_millis(100), Duration::from_secs(1)) {
+        Err(Error::Connect { port, attempts, .. }) => assert!(port == address.port() && attempts > 1),
+        other => panic!("{other:?}"),
+    }
+    assert!((100..2000).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
+    let late = thread::spawn(move || {
+        thread::sleep(Duration::from_millis(100));
+        TcpListener::bind(address).unwrap().accept().unwrap();
+    });
+    Client::connect_within(address, Duration::from_secs(10), Duration::from_secs(1)).unwrap();
+    late.join().unwrap();
+}
+
 /// Takes one result; `true` if it has a value.
 type Take = Box<dyn FnOnce(&mut StepReply) -> bool>;
 

@@ -445,6 +445,7 @@ fn kinds_of_objects_without_a_module_are_reached_by_number() {
         (Domain::BUS_STOP, &["stop"][..]),
         (Domain::CALIBRATOR, &[]),
         (Domain::CHARGING_STATION, &[]),
+        (Domain::MEAN_DATA, &[]),
         (Domain::MULTI_ENTRY_EXIT, &[]),
         (Domain::OVERHEAD_WIRE, &[]),
         (Domain::REROUTER, &[]),

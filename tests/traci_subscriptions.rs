@@ -188,6 +188,23 @@ fn sumo_survives_what_it_would_die_of() {
 }
 
 #[test]
+fn objects_of_all_kinds_can_be_at_the_centre() {
+    let world = World::new();
+    let (_process, mut client) = world.start();
+    client.simulation_step(50.0).unwrap();
+    macro_rules! around {
+        ($($domain:ident $of:ident $id:literal),+) => {
+            $(client.$domain().subscribe_context($id, Domain::VEHICLE, 1000.0, &[vehicle::VAR_SPEED.id()]).unwrap();)+
+            let reports = client.simulation_step(0.0).unwrap();
+            $(assert!(reports.around(Domain::$of, $id).objects().count() > 5, stringify!($domain));)+
+        };
+    }
+    around!(vehicle VEHICLE "bus", junction JUNCTION "c", lane LANE "wc_1", edge EDGE "wc", person PERSON "walker");
+    around!(poi POI "poi", polygon POLYGON "poly", induction_loop INDUCTION_LOOP "loop", lane_area LANE_AREA "area");
+    around!(parking_area PARKING_AREA "park");
+}
+
+#[test]
 fn subscriptions_add_up_until_they_end() {
     let world = World::new();
     let (_process, mut client) = world.start();

@@ -16,6 +16,7 @@ fn dialogue() -> (Batch, Vec<u8>) {
     batch.subscribe(Domain::VEHICLE, "a", &[VAR_SPEED.id()]);
     batch.subscribe_context(Domain::JUNCTION, "j", Domain::VEHICLE, 9.0, &[VAR_SPEED.id()]);
     batch.vehicle().remove("b", 3);
+    batch.subscribe(Domain::VEHICLE, "c", &[VAR_SPEED.id()]);
     batch.seal(Some(0.0)).unwrap();
     let mut w = Writer::default();
     let status = |w: &mut Writer, id, result, text: &str| {
@@ -43,6 +44,11 @@ fn dialogue() -> (Batch, Vec<u8>) {
     status(&mut w, 0x89, 0, "");
     context(&mut w);
     status(&mut w, 0xc4, 0xff, "Vehicle 'b' is not known");
+    // A refused subscription is answered too.
+    status(&mut w, 0xd4, 0xff, "Vehicle 'c' is not known");
+    w.command(0xe4, |w| {
+        w.str("c").u8(1).u8(VAR_SPEED.number()).u8(0xff).string("Vehicle 'c' is not known");
+    });
     status(&mut w, 0x02, 0, "");
     w.i32(3);
     variable(&mut w);
@@ -67,6 +73,7 @@ fn each_command_gets_its_own_result() {
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
     let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
     assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
+    assert!(matches!(&reply.outcomes[5], Err(Error::Refused { id, .. }) if id == "c"));
     let values: Vec<_> = reply.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref(), &o.value)).collect();
     assert!(matches!(reply.check(), Err(Error::Refused { command: 0xc4, .. })));
     let speed = Ok(Value::Double(2.5));

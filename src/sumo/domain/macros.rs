@@ -25,7 +25,8 @@ macro_rules! domain {
 
         impl<S: Scope> $handle<'_, S> {
             /// Has the variables of the object reported now and after each step from now on, besides those that
-            /// an earlier subscription named; [`unsubscribe`](Self::unsubscribe) first to have these alone.
+            /// an earlier subscription named; [`unsubscribe`](Self::unsubscribe) first to have these alone. In a
+            /// batch, `Replies::first` has the values of now; a client's call drops them.
             ///
             /// # Errors
             /// Besides those of all calls, `Error::Invalid` for a variable of another domain and for more than
