@@ -64,7 +64,8 @@ impl Call {
 
 /// Commands for one message, in the order in which SUMO carries them out. The methods of the domains, such
 /// as [`Batch::vehicle`], add commands; each returns a [`Ticket`](super::Ticket), for which the reply to the
-/// batch has the result; [`Replies::check`](super::Replies::check) tells whether all others succeeded. [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
+/// batch has the result; [`Replies::check`](super::Replies::check) tells whether all others succeeded.
+/// [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
 #[derive(Debug)]
 pub struct Batch {
     /// No other batch has it, nor this one after [`Batch::clear`].

@@ -243,7 +243,8 @@ impl Client {
     /// commands is not sent.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the message is too long or `until` is not a time; [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
+    /// [`Error::Invalid`] if the message is too long or `until` is negative or not a finite number;
+    /// [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
     pub fn send(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<(), Error> {
         let message = batch.seal(until)?;
         if message == SILENCE {

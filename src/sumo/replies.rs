@@ -165,7 +165,7 @@ impl Reports {
     /// [`Error::Refused`] with SUMO's message if SUMO has no value; [`Error::Type`] if the value is
     /// not of the type that it should be of.
     pub fn get<V: Reported>(&self, object: &str, variable: V) -> Option<Result<V::Value, Error>> {
-        let id = variable.variable().id();
+        let id = variable.identify();
         let domain = id.domain();
         self.find((domain.subscribe + 0x10, None, domain.get, object, id.number()))
     }
@@ -233,7 +233,7 @@ impl<'a> Context<'a> {
     /// # Errors
     /// As [`Reports::get`].
     pub fn get<V: Reported>(&self, object: &str, variable: V) -> Option<Result<V::Value, Error>> {
-        let id = variable.variable().id();
+        let id = variable.identify();
         self.reports.find((self.response, Some(self.centre), id.domain().get, object, id.number()))
     }
 }

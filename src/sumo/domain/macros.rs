@@ -63,7 +63,9 @@ macro_rules! domain {
                 variable: crate::sumo::domain::VariableWith<A, T>,
                 argument: A::Given<'_>,
             ) -> S::Output<()> {
-                let fill = |batch: &mut crate::sumo::Batch| batch.subscribe_with(Domain::$domain, id, variable, argument);
+                let fill = |batch: &mut crate::sumo::Batch| {
+                    batch.subscribe_with(Domain::$domain, id, variable, argument);
+                };
                 self.0.request(fill, crate::sumo::domain::done)
             }
 
@@ -106,7 +108,9 @@ macro_rules! domain {
 
             /// Ends all subscriptions to objects of the domain `around` near this object, whatever their range.
             pub fn unsubscribe_context(&mut self, id: &str, around: Domain) -> S::Output<()> {
-                let fill = |batch: &mut crate::sumo::Batch| batch.subscribe_context(Domain::$domain, id, around, 0.0, &[]);
+                let fill = |batch: &mut crate::sumo::Batch| {
+                    batch.subscribe_context(Domain::$domain, id, around, 0.0, &[]);
+                };
                 self.0.request(fill, crate::sumo::domain::done)
             }
         }
@@ -177,7 +181,7 @@ macro_rules! global_getters {
         $(
             $(#[$doc])*
             pub const $constant: crate::sumo::domain::Variable<$result> =
-            crate::sumo::domain::Variable::new(Domain::$domain, $id);
+                crate::sumo::domain::Variable::new(Domain::$domain, $id);
         )+
 
         impl<S: Scope> $handle<'_, S> {

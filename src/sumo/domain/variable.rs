@@ -73,27 +73,33 @@ impl<A, T> VariableWith<A, T> {
 }
 
 /// A variable whose value a subscription can report: a [`Variable`] or a [`VariableWith`].
-pub trait Reported {
+pub trait Reported: Identified {
     /// The type of its value.
     type Value: FromValue;
+}
 
-    /// The variable as those without an argument are.
-    fn variable(self) -> Variable<Self::Value>;
+/// Nobody can name it outside this crate: the identifier of a [`VariableWith`] is not for subscriptions.
+pub trait Identified {
+    fn identify(self) -> VariableId;
 }
 
 impl<T: FromValue> Reported for Variable<T> {
     type Value = T;
+}
 
-    fn variable(self) -> Variable<T> {
-        self
+impl<T> Identified for Variable<T> {
+    fn identify(self) -> VariableId {
+        self.id
     }
 }
 
 impl<A, T: FromValue> Reported for VariableWith<A, T> {
     type Value = T;
+}
 
-    fn variable(self) -> Variable<T> {
-        self.variable
+impl<A, T> Identified for VariableWith<A, T> {
+    fn identify(self) -> VariableId {
+        self.variable.id
     }
 }
 
