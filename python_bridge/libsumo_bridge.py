@@ -77,10 +77,11 @@ def introduce(types, routes):
 def step(orders, vehicles):
     """Carries out `orders`, a list of (call, columns…) with the vehicles as first column, and takes one step.
 
-    Returns the time, the vehicles that arrived, the distances and speeds of the other `vehicles` in their order, the
+    Returns the time, the vehicles that arrived or were refused, the distances and speeds of the other `vehicles` in their order, the
     pairs of colliding vehicles, and the first refusal as (call, vehicle, text) or None. A refused command is passed over.
     """
     refusal = None
+    unknown = set()
     for call, names, *columns in orders:
         if call == "vehicle.add":
             routes, types, positions, speeds = columns
@@ -95,11 +96,14 @@ def step(orders, vehicles):
                 deque(calls, maxlen=0)
                 break
             except Refused as refused:
+                name = names[len(names) - length_hint(rest) - 1]
                 if refusal is None:
-                    refusal = call, names[len(names) - length_hint(rest) - 1], str(refused)
+                    refusal = call, name, str(refused)
+                if call == "vehicle.add":
+                    unknown.add(name)
     take_step(0.0)
-    arrived = arrived_ids()
-    if arrived:
-        vehicles = [name for name in vehicles if name not in arrived]
+    unknown.update(arrived_ids())
+    if unknown:
+        vehicles = [name for name in vehicles if name not in unknown]
     collisions = [(c.collider, c.victim) for c in collisions_now()]
-    return time_now(), arrived, list(map(distance_of, vehicles)), list(map(speed_of, vehicles)), collisions, refusal
+    return time_now(), list(unknown), list(map(distance_of, vehicles)), list(map(speed_of, vehicles)), collisions, refusal

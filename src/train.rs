@@ -296,7 +296,8 @@ impl Trainer {
             &policy,
             episodes,
             self.seed.child("validation"),
-            &self.config.hosting(),
+            // libsumo's one place is taken by the training worlds.
+            &self.config.hosting().beside(),
             stop,
             &mut |_| {},
         )?)
@@ -338,6 +339,8 @@ impl Trainer {
             // Whether a validation is due follows from where training stands, so that an interrupted one is made up for.
             let due = self.progress.step >= self.progress.next_validation || done;
             if due && self.progress.validated < self.progress.step {
+                // Whatever happens in the validation, what was learned is kept.
+                self.checkpoint().save(&dir.last())?;
                 let evaluation = self.validate(stop)?;
                 if stop.load(Ordering::Relaxed) {
                     continue;

@@ -52,7 +52,8 @@ fn play(
         }
         records.extend(env.take_finished());
     }
-    assert_eq!(env.resets().loads + env.resets().restarts, 0);
+    // SUMO's own driver gets a fresh SUMO for each episode.
+    assert!(driver == Driver::Sumo || env.resets().loads + env.resets().restarts == 0);
     (bits, records)
 }
 
@@ -113,4 +114,59 @@ fn a_backend_that_is_not_built_in_is_refused_with_advice() {
     let config = task(8).simulation_config(1, 2, &Hosting::default());
     let error = start(Backend::Libsumo, config).err();
     assert!(matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()), "{error:?}");
+}
+
+#[test]
+fn an_episode_of_sumos_own_driver_does_not_depend_on_the_one_before() {
+    let _alone = ALONE.lock();
+    let task = task(24);
+    let second = |first: u64| {
+        let options = VecOptions {
+            worlds: 1,
+            driver: Driver::Sumo,
+            seed: Seed::new(3),
+            episodes: first..2,
+            hosting: Hosting::default(),
+        };
+        let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
+        let mut records = Vec::new();
+        while !env.is_finished() {
+            env.step(&[0.0; 24]).expect("a step");
+            records.extend(env.take_finished());
+        }
+        records.pop().expect("an episode")
+    };
+    let (alone, after_another) = (second(1), second(0));
+    assert_eq!((alone.episode, after_another.episode), (1, 1));
+    assert!(alone == after_another, "{} and {} steps", alone.episode_length, after_another.episode_length);
+}
+
+#[cfg(feature = "libsumo")]
+#[test]
+fn training_is_the_same_with_either_backend_validations_included() {
+    use std::process::Command;
+    let folder = tempfile::tempdir().expect("a folder");
+    let train = |backend: &str| -> Vec<String> {
+        let run = folder.path().join(backend);
+        let output = Command::new(env!("CARGO_BIN_EXE_iwol"))
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--algorithm", "im-iwol"])
+            .args(["--set", "train.envs=4", "--set", "train.segment=32", "--set", "train.validate_every=256"])
+            .args(["--set", "train.validation_episodes=2", "--set", "network.hidden=8", "--set", "env.horizon=40"])
+            .args(["--steps", "512", "--backend", backend, "--out"])
+            .arg(&run)
+            .output()
+            .expect("the program runs");
+        assert!(output.status.success(), "{backend}: {}", String::from_utf8_lossy(&output.stderr));
+        let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+        let lines = metrics.lines().map(|line| {
+            let mut line: serde_json::Map<_, _> = serde_json::from_str(line).expect("a line");
+            line.retain(|key, _| !key.starts_with("time/") && key != "steps_per_second");
+            serde_json::to_string(&line).expect("a line")
+        });
+        lines.collect()
+    };
+    let traci = train("traci");
+    assert!(traci.iter().filter(|line| line.contains("validation/success")).count() == 2, "{traci:?}");
+    assert_eq!(traci, train("libsumo"));
 }

@@ -83,6 +83,11 @@ fn a_killed_sumo_costs_its_episode_only() {
     }
     assert_eq!(interrupted.iter().filter(|record| record.interrupted).count(), 1);
     assert_eq!(env.resets().restarts + undisturbed.resets().restarts, 1);
+    let task = task();
+    let hit = if env.resets().restarts == 1 { &env } else { &undisturbed };
+    let restored = VecEnv::restore(&task, &options, &hit.states()).expect("SUMO runs");
+    assert_eq!(restored.states(), hit.states(), "a world that waits for its next episode goes on waiting for it");
+    drop(restored);
     let (hit, spared) = if env.resets().restarts == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
     assert_eq!(spared.resets().restarts, 0);
     let mut fresh = 0;

@@ -336,11 +336,15 @@ fn requests_that_cannot_be_sent_change_nothing() {
         let error = simulation.step(&[remove(0), bad]).expect_err("nothing that can be sent");
         assert!(matches!(error, Error::Invalid { .. }) && !error.is_fatal(), "{bad:?}: {error}");
     }
+    // Not even where the vehicle is thought to have departed.
+    let moved: Vec<Command> = [remove(0)].into_iter().chain(add(0, EAST, 90.0)).chain([speed(0, f64::NAN)]).collect();
+    assert!(matches!(simulation.step(&moved), Err(Error::Invalid { .. })));
     // A slot that holds a vehicle takes no second one.
     assert!(matches!(simulation.step(&add(0, NORTH, 5.0)), Err(Error::Invalid { .. })));
     let snapshot = simulation.step(&[speed(0, 1.0)]).unwrap();
     assert!((snapshot.time - 0.2).abs() < 1e-9);
     assert_eq!(snapshot.vehicles[0].map(|v| v.speed), Some(1.0));
+    assert!(snapshot.vehicles[0].is_some_and(|v| (v.distance - 50.1).abs() < 1e-9), "{snapshot:?}");
     assert_eq!(snapshot.vehicles[1], None);
 }
 

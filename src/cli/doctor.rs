@@ -7,7 +7,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
 
@@ -20,15 +19,15 @@ const NET: &str = include_str!("../../sumo_nets/intersection/arm30.net.xml");
 ///
 /// # Errors
 /// Only if the check itself cannot be carried out; what it finds wrong is part of what it prints.
-pub fn run() -> anyhow::Result<bool> {
+pub fn run() -> bool {
     let mut findings = Findings::default();
     findings.row("iwol", format!("{} ({})", env!("CARGO_PKG_VERSION"), program()));
-    check_sumo(&mut findings)?;
+    check_sumo(&mut findings);
     check_torch(&mut findings);
     check_threads(&mut findings);
     check_files(&mut findings);
     print!("{findings}");
-    Ok(findings.faults.is_empty())
+    findings.faults.is_empty()
 }
 
 /// What was found, in the order of printing.
@@ -80,28 +79,34 @@ fn program() -> String {
     env::current_exe().map_or_else(|error| format!("path unknown: {error}"), |path| path.display().to_string())
 }
 
-fn check_sumo(findings: &mut Findings) -> anyhow::Result<()> {
+fn check_sumo(findings: &mut Findings) {
     findings.row("SUMO_HOME", env::var("SUMO_HOME").unwrap_or_else(|_| "not set".to_owned()));
     let binary = match sumo::find_sumo() {
         Ok(binary) => binary,
         Err(error) => {
             findings.fault("SUMO", chain(&error), error.hint().as_deref());
-            return Ok(());
+            return;
         }
     };
     match sumo::sumo_version(&binary) {
         Ok(version) => findings.row("SUMO", format!("{version} ({})", binary.display())),
         Err(error) => findings.fault("SUMO", chain(&error), error.hint().as_deref()),
     }
-    let folder = tempfile::tempdir().context("could not make a temporary folder")?;
-    let net = folder.path().join("doctor.net.xml");
-    fs::write(&net, NET).with_context(|| format!("could not write `{}`", net.display()))?;
-    match exchange(net) {
-        Ok(answer) => findings.row("TraCI", answer),
-        Err(error) => findings.fault("TraCI", chain(&error), error.hint().as_deref()),
+    let net = tempfile::tempdir().and_then(|folder| {
+        let net = folder.path().join("doctor.net.xml");
+        fs::write(&net, NET).map(|()| (folder, net))
+    });
+    match net {
+        Ok((_folder, net)) => match exchange(net) {
+            Ok(answer) => findings.row("TraCI", answer),
+            Err(error) => findings.fault("TraCI", chain(&error), error.hint().as_deref()),
+        },
+        Err(error) => {
+            let place = std::env::temp_dir();
+            findings.fault("TraCI", format!("could not write to `{}`: {error}", place.display()), Some("set TMPDIR"));
+        }
     }
     findings.row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
-    Ok(())
 }
 
 /// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.

@@ -6,6 +6,7 @@ mod evaluate;
 mod plot;
 mod train;
 
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -57,6 +58,7 @@ pub fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
         .init();
@@ -67,7 +69,7 @@ pub fn main() -> ExitCode {
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Bench(args) => bench::run(args),
-        Verb::Doctor => doctor::run().map(|good| if good { Verdict::Good } else { Verdict::Bad }),
+        Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),
     };
     match result {
         Ok(Verdict::Good) => ExitCode::SUCCESS,

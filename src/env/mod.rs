@@ -170,7 +170,7 @@ pub enum Error {
     #[error("SUMO died while the run's episodes were played again to resume; try once more")]
     Replay,
     /// An episode cannot be played: SUMO dies in it again and again.
-    #[error("SUMO died {times} times in episode {episode}; see its messages with -v")]
+    #[error("SUMO died {times} times in episode {episode}; the warnings say of what")]
     Doomed {
         /// The episode.
         episode: u64,

@@ -3,7 +3,7 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -40,6 +40,8 @@ pub struct Resets {
 
 struct Host {
     simulation: Box<dyn Simulation>,
+    /// Whether SUMO has to be made fresh for each episode: its own driver's doings depend on what it did before.
+    forgetful: bool,
     /// Number of this host's first world.
     first: usize,
     worlds: Vec<World>,
@@ -48,6 +50,8 @@ struct Host {
     failed: Option<Error>,
     /// Failures since an episode was last played to its end.
     failures: u32,
+    loads: u64,
+    restarts: u64,
 }
 
 /// E worlds in lock-step.
@@ -55,8 +59,6 @@ pub struct VecEnv {
     task: Arc<Task>,
     hosts: Vec<Host>,
     worlds: usize,
-    loads: u64,
-    restarts: u64,
 }
 
 impl VecEnv {
@@ -108,10 +110,10 @@ impl VecEnv {
         for (e, world) in env.worlds_mut().enumerate() {
             world.take_finished();
             if states[e].interrupted {
-                world.reset(states[e].episode);
+                world.restore_interrupted(states[e].episode);
             }
         }
-        if env.loads + env.restarts > 0 {
+        if env.resets().loads + env.resets().restarts > 0 {
             return Err(Error::Replay);
         }
         Ok(env)
@@ -137,15 +139,18 @@ impl VecEnv {
                 };
                 Ok(Host {
                     simulation,
+                    forgetful: options.driver == Driver::Sumo,
                     first,
                     worlds: (first..end).map(world).collect(),
                     commands: Vec::new(),
                     failed: None,
                     failures: 0,
+                    loads: 0,
+                    restarts: 0,
                 })
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds, loads: 0, restarts: 0 })
+        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds })
     }
 
     /// Shapes and features.
@@ -165,8 +170,8 @@ impl VecEnv {
 
     /// Resets so far.
     pub fn resets(&self) -> Resets {
-        let respawns = self.worlds().map(World::respawns).sum();
-        Resets { respawns, loads: self.loads, restarts: self.restarts }
+        let (loads, restarts) = (self.hosts.iter().map(|h| h.loads).sum(), self.hosts.iter().map(|h| h.restarts).sum());
+        Resets { respawns: self.worlds().map(World::respawns).sum(), loads, restarts }
     }
 
     /// Whether every world has played all its episodes.
@@ -210,16 +215,7 @@ impl VecEnv {
         self.hosts.par_iter_mut().for_each(|host| {
             host.failed = guarded(|| host.act(actions, width)).err();
         });
-        let results: Vec<Result<Option<Renewal>, Error>> =
-            self.hosts.par_iter_mut().map(|host| guarded(|| host.finish())).collect();
-        for result in results {
-            match result? {
-                None => {}
-                Some(Renewal::Loaded) => self.loads += 1,
-                Some(Renewal::Restarted) => self.restarts += 1,
-            }
-        }
-        Ok(())
+        self.hosts.par_iter_mut().try_for_each(|host| guarded(|| host.finish()))
     }
 }
 
@@ -232,9 +228,19 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
 }
 
+/// An error with its causes, as one line.
+fn chain(error: &Error) -> String {
+    let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
+}
+
 impl Host {
     /// First half of the exchange.
     fn act(&mut self, actions: &[f32], width: usize) -> Result<(), Error> {
+        if self.forgetful && self.worlds.iter().any(|world| world.is_between_episodes() && world.respawns() > 0) {
+            self.renew()?;
+            self.worlds.iter_mut().for_each(World::forget_vehicles);
+        }
         self.commands.clear();
         for (k, world) in self.worlds.iter_mut().enumerate() {
             let e = self.first + k;
@@ -243,41 +249,67 @@ impl Host {
         self.simulation.send(&self.commands).map_err(|source| self.place(source))
     }
 
-    /// Second half of the exchange; tells how the simulator had to be made fresh, if it had to.
-    fn finish(&mut self) -> Result<Option<Renewal>, Error> {
+    /// Second half of the exchange.
+    fn finish(&mut self) -> Result<(), Error> {
         let outcome = match self.failed.take() {
             Some(error) => Err(error),
             None => self.take_in(),
         };
         match outcome {
-            Ok(()) => {
+            Ok(None) => {
                 // A respawn alone proves nothing: a SUMO that dies in every episode must not be started for ever.
                 if self.worlds.iter().any(World::has_finished) {
                     self.failures = 0;
                 }
-                Ok(None)
+                Ok(())
+            }
+            Ok(Some(vanished)) => {
+                self.fail(vanished).map(|error| tracing::warn!("{}; that world's episode is dropped", chain(&error)))
             }
             Err(error) => {
-                self.failures += 1;
-                if self.failures > 1 || matches!(error, Error::Panicked { .. }) {
-                    return Err(error);
-                }
+                let error = self.fail(error)?;
                 let (first, last) = (self.first, self.first + self.worlds.len() - 1);
                 tracing::warn!(
-                    "{error:#}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh"
+                    "{}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh",
+                    chain(&error)
                 );
-                let renewal = self.simulation.renew().map_err(|source| self.place(source))?;
+                self.renew()?;
                 self.worlds.iter_mut().for_each(World::interrupt);
-                Ok(Some(renewal))
+                Ok(())
             }
         }
     }
 
-    fn take_in(&mut self) -> Result<(), Error> {
+    /// Gives the failure back if it is the first since an episode was played to its end, and may be got over.
+    fn fail(&mut self, error: Error) -> Result<Error, Error> {
+        self.failures += 1;
+        if self.failures > 1 || matches!(error, Error::Panicked { .. }) { Err(error) } else { Ok(error) }
+    }
+
+    fn renew(&mut self) -> Result<(), Error> {
+        match self.simulation.renew().map_err(|source| self.place(source))? {
+            Renewal::Loaded => self.loads += 1,
+            Renewal::Restarted => self.restarts += 1,
+        }
+        Ok(())
+    }
+
+    /// Gives what one world was given up for, if it was; the simulation and the other worlds are sound then.
+    fn take_in(&mut self) -> Result<Option<Error>, Error> {
         match self.simulation.receive() {
             Ok(snapshot) => {
-                let worlds = self.worlds.par_iter_mut().enumerate();
-                worlds.try_for_each(|(k, world)| world.observe(k as u32, snapshot))
+                let vanished = Mutex::new(None);
+                self.worlds.par_iter_mut().enumerate().try_for_each(|(k, world)| {
+                    match world.observe(k as u32, snapshot) {
+                        Err(error @ Error::Vanished { .. }) => {
+                            world.abandon();
+                            *vanished.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                            Ok(())
+                        }
+                        other => other,
+                    }
+                })?;
+                Ok(vanished.into_inner().unwrap_or_else(PoisonError::into_inner))
             }
             Err(source) => Err(self.place(source)),
         }
@@ -333,13 +365,16 @@ mod tests {
         let world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, u64::MAX);
         let host = Host {
             simulation: Box::new(Broken(Snapshot::default())),
+            forgetful: false,
             first: 0,
             worlds: vec![world],
             commands: Vec::new(),
             failed: None,
             failures: 0,
+            loads: 0,
+            restarts: 0,
         };
-        let mut env = VecEnv { task, hosts: vec![host], worlds: 1, loads: 0, restarts: 0 };
+        let mut env = VecEnv { task, hosts: vec![host], worlds: 1 };
         match env.step(&[0.0; 8]) {
             Err(Error::Panicked { message }) => assert_eq!(message, "slots are missing"),
             other => panic!("{other:?}"),

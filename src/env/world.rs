@@ -366,6 +366,12 @@ impl World {
 
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
     pub fn interrupt(&mut self) {
+        self.abandon();
+        self.forget_vehicles();
+    }
+
+    /// As [`World::interrupt`], in a SUMO that goes on.
+    pub(super) fn abandon(&mut self) {
         self.interrupted = true;
         if self.phase == Phase::Running {
             self.finished = Some(self.record(true));
@@ -379,11 +385,25 @@ impl World {
         } else if self.phase == Phase::Spawning {
             self.next_episode = self.episode;
         }
-        // The fresh SUMO is empty: nothing is left to remove.
+        self.phase = Phase::Ended;
+    }
+
+    /// SUMO is fresh and empty: nothing is left to remove.
+    pub(super) fn forget_vehicles(&mut self) {
         for slot in &mut self.traffic.slots {
             slot.added = false;
         }
-        self.phase = Phase::Ended;
+    }
+
+    /// Brings the world back to where [`World::interrupt`] left it before `episode`.
+    pub(super) fn restore_interrupted(&mut self, episode: u64) {
+        self.interrupted = true;
+        self.reset(episode);
+    }
+
+    /// Whether the coming exchange respawns.
+    pub(super) fn is_between_episodes(&self) -> bool {
+        self.phase == Phase::Ended
     }
 
     /// Reads every vehicle's pose from the snapshot.

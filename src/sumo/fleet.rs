@@ -13,6 +13,8 @@ use std::{
     sync::Arc,
 };
 
+use rustix::fs::{MemfdFlags, memfd_create};
+
 use super::{
     Collision, Command, Error, SimulationConfig, Snapshot, VehicleState, constants as c,
     net::{Net, tile, tiled_id},
@@ -65,6 +67,8 @@ pub(super) struct Fleet {
     next: Vec<bool>,
     /// Where the vehicles departed \[m\].
     departed: Vec<f64>,
+    /// `departed` as it will be after the exchange under way.
+    next_departed: Vec<f64>,
     pub(super) snapshot: Snapshot,
 }
 
@@ -107,6 +111,7 @@ impl Fleet {
             known: vec![false; vehicles],
             next: vec![false; vehicles],
             departed: vec![0.0; vehicles],
+            next_departed: vec![0.0; vehicles],
             snapshot: Snapshot { vehicles: vec![None; vehicles], ..Snapshot::default() },
             config,
         })
@@ -127,6 +132,7 @@ impl Fleet {
     /// Before the reports of a step are read.
     pub(super) fn begin_step(&mut self) {
         self.known.copy_from_slice(&self.next);
+        self.departed.copy_from_slice(&self.next_departed);
         self.snapshot.vehicles.fill(None);
         self.snapshot.collisions.clear();
     }
@@ -140,8 +146,8 @@ impl Fleet {
         }
     }
 
-    /// Takes in that a vehicle has come to the end of its route, where SUMO removes it.
-    pub(super) fn arrived(&mut self, name: &str) {
+    /// Takes in that SUMO has no vehicle of that name: it came to the end of its route, or was refused.
+    pub(super) fn gone(&mut self, name: &str) {
         if let Some(vehicle) = self.vehicle_named(name) {
             self.known[vehicle] = false;
         }
@@ -173,6 +179,7 @@ impl Fleet {
     /// Checks the commands and passes them on.
     pub(super) fn order(&mut self, commands: &[Command], orders: &mut impl Orders) -> Result<(), Error> {
         self.next.copy_from_slice(&self.known);
+        self.next_departed.copy_from_slice(&self.departed);
         for command in commands {
             match *command {
                 Command::Add { world, slot, route, vehicle_type, depart_pos, depart_speed } => {
@@ -192,7 +199,7 @@ impl Fleet {
                         Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
                     })?;
                     orders.add(self.named(vehicle), &route.id, &kind.id, depart_pos, depart_speed);
-                    self.departed[vehicle] = depart_pos;
+                    self.next_departed[vehicle] = depart_pos;
                     self.next[vehicle] = true;
                 }
                 Command::Remove { world, slot } => {
@@ -272,9 +279,11 @@ impl Fleet {
 
 /// The net with a copy for each world, and where the copies lie.
 fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Arc<File>, Vec<[f64; 2]>), Error> {
-    let io = |source| Error::Io { doing: "write the tiled net to a temporary file", source };
+    let io = |source| Error::Io { doing: "keep the tiled net in memory", source };
     let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
-    let mut file = tempfile::tempfile().map_err(io)?;
+    // In memory, so that no folder has to be writable.
+    let memory = memfd_create("tiles.net.xml", MemfdFlags::CLOEXEC).map_err(|e| io(e.into()))?;
+    let mut file = File::from(memory);
     file.write_all(tiled.text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
     Ok((Arc::new(file), tiled.offsets))
 }

@@ -86,7 +86,7 @@ pub struct Hosting {
 
 impl Default for Hosting {
     fn default() -> Self {
-        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(60), audit: true }
+        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(20), audit: true }
     }
 }
 

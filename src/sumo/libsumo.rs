@@ -69,14 +69,6 @@ impl LibsumoSimulation {
             let importing = |e: PyErr| failed("import it", py, &e);
             let module = bridge(py).map_err(importing)?;
             let step = module.getattr("step").map_err(importing)?.unbind();
-            let (api, _): (i32, String) = module
-                .call_method1("start", (fleet.arguments()?,))
-                .and_then(|version| version.extract())
-                .map_err(|e| failed("start", py, &e))?;
-            if api < c::MINIMUM_API_VERSION {
-                let minimum = c::MINIMUM_API_VERSION;
-                return Err(Error::Version { found: api, minimum, peer: "libsumo".to_owned() });
-            }
             let names = fleet.names.iter().map(|name| PyString::new(py, name).unbind()).collect();
             let simulation = LibsumoSimulation {
                 fleet,
@@ -90,9 +82,19 @@ impl LibsumoSimulation {
                 exchanges: 0,
                 _place: place,
             };
-            simulation.introduce(py)?;
+            simulation.begin(py)?;
             Ok(simulation)
         })
+    }
+
+    fn begin(&self, py: Python<'_>) -> Result<(), Error> {
+        let started = self.module.bind(py).call_method1("start", (self.fleet.arguments()?,));
+        let (api, peer): (i32, String) =
+            started.and_then(|version| version.extract()).map_err(|e| failed("start", py, &e))?;
+        if api < c::MINIMUM_API_VERSION {
+            return Err(Error::Version { found: api, minimum: c::MINIMUM_API_VERSION, peer });
+        }
+        self.introduce(py)
     }
 
     fn introduce(&self, py: Python<'_>) -> Result<(), Error> {
@@ -138,11 +140,11 @@ impl LibsumoSimulation {
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
         let reply = self.step.bind(py).call1((orders, &self.asked_names)).and_then(|reply| reply.extract::<Reply>());
-        let (time, arrived, distances, speeds, collisions, refusal) = reply.map_err(|e| failed("step", py, &e))?;
+        let (time, gone, distances, speeds, collisions, refusal) = reply.map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
-        for name in &arrived {
-            self.fleet.arrived(name);
+        for name in &gone {
+            self.fleet.gone(name);
         }
         let mut values = distances.into_iter().zip(speeds);
         for &vehicle in &self.asked {

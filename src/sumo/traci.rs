@@ -5,7 +5,7 @@
 //! its former bearer. SUMO moves a vehicle by its new speed times the step (its default method), so a commanded speed
 //! is a mean speed.
 
-use std::fmt::Write as _;
+use std::{fmt::Write as _, time::Duration};
 
 use super::{
     Batch, Client, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
@@ -20,6 +20,9 @@ use super::{
     process::{Options, Process},
     reply::{Report, Sink, read_collision_count, read_value},
 };
+
+/// A SUMO has at least this long to load its net, however short its time for answers.
+const LEAST_START: Duration = Duration::from_secs(10);
 
 /// One or more worlds in one SUMO process.
 #[derive(Debug)]
@@ -186,15 +189,22 @@ impl Simulation for TraciSimulation {
             return Err(Error::invalid("nothing was sent that could be answered"));
         }
         self.fleet.begin_step();
-        let mut sink = StepSink { fleet: &mut self.fleet, distance: None, speed: None, refused: None };
+        let mut sink = StepSink { fleet: &mut self.fleet, distance: None, speed: None, refused: Vec::new() };
         let received = self.client.receive(&self.batch, &mut sink);
         let refused = sink.refused;
         received.map_err(|e| self.process.explain(e))?;
         self.client.set_time(self.fleet.snapshot.time);
-        match refused {
-            Some((index, message)) => Err(self.batch.refusal(index, &message)),
-            None => Ok(&self.fleet.snapshot),
+        let mut first = None;
+        for (index, message) in refused {
+            let error = self.batch.refusal(index, &message);
+            if let Error::Refused { call, id, .. } = &error
+                && call == "vehicle.add"
+            {
+                self.fleet.gone(id);
+            }
+            first.get_or_insert(error);
         }
+        first.map_or(Ok(&self.fleet.snapshot), Err)
     }
 
     fn renew(&mut self) -> Result<Renewal, Error> {
@@ -230,15 +240,13 @@ pub(super) struct StepSink<'a> {
     /// What was read of the vehicle that the reports of the moment are about.
     pub(super) distance: Option<f64>,
     pub(super) speed: Option<f64>,
-    /// The first command that was refused, and why.
-    pub(super) refused: Option<(usize, String)>,
+    /// The commands that were refused, and why.
+    pub(super) refused: Vec<(usize, String)>,
 }
 
 impl Sink for StepSink<'_> {
     fn refused(&mut self, index: usize, message: &str) {
-        if self.refused.is_none() {
-            self.refused = Some((index, message.to_owned()));
-        }
+        self.refused.push((index, message.to_owned()));
     }
 
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
@@ -252,7 +260,7 @@ impl Sink for StepSink<'_> {
             ARRIVED if of_simulation => {
                 value.kind(c::TYPE_STRINGLIST, "the vehicles that arrived")?;
                 for _ in 0..value.count(4, "the vehicles that arrived")? {
-                    self.fleet.arrived(value.str()?);
+                    self.fleet.gone(value.str()?);
                 }
             }
             DISTANCE => self.distance = Some(finite(value)?),
@@ -295,6 +303,8 @@ fn read_collisions(value: &mut Reader<'_>, fleet: &mut Fleet) -> Result<(), Erro
 fn launch(fleet: &Fleet) -> Result<(Process, Client, Version), Error> {
     Process::start(&Options {
         arguments: fleet.arguments()?,
+        // Loading takes longer than a step.
+        connect_timeout: fleet.config().timeout.max(LEAST_START),
         reply_timeout: fleet.config().timeout,
         ..Options::default()
     })

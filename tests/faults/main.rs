@@ -118,17 +118,25 @@ fn finish(command: &mut Command, seconds: u64) -> Output {
     waiting.join().expect("no panic").expect("an end")
 }
 
-const KINDS: [&str; 5] = ["garbage", "cut", "slow", "silent", "exit"];
+/// Kinds of faults, and what is said of them.
+const KINDS: [(&str, &str); 5] = [
+    ("garbage", "not a TraCI answer"),
+    ("cut", "closed the connection"),
+    ("slow", "no answer to"),
+    ("silent", "no answer to"),
+    ("exit", "out of fuel"),
+];
 
 #[test]
 fn a_run_goes_on_when_one_sumo_fails() {
     let _alone = alone();
-    for kind in KINDS {
+    for (kind, reason) in KINDS {
         let stage = Stage::new();
         let output = finish(&mut stage.faulty(kind, true, &["--steps", "512"]), 60);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{kind}: {errors}");
-        assert!(errors.contains("WARN") && errors.contains("are dropped and SUMO starts afresh"), "{kind}: {errors}");
+        let warned = ["WARN", reason, "are dropped and SUMO starts afresh"].iter().all(|words| errors.contains(words));
+        assert!(warned, "{kind}: {errors}");
         let metrics = fs::read_to_string(stage.run().join("metrics.jsonl")).expect("metrics");
         let mut restarts = metrics.lines().filter_map(|line| {
             serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["resets/restarts"].as_f64()
@@ -141,23 +149,45 @@ fn a_run_goes_on_when_one_sumo_fails() {
 #[test]
 fn a_run_whose_sumos_all_fail_ends_with_an_error_and_a_checkpoint() {
     let _alone = alone();
-    for (kind, words) in [
-        ("garbage", "not a TraCI answer"),
-        ("cut", "closed the connection"),
-        ("silent", "no answer to"),
-        ("exit", "out of fuel"),
-    ] {
+    for (kind, reason) in KINDS {
         let stage = Stage::new();
         let output = finish(&mut stage.faulty(kind, false, &["--steps", "512"]), 60);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{kind}: {errors}");
         assert_eq!(errors.matches("error:").count(), 1, "{kind}: {errors}");
-        assert!(errors.contains(words) && errors.contains("--resume"), "{kind}: {errors}");
+        assert!(errors.contains(reason) && errors.contains("--resume"), "{kind}: {errors}");
         stage.nobody_is_left();
         // With a SUMO in order the run comes to its end.
         let output = finish(&mut stage.train(&["--steps", "256", "--resume"]), 60);
         assert_eq!(output.status.code(), Some(0), "{kind}: {}", String::from_utf8_lossy(&output.stderr));
     }
+}
+
+#[test]
+fn a_validation_that_fails_costs_nothing_that_was_learned() {
+    let _alone = alone();
+    let stage = Stage::new();
+    // Of the processes that open a port, the third and all later ones fail: those of the validation.
+    let script = r#"#!/bin/sh
+case "$*" in *--remote-port*)
+    n=$(cat "$FAULT_STAGE/starts" 2>/dev/null || echo 0)
+    echo $((n + 1)) > "$FAULT_STAGE/starts"
+    [ "$n" -lt 2 ] || { echo "Error: no fuel" >&2; exit 1; } ;;
+esac
+exec "$FAULT_REAL" "$@"
+"#;
+    fs::write(stage.path("home/bin/sumo"), script).expect("a file");
+    let more = ["--steps", "512", "--set", "train.validate_every=256"];
+    let output = finish(&mut stage.faulty("none", true, &more), 60);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(
+        errors.contains("no fuel") && errors.contains("after 256 steps") && errors.contains("--resume"),
+        "{errors}"
+    );
+    stage.nobody_is_left();
+    let output = finish(&mut stage.train(&["--steps", "512", "--set", "train.validate_every=256", "--resume"]), 60);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 fn env(worlds: usize, processes: usize) -> VecEnv {

@@ -81,6 +81,7 @@ impl Client {
 /// Plays `steps` timed steps of the workload with every client, `repetitions` times in turn.
 pub(super) fn run(
     workload: &Workload,
+    backends: &[Backend],
     layouts: &[(usize, usize)],
     steps: u32,
     repetitions: u32,
@@ -94,7 +95,7 @@ pub(super) fn run(
         );
     }
     for &(worlds, processes) in layouts {
-        for backend in sumo::available().filter(|backend| *backend == Backend::Traci || processes == 1) {
+        for &backend in backends.iter().filter(|backend| **backend == Backend::Traci || processes == 1) {
             clients.push(Client::Ours(backend, worlds, processes));
         }
     }

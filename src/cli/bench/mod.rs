@@ -47,7 +47,7 @@ struct Sim {
     #[arg(long, value_delimiter = ',', default_value = "1/1,16/1,16/2,16/16", value_parser = layout)]
     worlds: Vec<(usize, usize)>,
     /// Seconds per measurement
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 3.0, value_parser = seconds)]
     seconds: f64,
     /// Let SUMO look for collisions in junctions, as the environments do for their audit
     #[arg(long, default_value_t = true, action = clap::ArgAction::Set, value_name = "true|false")]
@@ -67,10 +67,19 @@ struct Sim {
 }
 
 fn layout(text: &str) -> Result<(usize, usize), String> {
-    let parsed = text.split_once('/').and_then(|(w, p)| Some((w.parse().ok()?, p.parse().ok()?)));
-    parsed
-        .filter(|(w, p)| *w >= 1 && *p >= 1 && p <= w)
-        .ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())
+    let (worlds, processes) = text
+        .split_once('/')
+        .and_then(|(w, p)| Some((w.parse().ok()?, p.parse().ok()?)))
+        .ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())?;
+    if (1..=1024).contains(&worlds) && (1..=worlds).contains(&processes) {
+        return Ok((worlds, processes));
+    }
+    Err("allowed: 1 to 1024 worlds, and 1 to as many processes".to_owned())
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let parsed = text.parse().ok().filter(|s| (0.01..=3600.0).contains(s));
+    parsed.ok_or_else(|| "allowed: 0.01 to 3600".to_owned())
 }
 
 /// One measurement.
@@ -92,13 +101,15 @@ struct Row {
     /// Bytes per exchange, sent and received.
     sent: f64,
     received: f64,
-    /// An exchange that respawns all vehicles of one world per process, beyond one that does not: median \[ms\].
-    respawn_ms: f64,
+    /// An exchange that respawns all vehicles of one world per process, beyond one that does not: median \[ms\];
+    /// `None` if there was none of either kind.
+    respawn_ms: Option<f64>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let What::Sim(args) = &args.what;
     let scenario = Scenario::load(&args.scenario)?;
+    let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
     let mut workloads = Vec::new();
     for &agents in &args.agents {
         workloads.push(Workload { task: Task::new(&scenario, agents)?, control: args.control, audit: args.audit });
@@ -106,7 +117,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.compare {
         let mut lines = Vec::new();
         for workload in &workloads {
-            lines.extend(compare::run(workload, &args.worlds, args.steps, args.repetitions)?);
+            lines.extend(compare::run(workload, &backends, &args.worlds, args.steps, args.repetitions)?);
         }
         if args.json {
             lines.iter().try_for_each(|line| serde_json::to_string(line).map(|text| println!("{text}")))?;
@@ -115,7 +126,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
         return Ok(Verdict::Good);
     }
-    let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
     if !args.json {
         println!(
             "{:8} {:>6} {:>6} {:>9} {:>14} {:>12} {:>10} {:>16} {:>10}",
@@ -134,6 +144,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         for &backend in &backends {
             for &(worlds, processes) in &args.worlds {
                 if backend == Backend::Libsumo && processes > 1 {
+                    if !args.backend.is_empty() {
+                        eprintln!("libsumo is one process: {worlds}/{processes} is left out");
+                    }
                     continue;
                 }
                 let row = measure(workload, backend, worlds, processes, args.seconds)
@@ -142,14 +155,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                     println!("{}", serde_json::to_string(&row)?);
                 } else {
                     let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
+                    let respawn = row.respawn_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2} ms"));
                     println!(
-                        "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {:>7.2} ms",
+                        "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {respawn:>10}",
                         backend.name(),
                         row.agents,
                         row.steps_per_second,
                         row.exchanges_per_second,
-                        format!("{:.0}/{:.0}", row.sent, row.received),
-                        row.respawn_ms
+                        format!("{:.0}/{:.0}", row.sent, row.received)
                     );
                 }
             }
@@ -250,7 +263,7 @@ fn measure(
         sumo_share: share,
         sent: total(|m| m.sent) / exchanges,
         received: total(|m| m.received) / exchanges,
-        respawn_ms: 1000.0 * (median(&mut respawning) - median(&mut plain)),
+        respawn_ms: Some(1000.0 * (median(&mut respawning) - median(&mut plain))).filter(|ms| ms.is_finite()),
     })
 }
 
