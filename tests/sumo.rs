@@ -15,7 +15,10 @@ use iwol_sumo::sumo::{
     Batch, Client, Collision, Command, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation, Value,
     VehicleState, VehicleType,
     constants::{self as c, Domain},
-    domain::vehicle::Addition,
+    domain::{
+        simulation,
+        vehicle::{self, Addition},
+    },
     find_sumo,
     process::{Options, Process},
     sumo_version, traci_version,
@@ -409,9 +412,9 @@ fn the_public_client_batches_gets_and_subscribes() {
     batch.vehicle().add("v", &Addition { depart_pos: "140", ..Addition::on_route("r") });
     batch.vehicle().set_speed("ghost", 1.0);
     batch.simulation().get_time();
-    batch.get(Domain::VEHICLE, c::ID_LIST, "");
-    batch.subscribe(Domain::SIMULATION, "", &[c::VAR_TIME]);
-    batch.subscribe_context(Domain::JUNCTION, "c", Domain::VEHICLE, 100.0, &[c::VAR_SPEED]);
+    batch.get(Domain::VEHICLE, vehicle::TRACI_ID_LIST.number(), "");
+    batch.subscribe(Domain::SIMULATION, "", &[simulation::VAR_TIME.id()]);
+    batch.subscribe_context(Domain::JUNCTION, "c", Domain::VEHICLE, 100.0, &[vehicle::VAR_SPEED.id()]);
     let reply = client.step(&mut batch, 0.0).unwrap();
     assert!(batch.is_empty());
     let outcomes: Vec<_> = reply.outcomes.iter().map(|o| o.as_ref().ok()).collect();
@@ -428,11 +431,11 @@ fn the_public_client_batches_gets_and_subscribes() {
     // Ten steps in one exchange; then a value of each of the kinds that SUMO nests.
     let reply = client.step(&mut batch, 11.0).unwrap();
     assert!(reply.subscriptions.iter().any(|o| o.value == Ok(Value::Double(11.0))));
-    let collisions = client.call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, "")).unwrap();
+    let collisions = client.call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), "")).unwrap();
     assert_eq!(collisions, Some(Value::Compound(vec![Value::Integer(0)])));
     assert!(matches!(client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")), Err(Error::Refused { .. })));
     client.vehicle().remove("v", c::REMOVE_VAPORIZED).unwrap();
-    client.step(&mut batch, 0.0).unwrap();
+    client.step(&mut batch, 0.0).unwrap().check().unwrap();
     client.close().unwrap();
 }
 
@@ -449,14 +452,14 @@ fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
         batch.vehicle().set_speed_mode(vehicle, 32);
         batch.vehicle().set_speed(vehicle, speed);
     }
-    batch.subscribe(Domain::SIMULATION, "", &[c::VAR_COLLISIONS]);
+    batch.subscribe(Domain::SIMULATION, "", &[simulation::VAR_COLLISIONS.id()]);
     let mut most = 0;
     for _ in 0..10 {
         let reply = client.step(&mut batch, 0.0).unwrap();
         let Ok(Value::Compound(items)) = &reply.subscriptions[0].value else { panic!("{reply:?}") };
         let Value::Integer(count) = items[0] else { panic!("{items:?}") };
         assert_eq!(items.len() as i32, 1 + 9 * count);
-        let again = client.call(|b| b.get(Domain::SIMULATION, c::VAR_COLLISIONS, "")).unwrap();
+        let again = client.call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), "")).unwrap();
         assert_eq!(again.as_ref(), reply.subscriptions[0].value.as_ref().ok());
         most = most.max(count);
     }

@@ -13,7 +13,7 @@ use std::{
 use iwol_sumo::sumo::{
     Batch, Client, Domain, Error, StepReply,
     codec::Writer,
-    domain::vehicle::{self, Addition, Placement},
+    domain::vehicle::{self, Addition, Placement, Side},
 };
 use proptest::{collection::vec, prelude::*};
 
@@ -114,7 +114,7 @@ fn status(w: &mut Writer, id: u8) {
 fn speed(w: &mut Writer, value: impl FnOnce(&mut Writer)) {
     status(w, Domain::VEHICLE.get);
     w.command(Domain::VEHICLE.get + 0x10, |w| {
-        w.u8(vehicle::VAR_SPEED.id()).str("v");
+        w.u8(vehicle::VAR_SPEED.number()).str("v");
         value(w);
     });
 }
@@ -156,11 +156,9 @@ fn a_value_of_another_type_names_both_types_and_the_call() {
     });
     let (mut client, peer) = client_of(answer, Duration::ZERO);
     match client.vehicle().get_speed("v") {
-        Err(Error::Protocol { expected, found, at_byte }) => {
-            assert_eq!(
-                (expected, found.as_str(), at_byte),
-                ("a double", "a string as the answer to vehicle.getSpeed", 19)
-            );
+        Err(error @ Error::Type { .. }) => {
+            assert!(!error.is_fatal());
+            assert_eq!(error.to_string(), "vehicle.getSpeed gives a string where a double should be");
         }
         other => panic!("{other:?}"),
     }
@@ -184,6 +182,25 @@ fn a_silent_peer_costs_no_more_than_the_timeout() {
     // The connection is not used again.
     assert!(matches!(client.vehicle().get_speed("v"), Err(Error::Closed { .. })));
     peer.join().unwrap();
+}
+
+#[test]
+fn a_client_waits_for_a_listener_as_long_as_it_is_told() {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let address = listener.local_addr().unwrap();
+    drop(listener);
+    let start = Instant::now();
+    match Client::connect_within(address, Duration::from_millis(100), Duration::from_secs(1)) {
+        Err(Error::Connect { port, attempts, .. }) => assert!(port == address.port() && attempts > 1),
+        other => panic!("{other:?}"),
+    }
+    assert!((100..2000).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
+    let late = thread::spawn(move || {
+        thread::sleep(Duration::from_millis(100));
+        TcpListener::bind(address).unwrap().accept().unwrap();
+    });
+    Client::connect_within(address, Duration::from_secs(10), Duration::from_secs(1)).unwrap();
+    late.join().unwrap();
 }
 
 /// Takes one result; `true` if it has a value.
@@ -212,11 +229,11 @@ fn ask(client: &mut Client, calls: &[u8]) -> Result<usize, Error> {
         vehicle.get_next_tls("v"),
         vehicle.get_stops("v", 0),
         vehicle.get_leader("v", 1.0),
-        vehicle.get_lane_change_state_pretty("v", 1),
+        vehicle.get_lane_change_state_pretty("v", Side::Left),
         vehicle.is_stopped("v"),
         vehicle.add_subscription_filter_cf_maneuver(),
-        vehicle.subscribe("v", &[0x40, 0x74]),
-        junction.subscribe_context("j", Domain::VEHICLE, 9.0, &[0x40]),
+        vehicle.subscribe("v", &[vehicle::VAR_SPEED.id(), vehicle::VAR_NEXT_STOPS.id()]),
+        junction.subscribe_context("j", Domain::VEHICLE, 9.0, &[vehicle::VAR_SPEED.id()]),
         junction.get_shape("j"),
         lane.get_links("l"),
         traffic_light.get_all_program_logics("t"),
@@ -231,7 +248,7 @@ fn ask(client: &mut Client, calls: &[u8]) -> Result<usize, Error> {
     let mut reply = client.step(&mut batch, 0.0)?;
     for observed in &reply.subscriptions {
         let _ = reply.get(&observed.object, vehicle::VAR_SPEED);
-        let _ = reply.get(&observed.object, vehicle::VAR_NEXT_STOPS2);
+        let _ = reply.get(&observed.object, vehicle::VAR_NEXT_STOPS);
         let _ = reply.around(Domain::JUNCTION, "j").objects().count();
     }
     Ok(takes.into_iter().filter_map(|take| take(&mut reply).then_some(())).count())

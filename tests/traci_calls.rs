@@ -1,25 +1,17 @@
 //! Calls that change something, against the real simulator: what is set can be read back, a refused call harms
-//! no other, subscriptions and filters, states, several clients.
-
-use std::{
-    net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
-    process::{Child, Command, Stdio},
-    thread,
-    time::{Duration, Instant},
-};
+//! no other.
 
 use iwol_sumo::sumo::{
-    Batch, Client, Domain, Error, Variable, Version,
+    Batch, Client, Domain, Error,
     constants::INVALID_DOUBLE_VALUE,
     domain::{
         Color, Highlight, gui,
-        person::{self, Place, Walk},
+        person::{Place, Walk},
         poi, polygon,
         simulation::{self, Stage},
         traffic_light::{Logic, Phase},
-        vehicle::{self, Addition, Gap, Placement, Stop, StopChange},
+        vehicle::{Addition, Gap, Placement, Stop, StopChange},
     },
-    find_sumo,
     process::{Options, Process},
 };
 
@@ -322,6 +314,7 @@ fn vehicles_do_as_they_are_told() {
         reroute_effort("many.12");
         change_target("many.10", "ce");
         highlight("many.12", &Highlight { fade: Some((99, 3.0)), ..Highlight::default() });
+        highlight("many.12", &Highlight { kind: 1, ..Highlight::default() });
         move_to("north.6", "sc_1", 70.0, 0);
         move_to_xy("west.3", [700.0, 205.0], &Placement { keep_route: 2, angle: 90.0, ..Placement::default() });
         set_speed("many.7", 1.5);
@@ -332,7 +325,12 @@ fn vehicles_do_as_they_are_told() {
     assert_eq!(stops.iter().map(|stop| (stop.end_pos, stop.duration)).collect::<Vec<_>>(), [(60.0, 8.0), (120.0, 9.0)]);
     assert_eq!(client.vehicle().get_stop_parameter("many.13", 0, "duration").unwrap(), "7.00");
     assert_eq!(client.vehicle().get_next_stops("many.15").unwrap()[0].end_pos, 99.0);
-    assert_eq!(client.vehicle().get_next_stops("many.14").unwrap()[0].stopping_place, "stop");
+    let next = |client: &mut Client, id| {
+        let stop = client.vehicle().get_next_stops(id).unwrap().remove(0);
+        (stop.stopping_place, stop.flags)
+    };
+    assert_eq!(next(&mut client, "many.14"), ("stop".to_owned(), 16));
+    assert_eq!(next(&mut client, "parker"), ("park".to_owned(), 1 | 2 | 128));
     assert_eq!(client.vehicle().get_adapted_traveltime("many.13", 60.0, "ce").unwrap(), 77.0);
     assert_eq!(client.vehicle().get_adapted_traveltime("many.13", 150.0, "cn").unwrap(), 78.0);
     assert_eq!(client.vehicle().get_effort("many.13", 60.0, "ce").unwrap(), 87.0);
@@ -346,93 +344,6 @@ fn vehicles_do_as_they_are_told() {
     assert_eq!(vehicle.get_lane_id("many.11").unwrap(), "wc_1");
     let brakes = vehicle.get_acceleration("many.7").unwrap();
     assert!(brakes < -4.0, "{brakes}");
-}
-
-#[test]
-fn context_subscriptions_are_reported_and_filtered() {
-    let world = World::new();
-    let (_process, mut client) = world.start();
-    client.simulation_step(50.0).unwrap();
-    // No subscription is there that a filter could restrict.
-    let (call, ..) = refused(client.vehicle().add_subscription_filter_downstream_distance(10.0));
-    assert_eq!(call, "vehicle.addSubscriptionFilterDownstreamDistance");
-    let variables = [vehicle::VAR_SPEED.id(), vehicle::VAR_POSITION.id(), vehicle::VAR_LANE_ID.id()];
-    // Around a lane detector, a junction, a vehicle: objects of the same identifier in different domains.
-    client.junction().subscribe_context("c", Domain::VEHICLE, 60.0, &variables).unwrap();
-    client.junction().subscribe_context("c", Domain::PERSON, 500.0, &[person::VAR_SPEED.id()]).unwrap();
-    client.vehicle().subscribe_context("many.13", Domain::VEHICLE, 100.0, &variables).unwrap();
-    client.vehicle().subscribe("many.13", &[vehicle::VAR_SPEED.id(), vehicle::VAR_BEST_LANES.id()]).unwrap();
-    client.vehicle().subscribe_leader("many.14", 150.0).unwrap();
-    client.vehicle().subscribe_during("many.15", &[vehicle::VAR_SPEED.id()], 53.0, 54.0).unwrap();
-    client.vehicle().subscribe_parameter_with_key("bus", "key").unwrap();
-    let reply = client.simulation_step(0.0).unwrap();
-    let near = reply.around(Domain::JUNCTION, "c");
-    let ids: Vec<_> = near.objects().collect();
-    assert!(ids.len() > 4 && ids.contains(&"walker"), "{ids:?}");
-    for id in ids {
-        let Some(position) = near.get(id, vehicle::VAR_POSITION) else {
-            assert!(near.get(id, person::VAR_SPEED).unwrap().unwrap() < 3.0);
-            continue;
-        };
-        assert_eq!(position.unwrap(), client.vehicle().get_position(id).unwrap());
-        assert_eq!(near.get(id, vehicle::VAR_LANE_ID).unwrap().unwrap(), client.vehicle().get_lane_id(id).unwrap());
-        assert!(near.get(id, vehicle::VAR_ANGLE).is_none() && near.get(id, person::VAR_SPEED).is_none());
-    }
-    assert_eq!(
-        reply.get("many.13", vehicle::VAR_BEST_LANES).unwrap().unwrap(),
-        client.vehicle().get_best_lanes("many.13").unwrap()
-    );
-    assert_eq!(
-        reply.get("many.14", vehicle::VAR_LEADER).unwrap().unwrap(),
-        client.vehicle().get_leader("many.14", 150.0).unwrap()
-    );
-    let parameter = reply.get("bus", vehicle::VAR_PARAMETER_WITH_KEY).unwrap().unwrap();
-    assert_eq!(parameter, ("key".to_owned(), String::new()));
-    assert!(reply.get("many.15", vehicle::VAR_SPEED).is_none());
-    assert!(reply.get("nobody", vehicle::VAR_SPEED).is_none());
-    // The same variable, taken for another type.
-    let wrong = Variable::<String>::new(Domain::VEHICLE, vehicle::VAR_SPEED.id());
-    match reply.get("many.13", wrong) {
-        Some(Err(Error::Protocol { expected, at_byte, .. })) => assert!(expected == "a string" && at_byte > 0),
-        other => panic!("{other:?}"),
-    }
-    let all: Vec<_> = reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
-    assert!(all.len() > 5, "{all:?}");
-    // Each filter leaves fewer.
-    macro_rules! filtered {
-        ($($filter:ident($($argument:expr),*)),+) => {{
-            let mut batch = client.batch();
-            batch.vehicle().subscribe_context("many.13", Domain::VEHICLE, 100.0, &variables);
-            let tickets = [$(batch.vehicle().$filter($($argument),*)),+];
-            let mut reply = batch.step(0.0).unwrap();
-            for ticket in tickets {
-                reply.take(ticket).unwrap();
-            }
-            let ids: Vec<_> = reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
-            assert!(ids.len() < all.len(), "{} {ids:?}", concat!($(stringify!($filter)),+));
-            ids
-        }};
-    }
-    assert!(filtered!(add_subscription_filter_vtype(&["taxi"])).is_empty());
-    assert!(filtered!(add_subscription_filter_vclass(&["bicycle"])).is_empty());
-    filtered!(add_subscription_filter_field_of_vision(40.0));
-    filtered!(
-        add_subscription_filter_lanes(&[0, 0]),
-        add_subscription_filter_no_opposite(),
-        add_subscription_filter_downstream_distance(60.0),
-        add_subscription_filter_upstream_distance(0.0)
-    );
-    assert!(filtered!(add_subscription_filter_cf_maneuver()).len() <= 2);
-    assert!(filtered!(add_subscription_filter_lc_maneuver(1)).len() <= 4);
-    filtered!(add_subscription_filter_lead_follow(&[-1, 0]));
-    filtered!(add_subscription_filter_turn(50.0));
-    filtered!(add_subscription_filter_lateral_distance(1.0), add_subscription_filter_downstream_distance(30.0));
-    // It begins in its time only, and ends when told.
-    client.vehicle().unsubscribe("many.13").unwrap();
-    client.vehicle().unsubscribe_context("many.13", Domain::VEHICLE, 100.0).unwrap();
-    let reply = client.simulation_step(0.0).unwrap();
-    assert!(reply.get("many.13", vehicle::VAR_SPEED).is_none());
-    assert_eq!(reply.around(Domain::VEHICLE, "many.13").objects().count(), 0);
 }
 
 #[test]
@@ -456,10 +367,20 @@ fn a_refused_command_harms_no_other_of_its_batch() {
         (call.as_str(), id.as_str(), message.as_str()),
         ("vehicle.setSpeed", "nobody", "Vehicle 'nobody' is not known")
     );
+    // Its ticket is taken; without tickets, the check tells of the first refusal.
+    reply.check().unwrap();
+    batch.vehicle().set_speed("v", 2.0);
+    batch.vehicle().set_speed("stranger", 1.0);
+    batch.vehicle().remove("another", 3);
+    let replies = client.run(&mut batch).unwrap();
+    for _ in 0..2 {
+        assert_eq!(refused(replies.check()).1, "stranger");
+    }
     reply.take(speed).unwrap();
     assert_eq!(reply.take(ids).unwrap(), Vec::<String>::new());
     assert_eq!(reply.take(time).unwrap(), 0.0);
-    client.simulation_step(0.0).unwrap();
+    batch.vehicle().set_speed("stranger", 1.0);
+    assert_eq!(refused(client.step(&mut batch, 0.0).unwrap().check()).1, "stranger");
     assert_eq!(client.vehicle().get_speed("v").unwrap(), 2.0);
     let (call, id, _) = refused(client.vehicle().get_speed("nobody"));
     assert_eq!((call.as_str(), id.as_str()), ("vehicle.getSpeed", "nobody"));
@@ -467,7 +388,7 @@ fn a_refused_command_harms_no_other_of_its_batch() {
     let (call, ..) = refused(client.call(|batch| batch.get(Domain::VEHICLE, 0xfe, "v")));
     assert_eq!(call, "command 0xa4 for variable 0xfe");
     // A call of several commands fails as a whole if one of them does.
-    let filter = client.vehicle().add_subscription_filter_lc_maneuver(0);
+    let filter = client.vehicle().add_subscription_filter_lc_maneuver(None);
     assert_eq!(refused(filter).0, "vehicle.addSubscriptionFilterLCManeuver");
     assert_eq!(client.get_version().unwrap().api, 20);
     client.close().unwrap();
@@ -503,75 +424,9 @@ fn collisions_are_told_one_by_one() {
         if let Some(one) = told.iter().find(|collision| collision.collider == "second") {
             assert_eq!((one.victim.as_str(), one.victim_speed, one.kind.as_str()), ("first", 0.0, "collision"));
         }
-        reply = client.simulation_step(0.0).unwrap();
+        reply = client.batch().step(0.0).unwrap();
     }
     assert!(most >= 2, "{most}");
-}
-
-#[test]
-fn states_and_simulations_are_loaded() {
-    let world = World::new();
-    let (_process, mut client) = world.start();
-    client.simulation_step(30.0).unwrap();
-    let file = world.file("state.xml");
-    let file = file.to_str().unwrap();
-    client.simulation().save_state(file).unwrap();
-    client.vehicle().subscribe("bus", &[vehicle::VAR_SPEED.id()]).unwrap();
-    assert!(client.simulation_step(40.0).unwrap().get("bus", vehicle::VAR_SPEED).is_some());
-    client.simulation().load_state(file).unwrap();
-    assert_eq!(client.simulation().get_time().unwrap(), 30.0);
-    assert!(client.simulation_step(0.0).unwrap().subscriptions.is_empty(), "subscriptions are lost");
-    refused(client.simulation().load_state("/nowhere.xml"));
-    client.load(&world.arguments()).unwrap();
-    assert_eq!(client.simulation().get_time().unwrap(), 0.0);
-    client.simulation_step(2.0).unwrap();
-    assert!(client.vehicle().get_id_list().unwrap().contains(&"parker".to_owned()));
-}
-
-/// A SUMO that is killed with its owner.
-struct Owned(Child);
-
-impl Drop for Owned {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-#[test]
-fn two_clients_take_turns() {
-    let port = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port();
-    let mut sumo = Command::new(find_sumo().unwrap());
-    sumo.args(["--net-file", NET, "--num-clients", "2", "--remote-port", &port.to_string()]);
-    let _sumo = Owned(sumo.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
-    let connect = || {
-        let start = Instant::now();
-        loop {
-            match TcpStream::connect(SocketAddr::from((Ipv4Addr::LOCALHOST, port))) {
-                Ok(stream) => return Client::new(stream, Duration::from_secs(20)).unwrap(),
-                Err(error) => assert!(start.elapsed() < Duration::from_secs(20), "{error}"),
-            }
-            thread::sleep(Duration::from_millis(2));
-        }
-    };
-    let (mut first, mut second) = (connect(), connect());
-    let other = thread::spawn(move || {
-        second.set_order(2).unwrap();
-        let Version { api, .. } = second.get_version().unwrap();
-        // The first one's commands are carried out before this one's.
-        let routes = second.route().get_id_list().unwrap();
-        second.simulation_step(0.0).unwrap();
-        let time = second.simulation().get_time().unwrap();
-        second.close().unwrap();
-        (api, routes, time)
-    });
-    first.set_order(1).unwrap();
-    let edges = first.edge().get_id_list().unwrap();
-    first.route().add("r", &[edges.iter().find(|edge| !edge.starts_with(':')).unwrap()]).unwrap();
-    first.simulation_step(0.0).unwrap();
-    assert_eq!(first.simulation().get_time().unwrap(), 1.0);
-    first.close().unwrap();
-    assert_eq!(other.join().unwrap(), (20, vec!["r".to_owned()], 1.0));
 }
 
 #[test]

@@ -4,8 +4,11 @@
 use std::{collections::BTreeMap, process::Command};
 
 use iwol_sumo::sumo::{
-    Batch, Error, Replies, Ticket,
-    domain::simulation::{IntermodalQuery, RouteQuery},
+    Batch, Domain, Error, Replies, Ticket, Value, Variable,
+    domain::{
+        simulation::{IntermodalQuery, RouteQuery},
+        vehicle::Side,
+    },
 };
 use serde_json::Value as Json;
 
@@ -215,14 +218,14 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_id_count(); get_id_list(); get_taxi_fleet(-1)
         }
         {
-            could_change_lane(1); get_accel; get_acceleration; get_accumulated_waiting_time; get_action_step_length;
+            could_change_lane(Side::Left); get_accel; get_acceleration; get_accumulated_waiting_time; get_action_step_length;
             get_adapted_traveltime(60.0, "ce"); get_allowed_speed; get_angle; get_apparent_decel; get_best_lanes;
             get_co2_emission; get_co_emission; get_color; get_decel; get_distance;
             get_driving_distance("ce", 30.0, 1); get_driving_distance2d([800.0, 195.0]); get_effort(60.0, "ce");
             get_electricity_consumption; get_emergency_decel; get_emission_class;
             get_follow_speed(10.0, 20.0, 5.0, 4.5, ""); get_follower(100.0); get_fuel_consumption; get_hc_emission;
-            get_height; get_imperfection; get_lane_change_mode; get_lane_change_state(1);
-            get_lane_change_state_pretty(-1); get_lane_id; get_lane_index; get_lane_position; get_last_action_time;
+            get_height; get_imperfection; get_lane_change_mode; get_lane_change_state(Side::Left);
+            get_lane_change_state_pretty(Side::Right); get_lane_id; get_lane_index; get_lane_position; get_last_action_time;
             get_lateral_alignment; get_lateral_lane_position; get_lateral_speed; get_leader(100.0);
             get_left_followers(false); get_left_leaders(true); get_length; get_line; get_max_speed;
             get_max_speed_lat; get_min_gap; get_min_gap_lat; get_nox_emission; get_neighbors(2); get_next_stops;
@@ -234,7 +237,7 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_stop_arrival_delay; get_stop_delay; get_stop_parameter(0, "duration"); get_stop_speed(10.0, 20.0);
             get_stop_state; get_stops(0); get_tau; get_time_loss; get_type_id; get_vehicle_class; get_via;
             get_waiting_time; get_width; is_at_bus_stop; is_at_container_stop; is_route_valid; is_stopped;
-            is_stopped_parking; is_stopped_triggered; wants_and_could_change_lane(-1)
+            is_stopped_parking; is_stopped_triggered; wants_and_could_change_lane(Side::Right)
         }
     }
     let ids = client.vehicle_type().get_id_list().unwrap();
@@ -371,4 +374,81 @@ fn nothing_is_missing(methods: &Json) {
             assert!(here(&source) || here(&shared), "{domain}.{python}: no {snake}");
         }
     }
+}
+
+/// The variables that a text of tables makes constants of: those without an argument, and those with one.
+fn constants(source: &str) -> [Vec<(&str, u8)>; 2] {
+    let words: Vec<&str> = source.split_whitespace().collect();
+    let mut found = [Vec::new(), Vec::new()];
+    for row in words.windows(4) {
+        let [sumo, name, number, next] = row else { continue };
+        let number = number.strip_prefix("0x").and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        if let (true, Some(number)) = (sumo.starts_with('"') && sumo.ends_with('"'), number) {
+            found[usize::from(*next != "->")].push((*name, number));
+        }
+    }
+    found
+}
+
+#[test]
+fn sumo_takes_subscriptions_to_all_constants() {
+    let world = World::new();
+    let (_process, mut client) = world.start();
+    client.simulation_step(SECONDS).unwrap();
+    let shared = |name: &str| {
+        let start = SHARED.find(&format!("macro_rules! {name} ")).unwrap();
+        let text = &SHARED[start..];
+        &text[..text.find("\n}\n").unwrap()]
+    };
+    let mut told = 0;
+    for (name, source) in SOURCES {
+        let domain = match name {
+            "edge" => Domain::EDGE,
+            "inductionloop" => Domain::INDUCTION_LOOP,
+            "junction" => Domain::JUNCTION,
+            "lane" => Domain::LANE,
+            "lanearea" => Domain::LANE_AREA,
+            "parkingarea" => Domain::PARKING_AREA,
+            "person" => Domain::PERSON,
+            "poi" => Domain::POI,
+            "polygon" => Domain::POLYGON,
+            "route" => Domain::ROUTE,
+            "simulation" => Domain::SIMULATION,
+            "trafficlight" => Domain::TRAFFIC_LIGHT,
+            "vehicle" => Domain::VEHICLE,
+            "vehicletype" => Domain::VEHICLE_TYPE,
+            // There is none here.
+            _ => continue,
+        };
+        let mut batch = Batch::new();
+        batch.get(domain, 0, "");
+        let ids = client.run(&mut batch).unwrap().into_iter().next();
+        let object = match ids {
+            Some(Ok(Some(Value::StringList(ids)))) => ids[0].clone(),
+            _ => String::new(),
+        };
+        let mut text = format!("{source} {}", shared("domain"));
+        for macro_name in ["identifiers", "type_attributes", "emissions"] {
+            if source.contains(&format!("\n{macro_name}! {{")) {
+                text.push_str(shared(macro_name));
+            }
+        }
+        let [plain, with] = constants(&text);
+        // For a stop, or for an option.
+        let takes_stop = |number| domain == Domain::SIMULATION && [0x67, 0xef, 0x32].contains(&number);
+        for (constant, number) in plain {
+            let variable = Variable::<Value>::new(domain, number);
+            let object = if takes_stop(number) { if number == 0x32 { "seed" } else { "stop" } } else { &object };
+            batch.subscribe(domain, object, &[variable.id()]);
+            let reply = client.step(&mut batch, 0.0).unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
+            reply.check().unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
+            assert!(reply.get(object, variable).is_some_and(|value| value.is_ok()), "{name} {constant}");
+            told += 1;
+        }
+        let mut names: Vec<_> = with.into_iter().map(|(constant, _)| constant).collect();
+        names.sort_unstable();
+        let leaders = if domain == Domain::VEHICLE { &["VAR_FOLLOWER", "VAR_LEADER"][..] } else { &[] };
+        assert_eq!(names, [leaders, &["VAR_PARAMETER", "VAR_PARAMETER_WITH_KEY"]].concat(), "{name}");
+    }
+    assert!(told > 250, "{told}");
 }

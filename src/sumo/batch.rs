@@ -11,6 +11,7 @@ use super::{
     Error,
     codec::{Reader, Value, Writer},
     constants::{self as c, Domain},
+    domain::{Argument as _, SubscriptionArgument, VariableId, VariableWith},
 };
 
 /// What follows the status of a command that was carried out.
@@ -27,6 +28,8 @@ pub(super) struct Queued {
     pub(super) call: Call,
     /// Where the object's identifier (an untyped string) lies in the message.
     object: Range<usize>,
+    /// Why the command is not in the message, if SUMO must not get it.
+    pub(super) invalid: Option<String>,
 }
 
 /// What a command is, its object and content aside.
@@ -52,11 +55,17 @@ impl Call {
     pub(super) const fn set(name: &'static str, domain: Domain, variable: u8) -> Self {
         Call { name, command: domain.set, variable: Some(variable), answer: Answer::Nothing }
     }
+
+    /// Whether it is the same command for the same variable.
+    pub(super) fn is(self, other: Call) -> bool {
+        (self.command, self.variable) == (other.command, other.variable)
+    }
 }
 
 /// Commands for one message, in the order in which SUMO carries them out. The methods of the domains, such
 /// as [`Batch::vehicle`], add commands; each returns a [`Ticket`](super::Ticket), for which the reply to the
-/// batch has the result. [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
+/// batch has the result; [`Replies::check`](super::Replies::check) tells whether all others succeeded.
+/// [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
 #[derive(Debug)]
 pub struct Batch {
     /// No other batch has it, nor this one after [`Batch::clear`].
@@ -132,15 +141,19 @@ impl Batch {
         self.push(call, usize::MAX, content);
     }
 
-    /// Has the variables of an object reported now and after each step from now on; replaces an earlier
-    /// subscription of the object. No variables: ends the subscription.
-    pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[u8]) {
+    /// Has the variables of an object reported now and after each step from now on, besides those of earlier
+    /// subscriptions. No variables: ends all subscriptions to variables of the object. A variable of another domain
+    /// and more than 255 variables are not sent: the reply holds [`Error::Invalid`] for the command.
+    pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[VariableId]) {
         self.subscribe_during(domain, object, variables, ALWAYS);
     }
 
     /// As [`Batch::subscribe`], from one simulation time to another \[s\].
-    pub fn subscribe_during(&mut self, domain: Domain, object: &str, variables: &[u8], during: [f64; 2]) {
-        let call = subscription("subscribe", domain.subscribe, false, variables);
+    pub fn subscribe_during(&mut self, domain: Domain, object: &str, variables: &[VariableId], during: [f64; 2]) {
+        let call = subscription("subscribe", domain.subscribe, false, variables.is_empty());
+        if let Err(what) = check_variables(domain, variables) {
+            return self.reject(call, what);
+        }
         self.push(call, 16, |w| {
             w.f64(during[0]).f64(during[1]).str(object);
             write_variables(w, variables);
@@ -148,23 +161,56 @@ impl Batch {
     }
 
     /// As [`Batch::subscribe`], for one variable that needs an argument.
-    pub fn subscribe_with(&mut self, domain: Domain, object: &str, variable: u8, argument: &Value) {
-        let call = subscription("subscribe", domain.subscribe, false, &[variable]);
+    pub fn subscribe_with<A: SubscriptionArgument, T>(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        variable: VariableWith<A, T>,
+        argument: A::Given<'_>,
+    ) {
+        let call = subscription("subscribe", domain.subscribe, false, false);
+        if variable.domain() != domain {
+            return self.reject(call, OTHER_DOMAIN.to_owned());
+        }
         self.push(call, 16, |w| {
             w.f64(ALWAYS[0]).f64(ALWAYS[1]).str(object);
-            w.u8(1).u8(variable).value(argument);
+            w.u8(1).u8(variable.number());
+            argument.write(w);
         });
     }
 
-    /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object. SUMO 1.15
-    /// dies if the object is a vehicle that TraCI removes while the subscription lasts: end it first.
-    pub fn subscribe_context(&mut self, domain: Domain, object: &str, around: Domain, range: f64, variables: &[u8]) {
-        let call = subscription("subscribeContext", domain.context, true, variables);
+    /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object; their variables. Some
+    /// domains have no objects that could be around: that is not sent either.
+    ///
+    /// SUMO 1.15 dies if it does not know the object, which nobody checks here, and if the object is removed by a call
+    /// while the subscription lasts: end it first.
+    pub fn subscribe_context(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        around: Domain,
+        range: f64,
+        variables: &[VariableId],
+    ) {
+        let call = subscription("subscribeContext", domain.context, true, variables.is_empty());
+        if !around.has_places() {
+            return self.reject(call, "sumo cannot look for objects of this domain around others".to_owned());
+        }
+        if let Err(what) = check_variables(around, variables) {
+            return self.reject(call, what);
+        }
         self.push(call, 16, |w| {
             w.f64(ALWAYS[0]).f64(ALWAYS[1]).str(object);
             w.u8(around.get).f64(range);
             write_variables(w, variables);
         });
+    }
+
+    /// Puts a command into the batch that is not sent and fails.
+    fn reject(&mut self, call: Call, what: String) {
+        self.unseal();
+        let end = self.writer.len();
+        self.queued.push(Queued { call, object: end..end, invalid: Some(what) });
     }
 
     pub(super) fn version(&mut self) {
@@ -190,6 +236,9 @@ impl Batch {
     /// Closes the message, with the step of the simulation to `until` \[s\] as its last command (0: one
     /// step length). May be called again, and commands may follow: the step is replaced then.
     pub(super) fn seal(&mut self, until: Option<f64>) -> Result<&[u8], Error> {
+        if let Some(until) = until.filter(|until| !(until.is_finite() && *until >= 0.0)) {
+            return Err(Error::invalid(format!("the simulation cannot step to {until} s: a time is 0 or more")));
+        }
         self.unseal();
         if let Some(until) = until {
             self.stepped = true;
@@ -209,6 +258,11 @@ impl Batch {
         }
     }
 
+    /// Whether the message of the sealed batch holds no command.
+    pub(super) fn is_silent(&self) -> bool {
+        self.writer.is_empty()
+    }
+
     /// All commands of the sealed message, the step included, and whether there is a step.
     pub(super) fn sealed(&self) -> (&[Queued], bool) {
         (&self.queued, self.stepped)
@@ -220,10 +274,10 @@ impl Batch {
         Reader::new(bytes, 0).str().unwrap_or_default()
     }
 
-    /// The error for a command that SUMO refused.
+    /// The error for a command that SUMO refused, or that was not sent.
     pub(super) fn refusal(&self, index: usize, message: &str) -> Error {
-        let Some(queued) = self.queued.get(index) else {
-            return Error::invalid(format!("sumo refused a command that was not sent: {message}"));
+        let Some(queued) = self.queued.get(index).filter(|queued| queued.invalid.is_none()) else {
+            return Error::invalid(message);
         };
         let Call { name, command, variable, .. } = queued.call;
         let call = match variable {
@@ -241,33 +295,46 @@ impl Batch {
 
     fn push_raw(&mut self, call: Call, before_object: usize, content: impl FnOnce(&mut Writer)) {
         let range = self.writer.command(call.command, content);
-        self.queued.push(Queued { call, object: range.start.saturating_add(before_object)..range.end });
+        self.queued.push(Queued { call, object: range.start.saturating_add(before_object)..range.end, invalid: None });
     }
 }
 
 /// Begin and end of a subscription without limits.
 const ALWAYS: [f64; 2] = [c::INVALID_DOUBLE_VALUE; 2];
 
-fn subscription(name: &'static str, command: u8, context: bool, variables: &[u8]) -> Call {
-    let answer = if variables.is_empty() { Answer::Nothing } else { Answer::Subscription { context } };
+fn subscription(name: &'static str, command: u8, context: bool, ends: bool) -> Call {
+    let answer = if ends { Answer::Nothing } else { Answer::Subscription { context } };
     Call { name, command, variable: None, answer }
 }
 
-fn write_variables(w: &mut Writer, variables: &[u8]) {
-    // A domain has fewer than 256 variables.
+const OTHER_DOMAIN: &str = "a variable of another domain than that of the objects that are subscribed to";
+
+fn check_variables(domain: Domain, variables: &[VariableId]) -> Result<(), String> {
+    if variables.iter().any(|variable| variable.domain() != domain) {
+        return Err(OTHER_DOMAIN.to_owned());
+    }
+    match variables.len() {
+        0..=255 => Ok(()),
+        many => Err(format!("a subscription is to at most 255 variables, not {many}")),
+    }
+}
+
+/// Writes variables that have been checked.
+fn write_variables(w: &mut Writer, variables: &[VariableId]) {
     w.u8(variables.len() as u8);
     for variable in variables {
-        w.u8(*variable);
+        w.u8(variable.number());
     }
 }
 
 /// What SUMO said to one command of a batch: the value that a `get` asked for, nothing for other
-/// commands, or [`Error::Refused`].
+/// commands, or [`Error::Refused`], or [`Error::Invalid`] for a command that was not sent.
 pub type Outcome = Result<Option<Value>, Error>;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sumo::domain::{person, vehicle};
 
     #[test]
     fn the_step_is_always_the_last_command() {
@@ -291,9 +358,46 @@ mod tests {
     fn a_long_command_keeps_the_name_of_its_object() {
         let mut batch = Batch::new();
         batch.route().add("route", &["a_rather_long_edge_name"; 50]);
-        batch.subscribe(Domain::VEHICLE, "v", &[c::VAR_SPEED]);
+        batch.subscribe(Domain::VEHICLE, "v", &[vehicle::VAR_SPEED.id()]);
         let names: Vec<_> = batch.sealed().0.iter().map(|q| batch.object(q)).collect();
         assert_eq!(names, ["route", "v"]);
+    }
+
+    #[test]
+    fn what_sumo_dies_of_is_not_in_the_message() {
+        let mut batch = Batch::new();
+        let speed = vehicle::VAR_SPEED.id();
+        batch.subscribe(Domain::PERSON, "p", &[person::VAR_SPEED.id(), speed]);
+        batch.subscribe(Domain::VEHICLE, "v", &[speed; 256]);
+        batch.subscribe_with(Domain::LANE, "l", vehicle::VAR_LEADER, 1.0);
+        batch.subscribe_context(Domain::VEHICLE, "v", Domain::PERSON, 9.0, &[speed]);
+        for around in [
+            Domain::TRAFFIC_LIGHT,
+            Domain::VEHICLE_TYPE,
+            Domain::ROUTE,
+            Domain::SIMULATION,
+            Domain::GUI,
+            Domain::MULTI_ENTRY_EXIT,
+        ] {
+            batch.subscribe_context(Domain::VEHICLE, "v", around, 9.0, &[]);
+        }
+        assert_eq!(batch.seal(None).unwrap(), [0, 0, 0, 4]);
+        assert!(batch.is_silent() && batch.len() == 10);
+        assert!(batch.sealed().0.iter().all(|queued| queued.invalid.is_some()));
+        batch.subscribe(Domain::VEHICLE, "v", &[speed; 255]);
+        batch.subscribe_context(Domain::PERSON, "p", Domain::VEHICLE, 9.0, &[speed]);
+        assert!(!batch.is_silent() && batch.sealed().0[10..].iter().all(|queued| queued.invalid.is_none()));
+    }
+
+    #[test]
+    fn a_step_goes_to_a_time() {
+        let mut batch = Batch::new();
+        batch.vehicle().set_speed("a", 1.0);
+        let message = batch.seal(None).unwrap().to_vec();
+        for until in [-1.0, f64::NAN, f64::INFINITY] {
+            assert!(matches!(batch.seal(Some(until)), Err(Error::Invalid { .. })), "{until}");
+        }
+        assert_eq!(batch.seal(None).unwrap(), message);
     }
 
     #[test]

@@ -6,16 +6,17 @@
 use std::{
     io::{self, Read as _, Write as _},
     net::{Shutdown, SocketAddr, TcpStream},
+    thread,
     time::{Duration, Instant},
 };
 
 use super::{
     Error,
-    batch::{Batch, Outcome},
+    batch::{Batch, Call, Outcome},
     codec::Reader,
-    constants as c,
-    domain::{Decode, Scope},
-    replies::{Collector, Replies, StepReply},
+    constants::{self as c, Domain},
+    domain::{Decode, Scope, simulation::LOAD_STATE},
+    replies::{Collector, Replies, Reports, StepReply},
     reply::{Sink, parse_reply},
 };
 
@@ -32,16 +33,17 @@ pub struct Version {
 /// [`Client::batch`] joins any number of calls into one.
 ///
 /// Several clients: start SUMO with `--num-clients <n>`. It answers nobody before all of them have
-/// connected; then each must [`Client::set_order`] first, and every step waits for all of them. SUMO
-/// carries out their commands one client after the other, cannot [`Client::load`] then, and reports every
-/// subscription to every client.
+/// connected; then the first exchange of each must be [`Client::set_order`], [`Client::handshake`] may follow,
+/// and every step waits for all of them. SUMO carries out their commands one client after the other, cannot
+/// [`Client::load`] then, and reports every subscription to every client.
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,
     /// Length of the reply's buffer is the most that was ever needed; the reply is a part of it.
     input: Vec<u8>,
     timeout: Duration,
-    time_s: f64,
+    /// Simulation time known last \[s\].
+    time_s: Option<f64>,
     /// Bytes sent and received so far.
     bytes: (u64, u64),
     /// For calls of one exchange each.
@@ -62,6 +64,30 @@ impl Client {
         Self::new(stream, timeout)
     }
 
+    /// As [`Client::connect`], but tries again for as long as `wait` if nobody listens on `address` yet, as when
+    /// SUMO was started a moment ago.
+    ///
+    /// # Errors
+    /// [`Error::Connect`] if nobody listens there in that time.
+    pub fn connect_within(address: SocketAddr, wait: Duration, timeout: Duration) -> Result<Self, Error> {
+        let start = Instant::now();
+        let mut attempts = 0;
+        loop {
+            attempts += 1;
+            let left = wait.saturating_sub(start.elapsed()).max(POLL);
+            let source = match TcpStream::connect_timeout(&address, left) {
+                // A connection attempt to a free port can, by chance, get that port and meet itself.
+                Ok(stream) if stream.local_addr().ok() == Some(address) => io::ErrorKind::ConnectionRefused.into(),
+                Ok(stream) => return Self::new(stream, timeout),
+                Err(source) => source,
+            };
+            if start.elapsed() >= wait {
+                return Err(Error::Connect { port: address.port(), attempts, source });
+            }
+            thread::sleep(POLL);
+        }
+    }
+
     /// A client on a connection that exists.
     ///
     /// # Errors
@@ -69,7 +95,7 @@ impl Client {
     pub fn new(stream: TcpStream, timeout: Duration) -> Result<Self, Error> {
         stream.set_nodelay(true).map_err(|source| Error::Io { doing: SETTING_UP, source })?;
         set_timeouts(&stream, timeout)?;
-        Ok(Client { stream, input: Vec::new(), timeout, time_s: 0.0, single: Batch::new(), bytes: (0, 0) })
+        Ok(Client { stream, input: Vec::new(), timeout, time_s: None, single: Batch::new(), bytes: (0, 0) })
     }
 
     /// Bytes sent and received so far.
@@ -96,10 +122,11 @@ impl Client {
 
     /// Simulation time that error messages name \[s\].
     pub(super) fn set_time(&mut self, time_s: f64) {
-        self.time_s = time_s;
+        self.time_s = Some(time_s);
     }
 
-    /// Asks for the TraCI version and refuses one that is too old. Must be the first exchange.
+    /// Asks for the TraCI version and refuses one that is too old. To be called before anything else; with
+    /// several clients, right after [`Client::set_order`].
     ///
     /// # Errors
     /// [`Error::Version`]; [`Error::Protocol`], [`Error::Closed`] or [`Error::Timeout`] if the peer is not SUMO.
@@ -128,12 +155,13 @@ impl Client {
         })
     }
 
-    /// Simulates one step, or up to `until` \[s\] if that is not 0, and returns what the subscriptions report.
+    /// Simulates one step, or up to `until` \[s\] if that is not 0, and returns what the subscriptions report. If
+    /// `until` is not 0 and not in the future, nothing is simulated.
     ///
     /// # Errors
     /// As [`Client::step`].
-    pub fn simulation_step(&mut self, until: f64) -> Result<StepReply, Error> {
-        self.step(&mut Batch::new(), until)
+    pub fn simulation_step(&mut self, until: f64) -> Result<Reports, Error> {
+        Ok(self.step(&mut Batch::new(), until)?.reports)
     }
 
     /// Replaces the simulation by that of other command line arguments (without the program's name).
@@ -146,7 +174,7 @@ impl Client {
     }
 
     /// Chooses the place of this client among several: the lowest number's commands come first. Must be
-    /// the first call of each client.
+    /// the first exchange of each of them, before [`Client::handshake`].
     ///
     /// # Errors
     /// As [`Client::call`].
@@ -177,16 +205,15 @@ impl Client {
     /// # Errors
     /// As [`Client::send`] and [`Client::receive`]; a refused command is an error in its own place only.
     pub fn run(&mut self, batch: &mut Batch) -> Result<Replies, Error> {
-        if batch.is_empty() {
-            return Ok(Replies::default());
-        }
         Ok(self.exchange(batch, None)?.outcomes)
     }
 
-    /// Sends the commands of a batch and one step to `until` \[s\] (0: one step length), and empties the batch.
+    /// Sends the commands of a batch and a step to `until` \[s\] (0: one step length), and empties the batch. If
+    /// `until` is not 0 and not in the future, nothing is simulated.
     ///
     /// # Errors
-    /// As [`Client::run`]; [`Error::Refused`] if SUMO refuses the step itself.
+    /// As [`Client::run`]; [`Error::Refused`] if SUMO refuses the step itself; [`Error::Invalid`], and nothing is
+    /// sent, if `until` is negative or not a finite number.
     pub fn step(&mut self, batch: &mut Batch, until: f64) -> Result<StepReply, Error> {
         let mut reply = self.exchange(batch, Some(until))?;
         match reply.outcomes.pop() {
@@ -199,17 +226,30 @@ impl Client {
         self.send(batch, until)?;
         let mut sink = Collector::new(batch);
         self.receive(batch, &mut sink)?;
-        let reply = sink.reply;
+        let Collector { reply, time_s, .. } = sink;
+        let (queued, _) = batch.sealed();
+        if queued.iter().any(|queued| queued.call.command == c::CMD_LOAD || queued.call.is(LOAD_STATE)) {
+            self.time_s = None;
+        }
+        self.time_s = time_s.or(self.time_s);
+        if let Some(until) = until.filter(|until| *until > 0.0) {
+            self.time_s = Some(self.time_s.map_or(until, |time| time.max(until)));
+        }
         batch.clear();
         Ok(reply)
     }
 
-    /// Sends a batch, with a step as its last command if `until` is given, and does not wait.
+    /// Sends a batch, with a step as its last command if `until` is given, and does not wait. A message without
+    /// commands is not sent.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the message is too long; [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
+    /// [`Error::Invalid`] if the message is too long or `until` is negative or not a finite number;
+    /// [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
     pub fn send(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<(), Error> {
         let message = batch.seal(until)?;
+        if message == SILENCE {
+            return Ok(());
+        }
         self.bytes.0 += message.len() as u64;
         let written = self.stream.write_all(message);
         let written = written.map_err(|source| self.broken(doing(batch), &source));
@@ -222,6 +262,9 @@ impl Client {
     /// [`Error::Closed`], [`Error::Timeout`], [`Error::Protocol`], and what the sink returns; all of them are fatal.
     /// Refused commands are told to the sink.
     pub fn receive(&mut self, batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
+        if batch.is_silent() {
+            return parse_reply(&SILENCE, batch, sink);
+        }
         let message = self.read_message(doing(batch));
         let read = message.and_then(|length| parse_reply(&self.input[..length], batch, sink));
         self.give_up_on_error(read)
@@ -243,7 +286,7 @@ impl Client {
     pub fn close(mut self) -> Result<(), Error> {
         let mut batch = Batch::new();
         batch.close();
-        self.run(&mut batch)?;
+        self.run(&mut batch)?.check()?;
         // It may be closed already.
         let _ = self.stream.shutdown(Shutdown::Both);
         Ok(())
@@ -300,6 +343,10 @@ impl Client {
     }
 }
 
+/// A message without commands.
+const SILENCE: [u8; 4] = [0, 0, 0, 4];
+/// Pause between two attempts to connect.
+const POLL: Duration = Duration::from_millis(2);
 const SETTING_UP: &str = "set up the connection to sumo";
 
 fn set_timeouts(stream: &TcpStream, timeout: Duration) -> Result<(), Error> {
@@ -330,17 +377,56 @@ impl Scope for Client {
     type Output<T> = Result<T, Error>;
 
     fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Result<T, Error> {
+        self.request_of(None, fill, decode)
+    }
+
+    fn request_for<T>(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        fill: impl FnOnce(&mut Batch),
+        decode: Decode<T>,
+    ) -> Result<T, Error> {
+        self.request_of(Some((domain, object)), fill, decode)
+    }
+}
+
+impl Client {
+    /// Sends one call; if an object is named, once SUMO is known to know it.
+    fn request_of<T>(
+        &mut self,
+        object: Option<(Domain, &str)>,
+        fill: impl FnOnce(&mut Batch),
+        decode: Decode<T>,
+    ) -> Result<T, Error> {
         let mut batch = std::mem::take(&mut self.single);
         batch.clear();
         let ticket = batch.request(fill, decode);
-        let replies = self.run(&mut batch);
+        let known = match object {
+            Some((domain, object)) if !batch.is_silent() => self.ask_for(domain, object),
+            _ => Ok(()),
+        };
+        let replies = known.and_then(|()| self.run(&mut batch));
         self.single = batch;
         replies?.take(ticket)
+    }
+
+    /// Fails if SUMO does not know an object.
+    fn ask_for(&mut self, domain: Domain, object: &str) -> Result<(), Error> {
+        // All domains have parameters.
+        let parameter = Call::get("subscribeContext", domain, 0x7e);
+        let ask = |batch: &mut Batch| {
+            batch.call(parameter, object, |w| {
+                w.string("");
+            });
+        };
+        self.call(ask).map(drop)
     }
 }
 
 /// Calls that go out together in one exchange, see [`Client::batch`].
 #[derive(Debug)]
+#[must_use = "the calls go out with `send` or `step` only"]
 pub struct ClientBatch<'a> {
     client: &'a mut Client,
     pub(super) batch: Batch,

@@ -56,58 +56,6 @@ pub const TYPE_DOUBLELIST: u8 = 0x10;
 /// Type: red, green, blue, alpha.
 pub const TYPE_COLOR: u8 = 0x11;
 
-/// Variable: identifiers of all objects of a domain.
-pub const ID_LIST: u8 = 0x00;
-/// Vehicle, vehicle type: speed; in the set domain of vehicles the speed to keep.
-pub const VAR_SPEED: u8 = 0x40;
-/// Highest speed.
-pub const VAR_MAXSPEED: u8 = 0x41;
-/// Position; of vehicles the centre of the front bumper.
-pub const VAR_POSITION: u8 = 0x42;
-/// Navigational angle in degrees.
-pub const VAR_ANGLE: u8 = 0x43;
-/// Length.
-pub const VAR_LENGTH: u8 = 0x44;
-/// Acceleration ability.
-pub const VAR_ACCEL: u8 = 0x46;
-/// Comfortable deceleration.
-pub const VAR_DECEL: u8 = 0x47;
-/// Desired time headway.
-pub const VAR_TAU: u8 = 0x48;
-/// Gap to the leader when standing.
-pub const VAR_MINGAP: u8 = 0x4c;
-/// Width.
-pub const VAR_WIDTH: u8 = 0x4d;
-/// Driver imperfection (sigma).
-pub const VAR_IMPERFECTION: u8 = 0x5d;
-/// Factor on the speed limit.
-pub const VAR_SPEED_FACTOR: u8 = 0x5e;
-/// Deviation of the speed factor.
-pub const VAR_SPEED_DEVIATION: u8 = 0x5f;
-/// Strongest deceleration.
-pub const VAR_EMERGENCY_DECEL: u8 = 0x7b;
-/// Distance that a vehicle has driven since it departed.
-pub const VAR_DISTANCE: u8 = 0x84;
-/// Speed mode bits of a vehicle.
-pub const VAR_SPEEDSETMODE: u8 = 0xb3;
-/// Simulation time in seconds.
-pub const VAR_TIME: u8 = 0x66;
-/// Vehicles that came to the end of their routes in the step.
-pub const VAR_ARRIVED_VEHICLES_IDS: u8 = 0x7a;
-/// Collisions of the step, with all their attributes.
-pub const VAR_COLLISIONS: u8 = 0x23;
-/// Vehicle: those beside it.
-pub const VAR_NEIGHBORS: u8 = 0xbf;
-/// Set variable: adds an object.
-pub const ADD: u8 = 0x80;
-/// Set variable: removes an object.
-pub const REMOVE: u8 = 0x81;
-/// Set variable: adds a vehicle with all attributes.
-pub const ADD_FULL: u8 = 0x85;
-/// Set variable: places a vehicle.
-pub const MOVE_TO_XY: u8 = 0xb4;
-/// Set variable: copies an object.
-pub const COPY: u8 = 0x88;
 /// Reason of a removal: taken out without arriving.
 pub const REMOVE_VAPORIZED: i8 = 0x03;
 
@@ -155,6 +103,44 @@ impl Domain {
     pub const PERSON: Domain = Domain::based_on(0x8e);
     /// Parking areas.
     pub const PARKING_AREA: Domain = Domain::based_on(0x04);
+    /// Bus stops.
+    pub const BUS_STOP: Domain = Domain::based_on(0x8f);
+    /// Calibrators.
+    pub const CALIBRATOR: Domain = Domain::based_on(0x07);
+    /// Charging stations.
+    pub const CHARGING_STATION: Domain = Domain::based_on(0x05);
+    /// Collectors of mean data.
+    pub const MEAN_DATA: Domain = Domain::based_on(0x0a);
+    /// Multi entry exit detectors (E3 detectors).
+    pub const MULTI_ENTRY_EXIT: Domain = Domain::based_on(0x81);
+    /// Overhead wires.
+    pub const OVERHEAD_WIRE: Domain = Domain::based_on(0x0b);
+    /// Rerouters.
+    pub const REROUTER: Domain = Domain::based_on(0x08);
+    /// Route probes.
+    pub const ROUTE_PROBE: Domain = Domain::based_on(0x06);
+    /// Variable speed signs.
+    pub const VARIABLE_SPEED_SIGN: Domain = Domain::based_on(0x09);
+
+    /// Whether SUMO 1.15 can look for objects of the domain around an object; asked for another one, it dies.
+    pub(super) fn has_places(self) -> bool {
+        [
+            Self::BUS_STOP,
+            Self::CALIBRATOR,
+            Self::CHARGING_STATION,
+            Self::EDGE,
+            Self::INDUCTION_LOOP,
+            Self::JUNCTION,
+            Self::LANE,
+            Self::LANE_AREA,
+            Self::PARKING_AREA,
+            Self::PERSON,
+            Self::POI,
+            Self::POLYGON,
+            Self::VEHICLE,
+        ]
+        .contains(&self)
+    }
 
     /// The other identifiers follow from that of the context subscription.
     const fn based_on(context: u8) -> Self {

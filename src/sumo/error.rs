@@ -71,22 +71,22 @@ pub enum Error {
         message: String,
     },
     /// The peer closed the connection.
-    #[error("sumo closed the connection during `{command}` at simulation time {sim_time_s} s")]
+    #[error("sumo closed the connection during `{command}`{}", at_time(*sim_time_s))]
     Closed {
         /// What was under way.
         command: &'static str,
-        /// Simulation time known last \[s\].
-        sim_time_s: f64,
+        /// Simulation time known last \[s\], if any was.
+        sim_time_s: Option<f64>,
     },
     /// The peer did not answer in time.
-    #[error("no answer to `{command}` within {seconds} s at simulation time {sim_time_s} s")]
+    #[error("no answer to `{command}` within {seconds} s{}", at_time(*sim_time_s))]
     Timeout {
         /// What was under way.
         command: &'static str,
         /// How long was waited \[s\].
         seconds: f64,
-        /// Simulation time known last \[s\].
-        sim_time_s: f64,
+        /// Simulation time known last \[s\], if any was.
+        sim_time_s: Option<f64>,
     },
     /// The peer sent bytes that are not TraCI.
     #[error("not a TraCI answer: expected {expected}, found {found} at byte {at_byte}")]
@@ -97,6 +97,16 @@ pub enum Error {
         found: String,
         /// Position in the message \[bytes\].
         at_byte: usize,
+    },
+    /// A value is not of the type that was asked for. The connection is intact.
+    #[error("{call} gives {found} where {expected} should be")]
+    Type {
+        /// The call under SUMO's name, or the subscription.
+        call: String,
+        /// What should have been there.
+        expected: &'static str,
+        /// What was there.
+        found: String,
     },
     /// The caller asked for something that cannot be sent; nothing was sent. The connection is intact.
     #[error("{what}")]
@@ -138,7 +148,14 @@ impl Error {
     /// `false`: the connection is intact and the simulation goes on; `true`: this SUMO instance is gone.
     #[must_use]
     pub fn is_fatal(&self) -> bool {
-        !matches!(self, Error::Refused { .. } | Error::Invalid { .. } | Error::Occupied | Error::NotBuiltIn { .. })
+        !matches!(
+            self,
+            Error::Refused { .. }
+                | Error::Type { .. }
+                | Error::Invalid { .. }
+                | Error::Occupied
+                | Error::NotBuiltIn { .. }
+        )
     }
 
     /// What the user can do about it, if anything is known.
@@ -162,27 +179,31 @@ impl Error {
         }
     }
 
-    /// Says where in the message the value stood that is not what it should be.
-    pub(super) fn at(self, at_byte: usize) -> Self {
-        match self {
-            Error::Protocol { expected, found, .. } => Error::Protocol { expected, found, at_byte },
-            other => other,
-        }
-    }
-
     /// Names the call whose answer is not what it should be.
     pub(super) fn in_answer_to(self, call: &str) -> Self {
         match self {
             Error::Protocol { expected, found, at_byte } if !call.is_empty() => {
                 Error::Protocol { expected, found: format!("{found} as the answer to {call}"), at_byte }
             }
+            Error::Type { expected, found, .. } if !call.is_empty() => {
+                Error::Type { call: call.to_owned(), expected, found }
+            }
             other => other,
         }
+    }
+
+    /// A value of another type, of a call that [`Error::in_answer_to`] will name.
+    pub(super) fn other_type(expected: &'static str, found: impl Into<String>) -> Self {
+        Error::Type { call: "a call".to_owned(), expected, found: found.into() }
     }
 
     pub(crate) fn invalid(what: impl Into<String>) -> Self {
         Error::Invalid { what: what.into() }
     }
+}
+
+fn at_time(sim_time_s: Option<f64>) -> String {
+    sim_time_s.map(|time| format!(" at simulation time {time} s")).unwrap_or_default()
 }
 
 fn list(folders: &[PathBuf]) -> String {
@@ -211,7 +232,12 @@ mod tests {
         assert!(!refused.is_fatal());
         assert_eq!(refused.to_string(), "sumo refused vehicle.setSpeed for `v`: no");
         assert!(!Error::invalid("slot 9 of 8").is_fatal());
-        assert!(Error::Closed { command: "step", sim_time_s: 1.0 }.is_fatal());
+        assert!(!Error::other_type("a double", "a string").is_fatal());
+        let mut closed = Error::Closed { command: "step", sim_time_s: Some(1.5) };
+        assert!(closed.is_fatal());
+        assert_eq!(closed.to_string(), "sumo closed the connection during `step` at simulation time 1.5 s");
+        closed = Error::Closed { command: "step", sim_time_s: None };
+        assert_eq!(closed.to_string(), "sumo closed the connection during `step`");
         assert!(Error::PortTaken { port: 1 }.is_fatal());
     }
 

@@ -14,7 +14,7 @@ use super::{
     Batch, Error, SimulationConfig, Value,
     codec::Writer,
     constants::{self as c, Domain},
-    domain::vehicle::Addition,
+    domain::{Variable, simulation, vehicle},
     fleet::Fleet,
     replies::Collector,
     reply::parse_reply,
@@ -27,7 +27,12 @@ const HEAP: (u64, u64) = (100, 16 << 10);
 /// Types of values, and a byte that is none.
 const TYPES: [u8; 14] = [0, 1, 2, 3, 4, 6, 7, 8, 9, 0x0b, 0x0c, 0x0e, 0x0f, 0x10];
 
-const VARIABLES: [u8; 5] = [c::VAR_SPEED, c::VAR_DISTANCE, c::VAR_ARRIVED_VEHICLES_IDS, c::VAR_COLLISIONS, c::VAR_TIME];
+const SPEED: u8 = vehicle::VAR_SPEED.number();
+const DISTANCE: u8 = vehicle::VAR_DISTANCE.number();
+const ARRIVED: u8 = simulation::VAR_ARRIVED_VEHICLES_IDS.number();
+const COLLISIONS: u8 = simulation::VAR_COLLISIONS.number();
+const TIME: u8 = simulation::VAR_TIME.number();
+const VARIABLES: [u8; 5] = [SPEED, DISTANCE, ARRIVED, COLLISIONS, TIME];
 
 const NAMES: [&str; 6] = ["w0s0", "w0s3", "w0s99", "", "ß𝄞", "w0s18446744073709551616"];
 
@@ -51,13 +56,14 @@ fn dialogue(rng: &mut Rng) -> (Batch, Vec<u8>, usize) {
     for _ in 0..below(rng, 6) {
         let (variable, name) = (pick(rng, &VARIABLES), pick(rng, &NAMES));
         let domain = pick(rng, &[Domain::VEHICLE, Domain::SIMULATION, Domain::JUNCTION]);
-        let variables = &VARIABLES[..below(rng, VARIABLES.len())];
+        let variables = |domain| VARIABLES.map(|number| Variable::<Value>::new(domain, number).id());
+        let count = below(rng, VARIABLES.len());
         let answer = below(rng, 5);
         match answer {
             0 => batch.get(domain, variable, name),
-            1 => batch.subscribe(domain, name, variables),
-            2 => batch.subscribe_context(domain, name, Domain::VEHICLE, 9.0, variables),
-            3 => drop(batch.vehicle().add(name, &Addition::on_route("r"))),
+            1 => batch.subscribe(domain, name, &variables(domain)[..count]),
+            2 => batch.subscribe_context(domain, name, Domain::VEHICLE, 9.0, &variables(Domain::VEHICLE)[..count]),
+            3 => drop(batch.vehicle().add(name, &vehicle::Addition::on_route("r"))),
             _ => drop(batch.vehicle().set_speed(name, 1.0)),
         }
         let command = [domain.get, domain.subscribe, domain.context, Domain::VEHICLE.set, Domain::VEHICLE.set][answer];
@@ -70,8 +76,8 @@ fn dialogue(rng: &mut Rng) -> (Batch, Vec<u8>, usize) {
                 w.u8(variable).str(name);
                 value(w, rng, domain, variable, 0);
             })),
-            1 if !variables.is_empty() => report(&mut w, rng, domain, false),
-            2 if !variables.is_empty() => report(&mut w, rng, domain, true),
+            1 if count > 0 => report(&mut w, rng, domain, false),
+            2 if count > 0 => report(&mut w, rng, domain, true),
             _ => {}
         }
     }
@@ -121,8 +127,8 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
                 match variable {
                     _ if !known => drop(w.string("gone")),
                     // What steps read must have its own type; of collisions, contexts tell nothing.
-                    c::VAR_SPEED | c::VAR_DISTANCE | c::VAR_TIME => drop(w.double(rng.random_range(-1e9..1e9))),
-                    c::VAR_ARRIVED_VEHICLES_IDS => drop(w.string_list(&[pick(rng, &NAMES)])),
+                    SPEED | DISTANCE | TIME => drop(w.double(rng.random_range(-1e9..1e9))),
+                    ARRIVED => drop(w.string_list(&[pick(rng, &NAMES)])),
                     _ if context => drop(w.compound(0)),
                     _ => value(w, rng, domain, variable, 0),
                 }
@@ -133,7 +139,7 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
 
 /// Any value; collisions as SUMO writes them.
 fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usize) {
-    if variable == c::VAR_COLLISIONS && domain == Domain::SIMULATION {
+    if variable == COLLISIONS && domain == Domain::SIMULATION {
         let count = below(rng, 4);
         w.compound(1 + 4 * count as i32).integer(count as i32);
         for _ in 0..count {
@@ -164,7 +170,7 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
         _ => {
             w.compound(count as i32);
             for _ in 0..count {
-                value(w, rng, domain, c::VAR_SPEED, depth + 1);
+                value(w, rng, domain, SPEED, depth + 1);
             }
             return;
         }

@@ -25,13 +25,13 @@ pub use batch::{Batch, Outcome};
 pub use client::{Client, ClientBatch, Version};
 pub use codec::Value;
 pub use constants::Domain;
-pub use domain::{FromValue, Scope, Ticket, Variable};
+pub use domain::{FromValue, Scope, Ticket, Variable, VariableId, VariableWith};
 pub use error::Error;
 pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
 #[cfg(feature = "libsumo")]
 pub use libsumo::LibsumoSimulation;
 pub use process::{find_sumo, sumo_version, traci_version};
-pub use replies::{Replies, StepReply};
+pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     Collision, Command, Meter, Renewal, Route, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
 };

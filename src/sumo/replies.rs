@@ -1,5 +1,5 @@
-//! What comes back from a [`Batch`], as owned values: a result for each
-//! [`Ticket`], and what the subscriptions report after a step.
+//! What comes back from a [`Batch`], as owned values: a result for each [`Ticket`], and what the subscriptions
+//! report.
 
 use std::{cell::OnceCell, cmp::Ordering, ops::Deref, sync::Arc, vec};
 
@@ -8,25 +8,28 @@ use super::{
     batch::{Batch, Outcome},
     codec::{Reader, Value},
     constants::Domain,
-    domain::{FromValue, Ticket, Variable},
+    domain::{FromValue, Reported, Ticket, simulation::VAR_TIME},
     reply::{Report, Sink, read_value},
 };
 
 /// What SUMO said to each command of a batch, in order.
 #[derive(Debug, Default)]
+#[must_use = "a refusal shows in `check`, or when its ticket is taken"]
 pub struct Replies {
     batch: u64,
     outcomes: Vec<Outcome>,
-    /// For each command, SUMO's name for it and where in the message its value stood.
-    places: Vec<(&'static str, usize)>,
+    /// For each command, SUMO's name for it.
+    names: Vec<&'static str>,
+    /// The first values of the subscriptions that the batch made, of the time when the command's turn came.
+    pub first: Reports,
 }
 
 impl Replies {
     /// The result that a ticket stands for.
     ///
     /// # Errors
-    /// [`Error::Refused`] if SUMO refused the command; [`Error::Invalid`] for a ticket of another batch;
-    /// [`Error::Protocol`] if the value is not of the type that it should be of.
+    /// [`Error::Refused`] if SUMO refused the command; [`Error::Invalid`] for a command that was not sent, and for a
+    /// ticket of another batch; [`Error::Type`] if the value is not of the type that it should be of.
     pub fn take<T>(&mut self, ticket: Ticket<T>) -> Result<T, Error> {
         let Ticket { batch, commands, decode } = ticket;
         let last = commands.end.checked_sub(1).filter(|last| batch == self.batch && *last < self.outcomes.len());
@@ -37,12 +40,26 @@ impl Replies {
         for outcome in &mut self.outcomes[commands] {
             answer = std::mem::replace(outcome, Ok(None))?;
         }
-        let (name, at_byte) = self.places[last];
-        decode(answer).map_err(|error| error.at(at_byte).in_answer_to(name))
+        decode(answer).map_err(|error| error.in_answer_to(self.names[last]))
+    }
+
+    /// Whether all commands were carried out, those aside whose tickets have been taken.
+    ///
+    /// # Errors
+    /// The first failure: [`Error::Refused`], or [`Error::Invalid`] for a command that was not sent.
+    pub fn check(&self) -> Result<(), Error> {
+        match self.outcomes.iter().find_map(|outcome| outcome.as_ref().err()) {
+            None => Ok(()),
+            Some(Error::Refused { command, call, id, message }) => {
+                let (call, id, message) = (call.clone(), id.clone(), message.clone());
+                Err(Error::Refused { command: *command, call, id, message })
+            }
+            Some(not_sent) => Err(Error::invalid(not_sent.to_string())),
+        }
     }
 
     pub(super) fn pop(&mut self) -> Option<Outcome> {
-        self.places.pop();
+        self.names.pop();
         self.outcomes.pop()
     }
 }
@@ -64,7 +81,7 @@ impl IntoIterator for Replies {
     }
 }
 
-/// One variable that a subscription reports after a step.
+/// One variable that a subscription reports.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observed {
     /// As [`Report::response`].
@@ -79,8 +96,6 @@ pub struct Observed {
     pub variable: u8,
     /// The value, or SUMO's message why there is none.
     pub value: Result<Value, String>,
-    /// Where in the message the value stood \[bytes\].
-    pub at_byte: usize,
 }
 
 impl Observed {
@@ -97,15 +112,14 @@ impl Observed {
 /// Response, object at the centre, domain, object, variable.
 type Key<'a> = (u8, Option<&'a str>, u8, &'a str, u8);
 
-/// What came back from a step.
+/// What came back from a batch with a step; it gives the [`Reports`] of the time after the step.
 #[derive(Debug, Default)]
+#[must_use = "a refusal shows in `check`, or when its ticket is taken"]
 pub struct StepReply {
     /// For each command of the batch, what SUMO said.
     pub outcomes: Replies,
-    /// What the subscriptions report after the step, as SUMO orders it.
-    pub subscriptions: Vec<Observed>,
-    /// Indices of `subscriptions` by key; made when they are first asked for.
-    order: OnceCell<Vec<u32>>,
+    /// What the subscriptions report after the step.
+    pub reports: Reports,
 }
 
 impl StepReply {
@@ -117,29 +131,57 @@ impl StepReply {
         self.outcomes.take(ticket)
     }
 
-    /// A subscribed variable of an object; `None` if it is not subscribed to or the object is gone.
+    /// As [`Replies::check`].
     ///
     /// # Errors
-    /// [`Error::Refused`] with SUMO's message if SUMO has no value; [`Error::Protocol`] if the value is
+    /// As [`Replies::check`].
+    pub fn check(&self) -> Result<(), Error> {
+        self.outcomes.check()
+    }
+}
+
+impl Deref for StepReply {
+    type Target = Reports;
+
+    fn deref(&self) -> &Reports {
+        &self.reports
+    }
+}
+
+/// What subscriptions report.
+#[derive(Debug, Default)]
+pub struct Reports {
+    /// All of it, as SUMO orders it.
+    pub subscriptions: Vec<Observed>,
+    /// Indices of `subscriptions` by key; made when they are first asked for.
+    order: OnceCell<Vec<u32>>,
+}
+
+impl Reports {
+    /// A subscribed variable of an object; `None` if it is not subscribed to or the object is gone. If several
+    /// subscriptions report it, the last value.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] with SUMO's message if SUMO has no value; [`Error::Type`] if the value is
     /// not of the type that it should be of.
-    pub fn get<T: FromValue>(&self, object: &str, variable: Variable<T>) -> Option<Result<T, Error>> {
-        let domain = variable.domain();
-        self.find((domain.subscribe + 0x10, None, domain.get, object, variable.id()))
+    pub fn get<V: Reported>(&self, object: &str, variable: V) -> Option<Result<V::Value, Error>> {
+        let id = variable.identify();
+        let domain = id.domain();
+        self.find((domain.subscribe + 0x10, None, domain.get, object, id.number()))
     }
 
     /// What the context subscription of an object reports: the objects around `centre`, which is an object
     /// of the domain `of`.
     pub fn around<'a>(&'a self, of: Domain, centre: &'a str) -> Context<'a> {
-        Context { reply: self, response: of.context + 0x10, centre }
+        Context { reports: self, response: of.context + 0x10, centre }
     }
 
     fn find<T: FromValue>(&self, key: Key<'_>) -> Option<Result<T, Error>> {
         let order = self.order();
-        let at = order.binary_search_by(|i| self.at(*i).key().cmp(&key)).ok()?;
-        let observed = self.at(order[at]);
+        let end = order.partition_point(|i| self.at(*i).key() <= key);
+        let observed = order[..end].last().map(|i| self.at(*i)).filter(|observed| observed.key() == key)?;
         Some(match &observed.value {
-            Ok(value) => T::from_value(value.clone())
-                .map_err(|error| error.at(observed.at_byte).in_answer_to(&observed.subscription())),
+            Ok(value) => T::from_value(value.clone()).map_err(|error| error.in_answer_to(&observed.subscription())),
             Err(message) => Err(Error::Refused {
                 command: observed.response.wrapping_sub(0x10),
                 call: observed.subscription(),
@@ -162,10 +204,10 @@ impl StepReply {
     }
 }
 
-/// The objects around one object, see [`StepReply::around`].
+/// The objects around one object, see [`Reports::around`].
 #[derive(Debug, Clone, Copy)]
 pub struct Context<'a> {
-    reply: &'a StepReply,
+    reports: &'a Reports,
     response: u8,
     centre: &'a str,
 }
@@ -173,12 +215,12 @@ pub struct Context<'a> {
 impl<'a> Context<'a> {
     /// Identifiers of the objects, without order; those of one domain next to each other, sorted.
     pub fn objects(&self) -> impl Iterator<Item = &'a str> + use<'a> {
-        let Context { reply, response, centre } = *self;
-        let order = reply.order();
+        let Context { reports, response, centre } = *self;
+        let order = reports.order();
         let head = move |o: &Observed| (o.response, o.around.as_deref()).cmp(&(response, Some(centre)));
-        let start = order.partition_point(|i| head(reply.at(*i)) == Ordering::Less);
+        let start = order.partition_point(|i| head(reports.at(*i)) == Ordering::Less);
         let mut last: Option<(u8, &str)> = None;
-        order[start..].iter().map(|i| reply.at(*i)).take_while(move |o| head(o) == Ordering::Equal).filter_map(
+        order[start..].iter().map(|i| reports.at(*i)).take_while(move |o| head(o) == Ordering::Equal).filter_map(
             move |observed| {
                 let object = (observed.domain, &*observed.object);
                 (last.replace(object) != Some(object)).then_some(object.1)
@@ -186,12 +228,13 @@ impl<'a> Context<'a> {
         )
     }
 
-    /// A variable of one of the objects, as [`StepReply::get`].
+    /// A variable of one of the objects, as [`Reports::get`].
     ///
     /// # Errors
-    /// As [`StepReply::get`].
-    pub fn get<T: FromValue>(&self, object: &str, variable: Variable<T>) -> Option<Result<T, Error>> {
-        self.reply.find((self.response, Some(self.centre), variable.domain().get, object, variable.id()))
+    /// As [`Reports::get`].
+    pub fn get<V: Reported>(&self, object: &str, variable: V) -> Option<Result<V::Value, Error>> {
+        let id = variable.identify();
+        self.reports.find((self.response, Some(self.centre), id.domain().get, object, id.number()))
     }
 }
 
@@ -199,6 +242,8 @@ impl<'a> Context<'a> {
 pub(super) struct Collector<'a> {
     batch: &'a Batch,
     pub(super) reply: StepReply,
+    /// Simulation time that was told last \[s\].
+    pub(super) time_s: Option<f64>,
     around: Shared,
     object: Shared,
 }
@@ -227,10 +272,18 @@ impl<'a> Collector<'a> {
         let outcomes = Replies {
             batch: batch.number(),
             outcomes: queued.iter().map(|_| Ok(None)).collect(),
-            places: queued.iter().map(|queued| (queued.call.name, 0)).collect(),
+            names: queued.iter().map(|queued| queued.call.name).collect(),
+            first: Reports::default(),
         };
         let reply = StepReply { outcomes, ..StepReply::default() };
-        Collector { batch, reply, around: Shared::default(), object: Shared::default() }
+        Collector { batch, reply, time_s: None, around: Shared::default(), object: Shared::default() }
+    }
+
+    fn note_time(&mut self, domain: u8, variable: u8, value: &Value) {
+        if let (true, Value::Double(time)) = (domain == Domain::SIMULATION.get && variable == VAR_TIME.number(), value)
+        {
+            self.time_s = Some(*time);
+        }
     }
 }
 
@@ -242,30 +295,30 @@ impl Sink for Collector<'_> {
     }
 
     fn answer(&mut self, index: usize, response: u8, variable: u8, value: &mut Reader<'_>) -> Result<(), Error> {
-        let at_byte = value.position();
         let value = read_value(response, variable, value)?;
-        let Replies { outcomes, places, .. } = &mut self.reply.outcomes;
-        if let (Some(outcome), Some(place)) = (outcomes.get_mut(index), places.get_mut(index)) {
+        self.note_time(response.wrapping_sub(0x10), variable, &value);
+        if let Some(outcome) = self.reply.outcomes.outcomes.get_mut(index) {
             *outcome = Ok(Some(value));
-            place.1 = at_byte;
         }
         Ok(())
     }
 
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
-        let at_byte = value.position();
         let value = if report.known { Ok(report.read(value)?) } else { Err(value.string()?.to_owned()) };
-        if report.after_step {
-            self.reply.subscriptions.push(Observed {
-                response: report.response,
-                around: report.around.map(|name| self.around.copy(name)),
-                object: self.object.copy(report.object),
-                domain: report.domain,
-                variable: report.variable,
-                value,
-                at_byte,
-            });
+        if let Ok(value) = &value {
+            self.note_time(report.domain, report.variable, value);
         }
+        let observed = Observed {
+            response: report.response,
+            around: report.around.map(|name| self.around.copy(name)),
+            object: self.object.copy(report.object),
+            domain: report.domain,
+            variable: report.variable,
+            value,
+        };
+        let StepReply { outcomes, reports } = &mut self.reply;
+        let reports = if report.after_step { reports } else { &mut outcomes.first };
+        reports.subscriptions.push(observed);
         Ok(())
     }
 }

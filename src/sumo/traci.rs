@@ -12,7 +12,10 @@ use super::{
     client::Version,
     codec::Reader,
     constants::{self as c, Domain},
-    domain::vehicle::{Addition, Placement},
+    domain::{
+        simulation::{VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
+        vehicle::{Addition, Placement, VAR_DISTANCE, VAR_SPEED},
+    },
     fleet::{Fleet, Orders, Vehicle},
     process::{Options, Process},
     reply::{Report, Sink, read_collision_count, read_value},
@@ -104,7 +107,7 @@ impl TraciSimulation {
         for route in &self.fleet.routes {
             batch.route().add(&route.id, &route.edges);
         }
-        let of_simulation = [c::VAR_TIME, c::VAR_COLLISIONS, c::VAR_ARRIVED_VEHICLES_IDS];
+        let of_simulation = [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
         batch.subscribe(Domain::SIMULATION, "", &of_simulation);
         // One subscription for all vehicles of a world. SUMO takes a time that grows with the square of their number to
         // begin and end subscriptions, so that one for each vehicle would make respawns slow.
@@ -114,7 +117,7 @@ impl TraciSimulation {
                 junction,
                 Domain::VEHICLE,
                 self.fleet.diagonal,
-                &[c::VAR_DISTANCE, c::VAR_SPEED],
+                &[VAR_DISTANCE.id(), VAR_SPEED.id()],
             );
         }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
@@ -225,6 +228,12 @@ impl Simulation for TraciSimulation {
     }
 }
 
+const TIME: u8 = VAR_TIME.number();
+const COLLISIONS: u8 = VAR_COLLISIONS.number();
+const ARRIVED: u8 = VAR_ARRIVED_VEHICLES_IDS.number();
+const DISTANCE: u8 = VAR_DISTANCE.number();
+const SPEED: u8 = VAR_SPEED.number();
+
 /// Reads what one step leaves into the snapshot.
 pub(super) struct StepSink<'a> {
     pub(super) fleet: &'a mut Fleet,
@@ -246,16 +255,16 @@ impl Sink for StepSink<'_> {
         }
         let of_simulation = report.response == Domain::SIMULATION.subscribe + 0x10;
         match report.variable {
-            c::VAR_TIME if of_simulation => self.fleet.snapshot.time = value.double()?,
-            c::VAR_COLLISIONS if of_simulation => read_collisions(value, self.fleet)?,
-            c::VAR_ARRIVED_VEHICLES_IDS if of_simulation => {
+            TIME if of_simulation => self.fleet.snapshot.time = value.double()?,
+            COLLISIONS if of_simulation => read_collisions(value, self.fleet)?,
+            ARRIVED if of_simulation => {
                 value.kind(c::TYPE_STRINGLIST, "the vehicles that arrived")?;
                 for _ in 0..value.count(4, "the vehicles that arrived")? {
                     self.fleet.gone(value.str()?);
                 }
             }
-            c::VAR_DISTANCE => self.distance = Some(finite(value)?),
-            c::VAR_SPEED => self.speed = Some(finite(value)?),
+            DISTANCE => self.distance = Some(finite(value)?),
+            SPEED => self.speed = Some(finite(value)?),
             _ => drop(read_value(report.response, report.variable, value)?),
         }
         if let (Some(distance), Some(speed)) = (self.distance, self.speed) {

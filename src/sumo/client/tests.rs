@@ -1,7 +1,11 @@
 //! Replies, whole, cut, damaged and hostile, and peers that misbehave.
 
 use super::*;
-use crate::sumo::{Value, codec::Writer, constants::Domain};
+use crate::sumo::{
+    Value,
+    codec::Writer,
+    domain::{simulation::VAR_TIME, vehicle::VAR_SPEED},
+};
 use proptest::{collection::vec, prelude::*};
 
 /// A batch with every kind of answer, and a reply to it as SUMO 1.15 lays it out.
@@ -9,9 +13,10 @@ fn dialogue() -> (Batch, Vec<u8>) {
     let mut batch = Batch::new();
     batch.vehicle().set_speed("a", 1.0);
     batch.simulation().get_time();
-    batch.subscribe(Domain::VEHICLE, "a", &[c::VAR_SPEED]);
-    batch.subscribe_context(Domain::JUNCTION, "j", Domain::VEHICLE, 9.0, &[c::VAR_SPEED]);
+    batch.subscribe(Domain::VEHICLE, "a", &[VAR_SPEED.id()]);
+    batch.subscribe_context(Domain::JUNCTION, "j", Domain::VEHICLE, 9.0, &[VAR_SPEED.id()]);
     batch.vehicle().remove("b", 3);
+    batch.subscribe(Domain::VEHICLE, "c", &[VAR_SPEED.id()]);
     batch.seal(Some(0.0)).unwrap();
     let mut w = Writer::default();
     let status = |w: &mut Writer, id, result, text: &str| {
@@ -21,30 +26,35 @@ fn dialogue() -> (Batch, Vec<u8>) {
     };
     let variable = |w: &mut Writer| {
         w.command(0xe4, |w| {
-            w.str("a").u8(1).u8(c::VAR_SPEED).u8(0).double(2.5);
+            w.str("a").u8(1).u8(VAR_SPEED.number()).u8(0).double(2.5);
         });
     };
     let context = |w: &mut Writer| {
         w.command(0x99, |w| {
-            w.str("j").u8(0xa4).u8(1).i32(1).str("a").u8(c::VAR_SPEED).u8(0).double(2.5);
+            w.str("j").u8(0xa4).u8(1).i32(1).str("a").u8(VAR_SPEED.number()).u8(0).double(2.5);
         });
     };
     status(&mut w, 0xc4, 0, "");
     status(&mut w, 0xab, 0, "");
     w.command(0xbb, |w| {
-        w.u8(c::VAR_TIME).str("").double(7.0);
+        w.u8(VAR_TIME.number()).str("").double(7.0);
     });
     status(&mut w, 0xd4, 0, "");
     variable(&mut w);
     status(&mut w, 0x89, 0, "");
     context(&mut w);
     status(&mut w, 0xc4, 0xff, "Vehicle 'b' is not known");
+    // A refused subscription is answered too.
+    status(&mut w, 0xd4, 0xff, "Vehicle 'c' is not known");
+    w.command(0xe4, |w| {
+        w.str("c").u8(1).u8(VAR_SPEED.number()).u8(0xff).string("Vehicle 'c' is not known");
+    });
     status(&mut w, 0x02, 0, "");
     w.i32(3);
     variable(&mut w);
     context(&mut w);
     w.command(0xe4, |w| {
-        w.str("b").u8(1).u8(c::VAR_SPEED).u8(0xff).string("gone");
+        w.str("b").u8(1).u8(VAR_SPEED.number()).u8(0xff).string("gone");
     });
     (batch, w.finish().unwrap().to_vec())
 }
@@ -63,8 +73,12 @@ fn each_command_gets_its_own_result() {
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
     let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
     assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
+    assert!(matches!(&reply.outcomes[5], Err(Error::Refused { id, .. }) if id == "c"));
     let values: Vec<_> = reply.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref(), &o.value)).collect();
+    assert!(matches!(reply.check(), Err(Error::Refused { command: 0xc4, .. })));
     let speed = Ok(Value::Double(2.5));
+    let first: Vec<_> = reply.outcomes.first.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref())).collect();
+    assert_eq!(first, [("a", None), ("a", Some("j"))]);
     assert_eq!(values, [("a", None, &speed), ("a", Some("j"), &speed), ("b", None, &Err("gone".to_owned()))]);
 }
 
@@ -79,13 +93,13 @@ fn a_name_that_many_values_share_is_kept_once() {
     w.i32(1).command(0x99, |w| {
         w.str(&"j".repeat(40_000)).u8(0xa4).u8(1).i32(5000);
         for i in 0..5000 {
-            w.str(["a", "b"][i % 2]).u8(c::VAR_SPEED).u8(0).value(&Value::UByte(1));
+            w.str(["a", "b"][i % 2]).u8(VAR_SPEED.number()).u8(0).value(&Value::UByte(1));
         }
     });
     let message = w.finish().unwrap();
     let mut reply = Err(Error::invalid(""));
     let heap = allocation_counter::measure(|| reply = collect(message, &batch)).bytes_max;
-    let subscriptions = reply.unwrap().subscriptions;
+    let subscriptions = reply.unwrap().reports.subscriptions;
     assert!(heap < 40 * message.len() as u64, "{heap}");
     assert_eq!((&*subscriptions[0].object, &*subscriptions[4999].object), ("a", "b"));
     assert!(subscriptions.iter().all(|observed| observed.around.as_ref().is_some_and(|name| name.len() == 40_000)));

@@ -1,7 +1,7 @@
 //! Edges.
 
-use super::{Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::Scope;
+use crate::sumo::{batch::Call, constants::Domain};
 
 domain! {
     /// Calls for edges.
@@ -12,11 +12,11 @@ emissions! { Edge, "edge", EDGE }
 
 getters! { Edge, "edge", EDGE;
     /// Travel time that routing assumes for a time of the simulation \[s\]; -1: none was set.
-    get_adapted_traveltime "getAdaptedTraveltime" VAR_EDGE_TRAVELTIME 0x58 (time: f64) -> f64;
+    get_adapted_traveltime "getAdaptedTraveltime" 0x58 (time: f64) -> f64;
     /// Sum of the waiting times of the vehicles \[s\].
     get_waiting_time "getWaitingTime" VAR_WAITING_TIME 0x7a -> f64;
     /// Effort that routing assumes for a time of the simulation \[s\]; -1: none was set.
-    get_effort "getEffort" VAR_EDGE_EFFORT 0x59 (time: f64) -> f64;
+    get_effort "getEffort" 0x59 (time: f64) -> f64;
     /// Mean speed within the last step \[m/s\].
     get_last_step_mean_speed "getLastStepMeanSpeed" LAST_STEP_MEAN_SPEED 0x11 -> f64;
     /// Mean friction of the lanes, 0 to 1.

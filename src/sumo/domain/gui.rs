@@ -1,7 +1,7 @@
 //! Views of the graphical interface (`sumo-gui`). SUMO without it refuses these calls.
 
-use super::{Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::Scope;
+use crate::sumo::{batch::Call, constants::Domain};
 
 /// The view that `sumo-gui` opens with.
 pub const DEFAULT_VIEW: &str = "View #0";
@@ -28,7 +28,7 @@ getters! { Gui, "gui", GUI;
     /// The vehicle that the view follows; empty for none.
     get_tracked_vehicle "getTrackedVehicle" VAR_TRACK_VEHICLE 0xa6 -> String;
     /// Whether an object is selected; `kind` is its sort, such as `vehicle`.
-    is_selected "isSelected" VAR_SELECT 0xa4 (kind: &str) -> bool;
+    is_selected "isSelected" 0xa4 (kind: &str) -> bool;
 }
 
 setters! { Gui, "gui", GUI;
@@ -60,7 +60,7 @@ impl<S: Scope> Gui<'_, S> {
 
     /// Sets the lower left and the upper right corner \[m\].
     pub fn set_boundary(&mut self, id: &str, lower_left: [f64; 2], upper_right: [f64; 2]) -> S::Output<()> {
-        super::set(self.0, Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.id()), id, |w| {
+        super::set(self.0, Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.number()), id, |w| {
             w.polygon(&[lower_left, upper_right]);
         })
     }

@@ -1,7 +1,7 @@
 //! Induction loops (E1 detectors).
 
-use super::{FromValue, Scope, Variable};
-use crate::sumo::{Batch, Error, batch::Call, codec::Value, constants::Domain};
+use super::{FromValue, Scope};
+use crate::sumo::{Error, batch::Call, constants::Domain};
 
 domain! {
     /// Calls for induction loops (E1 detectors).

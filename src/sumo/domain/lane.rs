@@ -1,7 +1,7 @@
 //! Lanes.
 
-use super::{FromValue, Scope, Variable};
-use crate::sumo::{Batch, Error, batch::Call, codec::Value, constants::Domain};
+use super::{FromValue, Scope};
+use crate::sumo::{Error, batch::Call, constants::Domain};
 
 domain! {
     /// Calls for lanes.
@@ -71,7 +71,7 @@ getters! { Lane, "lane", LANE;
     /// Vehicles within the last step.
     get_last_step_vehicle_ids "getLastStepVehicleIDs" LAST_STEP_VEHICLE_ID_LIST 0x12 -> Vec<String>;
     /// Lanes whose vehicles have the right of way over those that go from here to the lane `to`.
-    get_foes "getFoes" VAR_FOES 0x37 (to: &str) -> Vec<String>;
+    get_foes "getFoes" 0x37 (to: &str) -> Vec<String>;
     /// Vehicles that wait to depart here.
     get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
 }

@@ -1,7 +1,8 @@
-//! The tables of calls. A row of [`getters`] makes a method and a variable constant, a row of [`setters`]
-//! a method: documentation, name, SUMO's name, number, arguments, type.
+//! The tables of calls. A row of [`getters`] makes a method and, if it names one, a constant for subscriptions; a
+//! row of [`setters`] a method: documentation, name, SUMO's name, constant, number, arguments, type.
 //!
-//! Arguments in parentheses are one typed value; those in brackets are the items of a compound.
+//! Arguments in parentheses are one typed value; those in brackets are the items of a compound. SUMO 1.15 dies of
+//! a subscription to a variable that needs an argument, except for those with a constant here: they take it.
 
 /// A handle with the calls that all domains have.
 macro_rules! domain {
@@ -23,54 +24,94 @@ macro_rules! domain {
         }
 
         impl<S: Scope> $handle<'_, S> {
-            /// Has the variables of the object reported after each step from now on; replaces an earlier
-            /// subscription of the object.
-            pub fn subscribe(&mut self, id: &str, variables: &[u8]) -> S::Output<()> {
+            /// Has the variables of the object reported now and after each step from now on, besides those that
+            /// an earlier subscription named; [`unsubscribe`](Self::unsubscribe) first to have these alone. In a
+            /// batch, `Replies::first` has the values of now; a client's call drops them.
+            ///
+            /// # Errors
+            /// Besides those of all calls, `Error::Invalid` for a variable of another domain and for more than
+            /// 255 variables; nothing is sent then.
+            pub fn subscribe(&mut self, id: &str, variables: &[crate::sumo::domain::VariableId]) -> S::Output<()> {
                 self.0.request(|batch| batch.subscribe(Domain::$domain, id, variables), crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, from the simulation time `begin` to `end` \[s\].
-            pub fn subscribe_during(&mut self, id: &str, variables: &[u8], begin: f64, end: f64) -> S::Output<()> {
-                let fill = |batch: &mut Batch| {
+            /// As `subscribe`, from the simulation time `begin` to `end` \[s\]. Subscriptions with different
+            /// times exist beside each other, and each is reported.
+            ///
+            /// # Errors
+            /// As `subscribe`.
+            pub fn subscribe_during(
+                &mut self,
+                id: &str,
+                variables: &[crate::sumo::domain::VariableId],
+                begin: f64,
+                end: f64,
+            ) -> S::Output<()> {
+                let fill = |batch: &mut crate::sumo::Batch| {
                     batch.subscribe_during(Domain::$domain, id, variables, [begin, end]);
                 };
                 self.0.request(fill, crate::sumo::domain::done)
             }
 
             /// As `subscribe`, for one variable that needs an argument.
-            pub fn subscribe_with(&mut self, id: &str, variable: u8, argument: &Value) -> S::Output<()> {
-                self.0.request(|batch| batch.subscribe_with(Domain::$domain, id, variable, argument), crate::sumo::domain::done)
+            ///
+            /// # Errors
+            /// As `subscribe`.
+            pub fn subscribe_with<A: crate::sumo::domain::SubscriptionArgument, T>(
+                &mut self,
+                id: &str,
+                variable: crate::sumo::domain::VariableWith<A, T>,
+                argument: A::Given<'_>,
+            ) -> S::Output<()> {
+                let fill = |batch: &mut crate::sumo::Batch| {
+                    batch.subscribe_with(Domain::$domain, id, variable, argument);
+                };
+                self.0.request(fill, crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`.
+            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`. Of several keys,
+            /// `Reports::get` gives the last; `Reports::subscriptions` has all.
             pub fn subscribe_parameter_with_key(&mut self, id: &str, key: &str) -> S::Output<()> {
-                self.subscribe_with(id, VAR_PARAMETER_WITH_KEY.id(), &Value::String(key.to_owned()))
+                self.subscribe_with(id, VAR_PARAMETER_WITH_KEY, key)
             }
 
-            /// Ends the subscription of the object.
+            /// Ends all subscriptions to variables of the object.
             pub fn unsubscribe(&mut self, id: &str) -> S::Output<()> {
                 self.subscribe(id, &[])
             }
 
             /// Has the variables of the objects of the domain `around` within `range` \[m\] of this object
-            /// reported after each step from now on. SUMO 1.15 dies if this object is a vehicle and is
-            /// removed by a call while the subscription lasts: end it first.
+            /// reported now and after each step from now on. With the same range, the variables of an earlier
+            /// subscription stay; with another one, both subscriptions exist, and the reports hold the last
+            /// one's values.
+            ///
+            /// SUMO 1.15 dies if it does not know this object. A client therefore asks for it first, in an
+            /// exchange of its own; in a batch, only name objects that exist when the command's turn comes. It
+            /// also dies if this object is removed by a call while the subscription lasts: end it first.
+            ///
+            /// # Errors
+            /// Besides those of all calls, `Error::Invalid` if SUMO knows no objects `around` of that domain
+            /// (traffic lights, routes, vehicle types and others that have no place), for a variable of another
+            /// domain than `around`, and for more than 255 variables; nothing is sent then.
             pub fn subscribe_context(
                 &mut self,
                 id: &str,
                 around: Domain,
                 range: f64,
-                variables: &[u8],
+                variables: &[crate::sumo::domain::VariableId],
             ) -> S::Output<()> {
-                let fill = |batch: &mut Batch| {
+                let fill = |batch: &mut crate::sumo::Batch| {
                     batch.subscribe_context(Domain::$domain, id, around, range, variables);
                 };
-                self.0.request(fill, crate::sumo::domain::done)
+                self.0.request_for(Domain::$domain, id, fill, crate::sumo::domain::done)
             }
 
-            /// Ends the subscription to the objects of the domain `around`.
-            pub fn unsubscribe_context(&mut self, id: &str, around: Domain, range: f64) -> S::Output<()> {
-                self.subscribe_context(id, around, range, &[])
+            /// Ends all subscriptions to objects of the domain `around` near this object, whatever their range.
+            pub fn unsubscribe_context(&mut self, id: &str, around: Domain) -> S::Output<()> {
+                let fill = |batch: &mut crate::sumo::Batch| {
+                    batch.subscribe_context(Domain::$domain, id, around, 0.0, &[]);
+                };
+                self.0.request(fill, crate::sumo::domain::done)
             }
         }
     };
@@ -92,12 +133,11 @@ macro_rules! identifiers {
 macro_rules! getters {
     ($handle:ident, $name:literal, $domain:ident; $(
         $(#[$doc:meta])*
-        $method:ident $sumo:literal $constant:ident $id:literal
+        $method:ident $sumo:literal $($constant:ident)? $id:literal
         $(($argument:ident: $kind:ty))? $([$($item:ident: $item_kind:ty),+])? -> $result:ty;
     )+) => {
         $(
-            $(#[$doc])*
-            pub const $constant: Variable<$result> = Variable::new(Domain::$domain, $id);
+            variable! { [$(#[$doc])*] [$($constant)?] [$($kind)?] $domain $id $result }
         )+
 
         impl<S: Scope> $handle<'_, S> {
@@ -118,6 +158,21 @@ macro_rules! getters {
     };
 }
 
+/// The constant of a variable: none, or one without an argument, or one with an argument.
+macro_rules! variable {
+    ([$($doc:tt)*] [] [$($kind:ty)?] $domain:ident $id:literal $result:ty) => {};
+    ([$($doc:tt)*] [$constant:ident] [] $domain:ident $id:literal $result:ty) => {
+        $($doc)*
+        pub const $constant: crate::sumo::domain::Variable<$result> =
+            crate::sumo::domain::Variable::new(Domain::$domain, $id);
+    };
+    ([$($doc:tt)*] [$constant:ident] [$kind:ty] $domain:ident $id:literal $result:ty) => {
+        $($doc)*
+        pub const $constant: crate::sumo::domain::VariableWith<$kind, $result> =
+            crate::sumo::domain::VariableWith::new(Domain::$domain, $id);
+    };
+}
+
 /// Calls that read a variable of the domain as a whole.
 macro_rules! global_getters {
     ($handle:ident, $name:literal, $domain:ident; $(
@@ -125,7 +180,8 @@ macro_rules! global_getters {
     )+) => {
         $(
             $(#[$doc])*
-            pub const $constant: Variable<$result> = Variable::new(Domain::$domain, $id);
+            pub const $constant: crate::sumo::domain::Variable<$result> =
+                crate::sumo::domain::Variable::new(Domain::$domain, $id);
         )+
 
         impl<S: Scope> $handle<'_, S> {
@@ -201,7 +257,7 @@ macro_rules! record {
 macro_rules! flat_list {
     ($($name:ident),+) => {
         $(impl FromValue for Vec<$name> {
-            fn from_value(value: Value) -> Result<Self, Error> {
+            fn from_value(value: crate::sumo::Value) -> Result<Self, Error> {
                 crate::sumo::domain::compound(value, crate::sumo::domain::Fields::records)
             }
         })+
@@ -212,13 +268,13 @@ macro_rules! flat_list {
 macro_rules! nested_list {
     ($($name:ident),+) => {
         $(impl FromValue for $name {
-            fn from_value(value: Value) -> Result<Self, Error> {
+            fn from_value(value: crate::sumo::Value) -> Result<Self, Error> {
                 crate::sumo::domain::compound(value, crate::sumo::domain::value::FromFields::from_fields)
             }
         }
 
         impl FromValue for Vec<$name> {
-            fn from_value(value: Value) -> Result<Self, Error> {
+            fn from_value(value: crate::sumo::Value) -> Result<Self, Error> {
                 crate::sumo::domain::compound(value, crate::sumo::domain::Fields::rest)
             }
         })+
@@ -321,7 +377,7 @@ macro_rules! type_attributes {
             /// step, else when it would have been.
             pub fn set_action_step_length(&mut self, id: &str, length: f64, reset_offset: bool) -> S::Output<()> {
                 let call =
-                    Call::set(concat!($name, ".setActionStepLength"), Domain::$domain, VAR_ACTIONSTEPLENGTH.id());
+                    Call::set(concat!($name, ".setActionStepLength"), Domain::$domain, VAR_ACTIONSTEPLENGTH.number());
                 crate::sumo::domain::set(self.0, call, id, |w| {
                     w.double(if reset_offset { length } else { -length });
                 })

@@ -1,4 +1,8 @@
-//! Every TraCI call, defined once and usable alone or in a batch.
+//! The TraCI calls of fifteen kinds of objects, defined once and usable alone or in a batch: edges, views of the
+//! graphical interface, induction loops, junctions, lanes, lane area detectors, parking areas, persons, points of
+//! interest, polygons, routes, the simulation, traffic lights, vehicles and vehicle types. The other kinds that
+//! SUMO 1.15 knows, such as [`Domain::BUS_STOP`], have no module; [`Batch::get`], [`Batch::set`] and
+//! [`Batch::subscribe`] reach their variables by number.
 //!
 //! There is one module for each kind of object, with a handle whose methods bear SUMO's names in snake
 //! case: `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs
@@ -6,17 +10,20 @@
 //! result. From a [`Batch`] (`batch.vehicle()`) it returns a [`Ticket`]: the calls go out together, and
 //! the [`Replies`](super::Replies) give the result for each ticket. An exchange costs far more than a call.
 //!
-//! Each variable that can be read also is a constant of the module, such as [`vehicle::VAR_SPEED`], for
-//! subscriptions.
+//! A variable that can be subscribed to also is a constant of the module, such as [`vehicle::VAR_SPEED`]: a
+//! [`Variable`], or a [`VariableWith`] if it needs an argument, such as [`vehicle::VAR_LEADER`]. SUMO 1.15 dies of
+//! subscriptions to others.
 //!
 //! Units are metres, seconds, and what follows from them; angles are navigational degrees (0 is north,
 //! clockwise). Where SUMO has no value it reports
 //! [`INVALID_DOUBLE_VALUE`](super::constants::INVALID_DOUBLE_VALUE).
 //!
 //! # Errors
-//! All calls of a client fail in the same way: [`Error::Refused`] if SUMO refuses the call, after which the
-//! connection goes on; [`Error::Closed`], [`Error::Timeout`] and [`Error::Protocol`] if it does not. In a
-//! batch, a refused call fails when its ticket is taken, and the others are carried out.
+//! All calls of a client fail in the same way: [`Error::Refused`] if SUMO refuses the call, [`Error::Invalid`] if it
+//! is not sent, and [`Error::Type`] if its result is of another type than it should be, after which the connection
+//! goes on; [`Error::Closed`], [`Error::Timeout`] and [`Error::Protocol`] if it does not. In a batch, a refused call
+//! fails when its ticket is taken, or else in [`Replies::check`](super::Replies::check), and the others are
+//! carried out.
 //!
 //! # Examples
 //! ```
@@ -41,6 +48,7 @@
 //! let mut reply = batch.step(0.0)?;
 //! assert_eq!(reply.take(time)?, 0.0);
 //! assert!(reply.take(nobody).is_err());
+//! reply.check()?; // All others were carried out.
 //! assert_eq!(reply.get("v0", vehicle::VAR_SPEED).transpose()?, Some(3.0));
 //!
 //! // What is within 50 m of the vehicle, after each step from now on.
@@ -54,7 +62,7 @@
 //! # }
 //! ```
 
-use std::{fmt, marker::PhantomData, ops::Range};
+use std::{fmt, ops::Range};
 
 use super::{
     Batch, Client, ClientBatch, Error,
@@ -66,6 +74,7 @@ use super::{
 #[macro_use]
 mod macros;
 mod value;
+mod variable;
 
 pub mod edge;
 pub mod gui;
@@ -85,6 +94,7 @@ pub mod vehicle_type;
 
 pub use value::{Argument, Color, FromValue, Highlight, RoadPosition};
 use value::{Fields, compound};
+pub use variable::{Reported, SubscriptionArgument, Variable, VariableId, VariableWith};
 
 /// Makes the result of a call out of what SUMO answered: the value that was asked for, or nothing.
 pub type Decode<T> = fn(Option<Value>) -> Result<T, Error>;
@@ -97,6 +107,16 @@ pub trait Scope {
     /// Takes the commands that `fill` puts into a batch, at least one, as one call: its result is the first
     /// refusal, or else the last answer.
     fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Self::Output<T>;
+
+    /// As `request`, for commands of which SUMO 1.15 dies if it does not know the object. A client asks for the
+    /// object first, in an exchange of its own, and sends nothing more if SUMO refuses that.
+    fn request_for<T>(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        fill: impl FnOnce(&mut Batch),
+        decode: Decode<T>,
+    ) -> Self::Output<T>;
 }
 
 impl Scope for Batch {
@@ -106,6 +126,10 @@ impl Scope for Batch {
         let start = self.len();
         fill(self);
         Ticket { batch: self.number(), commands: start..self.len(), decode }
+    }
+
+    fn request_for<T>(&mut self, _: Domain, _: &str, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Ticket<T> {
+        self.request(fill, decode)
     }
 }
 
@@ -121,44 +145,6 @@ pub struct Ticket<T> {
 impl<T> fmt::Debug for Ticket<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Ticket").field("batch", &self.batch).field("commands", &self.commands).finish_non_exhaustive()
-    }
-}
-
-/// A variable that can be subscribed to, with the type of its value.
-pub struct Variable<T> {
-    domain: Domain,
-    id: u8,
-    value: PhantomData<fn() -> T>,
-}
-
-impl<T> Variable<T> {
-    /// A variable of a domain, by its number.
-    pub const fn new(domain: Domain, id: u8) -> Self {
-        Variable { domain, id, value: PhantomData }
-    }
-
-    /// The number, unique among the variables of the domain.
-    pub const fn id(self) -> u8 {
-        self.id
-    }
-
-    /// The kind of object that has the variable.
-    pub const fn domain(self) -> Domain {
-        self.domain
-    }
-}
-
-impl<T> Clone for Variable<T> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<T> Copy for Variable<T> {}
-
-impl<T> fmt::Debug for Variable<T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Variable").field("domain", &self.domain).field("id", &self.id).finish()
     }
 }
 
@@ -189,7 +175,7 @@ fn set<S: Scope>(scope: &mut S, call: Call, object: &str, content: impl FnOnce(&
 fn value<T: FromValue>(answer: Option<Value>) -> Result<T, Error> {
     match answer {
         Some(value) => T::from_value(value),
-        None => Err(Error::Protocol { expected: "a value", found: "none".to_owned(), at_byte: 0 }),
+        None => Err(Error::other_type("a value", "none")),
     }
 }
 

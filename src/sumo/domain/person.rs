@@ -1,11 +1,10 @@
 //! Persons. SUMO 1.15 refuses most of the calls that change what a person has in common with a vehicle; it
 //! knows length, width, height, gap, speed factor and colour.
 
-use super::{Color, FromValue, Scope, Variable, simulation::Stage};
+use super::{Color, FromValue, Scope, simulation::Stage};
 use crate::sumo::{
-    Batch, Client, Error,
+    Client, Error,
     batch::Call,
-    codec::Value,
     constants::{self as c, Domain},
 };
 
@@ -67,16 +66,16 @@ getters! { Person, "person", PERSON;
     /// The edge after the one of the moment, of a walk; empty for the last.
     get_next_edge "getNextEdge" VAR_NEXT_EDGE 0xc1 -> String;
     /// Edges of a stage; 0 is the one of the moment.
-    get_edges "getEdges" VAR_EDGES 0x54 (stage: i32) -> Vec<String>;
+    get_edges "getEdges" 0x54 (stage: i32) -> Vec<String>;
     /// A stage; 0 is the one of the moment, negative ones are past.
-    get_stage "getStage" VAR_STAGE 0xc0 (stage: i32) -> Stage;
+    get_stage "getStage" 0xc0 (stage: i32) -> Stage;
     /// Number of stages that are left, with the one of the moment.
     get_remaining_stages "getRemainingStages" VAR_STAGES_REMAINING 0xc2 -> i32;
     /// The vehicle that the person rides in; empty for none.
     get_vehicle "getVehicle" VAR_VEHICLE 0xc3 -> String;
     /// Makes a reservation of its own for some of the persons of a reservation, whose identifier comes first;
     /// returns the new identifier. SUMO 1.15 ends if they are all of them.
-    split_taxi_reservation "splitTaxiReservation" SPLIT_TAXI_RESERVATIONS 0xc7 (persons: &[impl AsRef<str>]) -> String;
+    split_taxi_reservation "splitTaxiReservation" 0xc7 (persons: &[impl AsRef<str>]) -> String;
 }
 
 setters! { Person, "person", PERSON;
@@ -165,10 +164,11 @@ impl Person<'_, Client> {
     pub fn remove_stages(&mut self, id: &str) -> Result<(), Error> {
         let count = self.get_remaining_stages(id)?;
         let mut batch = self.0.batch();
-        let mut tickets: Vec<_> = (1..count).map(|_| batch.person().remove_stage(id, 1)).collect();
-        tickets.push(batch.person().remove_stage(id, 0));
-        let mut replies = batch.send()?;
-        tickets.into_iter().try_for_each(|ticket| replies.take(ticket))
+        for _ in 1..count {
+            batch.person().remove_stage(id, 1);
+        }
+        batch.person().remove_stage(id, 0);
+        batch.send()?.check()
     }
 }
 

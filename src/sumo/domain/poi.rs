@@ -1,7 +1,7 @@
 //! Points of interest.
 
-use super::{Argument as _, Color, Highlight, Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::{Argument as _, Color, Highlight, Scope};
+use crate::sumo::{batch::Call, constants::Domain};
 
 domain! {
     /// Calls for points of interest.

@@ -1,7 +1,7 @@
 //! Polygons.
 
-use super::{Argument as _, Color, Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::{Argument as _, Color, Scope};
+use crate::sumo::{batch::Call, constants::Domain};
 
 domain! {
     /// Calls for polygons.
@@ -73,14 +73,14 @@ pub struct Dynamics<'a> {
 impl<S: Scope> Polygon<'_, S> {
     /// Sets the points \[m\].
     pub fn set_shape(&mut self, id: &str, shape: &[[f64; 2]]) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.setShape", Domain::POLYGON, VAR_SHAPE.id()), id, |w| {
+        super::set(self.0, Call::set("polygon.setShape", Domain::POLYGON, VAR_SHAPE.number()), id, |w| {
             w.polygon(shape);
         })
     }
 
     /// Sets whether its inside is coloured.
     pub fn set_filled(&mut self, id: &str, filled: bool) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.setFilled", Domain::POLYGON, VAR_FILL.id()), id, |w| {
+        super::set(self.0, Call::set("polygon.setFilled", Domain::POLYGON, VAR_FILL.number()), id, |w| {
             w.integer(filled.into());
         })
     }

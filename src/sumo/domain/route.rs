@@ -1,7 +1,7 @@
 //! Routes.
 
-use super::{Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::Scope;
+use crate::sumo::{batch::Call, constants::Domain};
 
 domain! {
     /// Calls for routes.

@@ -1,16 +1,17 @@
 //! The simulation as a whole.
 
-use super::{FromValue, RoadPosition, Scope, Variable};
+use super::{FromValue, RoadPosition, Scope};
 use crate::sumo::{
-    Batch, Error,
+    Error,
     batch::Call,
-    codec::{Value, Writer},
+    codec::Writer,
     constants::{self as c, Domain},
 };
 
 domain! {
-    /// Calls for the simulation as a whole. Where the calls of all domains take an object, it is the
-    /// empty string.
+    /// Calls for the simulation as a whole. Where the calls of all domains take an object, it is the empty string;
+    /// but `get_parameter` takes the identifier of a stop for keys of stops, such as `parkingArea.capacity` and
+    /// those that begin with `chargingStation.`.
     Simulation, "simulation", SIMULATION
 }
 
@@ -300,6 +301,8 @@ const fn change(name: &'static str, variable: u8) -> Call {
     Call::set(name, Domain::SIMULATION, variable)
 }
 
+pub(in crate::sumo) const LOAD_STATE: Call = change("simulation.loadState", 0x96);
+
 impl<S: Scope> Simulation<'_, S> {
     /// Where a place on a lane lies: x and y \[m\], or longitude and latitude \[deg\] if `to_geo`.
     pub fn convert2d(&mut self, edge: &str, pos: f64, lane: u8, to_geo: bool) -> S::Output<[f64; 2]> {
@@ -374,35 +377,35 @@ impl<S: Scope> Simulation<'_, S> {
 
     /// Sets the factor on the number of vehicles.
     pub fn set_scale(&mut self, scale: f64) -> S::Output<()> {
-        super::set(self.0, change("simulation.setScale", VAR_SCALE.id()), "", |w| {
+        super::set(self.0, change("simulation.setScale", VAR_SCALE.number()), "", |w| {
             w.double(scale);
         })
     }
 
     /// Forgets the vehicles of a route that wait to depart; of all routes if that is empty.
     pub fn clear_pending(&mut self, route: &str) -> S::Output<()> {
-        self.text("simulation.clearPending", 0x94, route)
+        self.text(change("simulation.clearPending", 0x94), route)
     }
 
     /// Writes the state of the simulation to a file. Its precision and whether it holds the state of the
     /// random numbers are options of SUMO: `--save-state.precision`, `--save-state.rng`.
     pub fn save_state(&mut self, file: &str) -> S::Output<()> {
-        self.text("simulation.saveState", 0x95, file)
+        self.text(change("simulation.saveState", 0x95), file)
     }
 
     /// Goes back to the state that a file holds. All subscriptions are lost. SUMO 1.15 needs `SUMO_HOME`, or
     /// `--xml-validation never` among its arguments.
     pub fn load_state(&mut self, file: &str) -> S::Output<()> {
-        self.text("simulation.loadState", 0x96, file)
+        self.text(LOAD_STATE, file)
     }
 
     /// Writes a line to SUMO's messages.
     pub fn write_message(&mut self, message: &str) -> S::Output<()> {
-        self.text("simulation.writeMessage", 0x65, message)
+        self.text(change("simulation.writeMessage", 0x65), message)
     }
 
-    fn text(&mut self, name: &'static str, variable: u8, text: &str) -> S::Output<()> {
-        super::set(self.0, change(name, variable), "", |w| {
+    fn text(&mut self, call: Call, text: &str) -> S::Output<()> {
+        super::set(self.0, call, "", |w| {
             w.string(text);
         })
     }

@@ -1,8 +1,8 @@
 //! Traffic lights.
 
-use super::{FromValue, Scope, Variable, value::FromFields};
+use super::{FromValue, Scope, value::FromFields};
 use crate::sumo::{
-    Batch, Client, Error,
+    Client, Error,
     batch::Call,
     codec::{Value, Writer},
     constants::Domain,
@@ -134,10 +134,7 @@ impl FromValue for Link {
     fn from_value(value: Value) -> Result<Self, Error> {
         match <[String; 3]>::try_from(Vec::from_value(value)?) {
             Ok([from, to, via]) => Ok(Link { from, to, via }),
-            Err(other) => {
-                let found = format!("{} strings", other.len());
-                Err(Error::Protocol { expected: "three lanes", found, at_byte: 0 })
-            }
+            Err(other) => Err(Error::other_type("three lanes", format!("{} strings", other.len()))),
         }
     }
 }
@@ -179,19 +176,20 @@ getters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
     /// Duration of the phase of the moment \[s\].
     get_phase_duration "getPhaseDuration" TL_PHASE_DURATION 0x24 -> f64;
     /// Number of persons that the phase of that index would serve.
-    get_served_person_count "getServedPersonCount" VAR_PERSON_NUMBER 0x67 (phase: i32) -> i32;
+    get_served_person_count "getServedPersonCount" 0x67 (phase: i32) -> i32;
     /// Vehicles that keep a rail signal from opening the way of a link.
-    get_blocking_vehicles "getBlockingVehicles" TL_BLOCKING_VEHICLES 0x25 (link: i32) -> Vec<String>;
+    get_blocking_vehicles "getBlockingVehicles" 0x25 (link: i32) -> Vec<String>;
     /// Vehicles that want to pass where a link of a rail signal leads.
-    get_rival_vehicles "getRivalVehicles" TL_RIVAL_VEHICLES 0x30 (link: i32) -> Vec<String>;
+    get_rival_vehicles "getRivalVehicles" 0x30 (link: i32) -> Vec<String>;
     /// Vehicles that go before those of a link of a rail signal.
-    get_priority_vehicles "getPriorityVehicles" TL_PRIORITY_VEHICLES 0x31 (link: i32) -> Vec<String>;
+    get_priority_vehicles "getPriorityVehicles" 0x31 (link: i32) -> Vec<String>;
     /// Constraints of a rail signal for a trip; of all trips if that is empty.
-    get_constraints "getConstraints" TL_CONSTRAINT 0x2f (trip: &str) -> Vec<Constraint>;
-    /// Constraints of other signals that wait for a trip at this one; for any trip if that is empty.
-    get_constraints_by_foe "getConstraintsByFoe" TL_CONSTRAINT_BYFOE 0x34 (foe: &str) -> Vec<Constraint>;
+    get_constraints "getConstraints" 0x2f (trip: &str) -> Vec<Constraint>;
+    /// Constraints of other signals that wait for a trip at this one, which is the foe's signal; for any trip if
+    /// `foe` is empty.
+    get_constraints_by_foe "getConstraintsByFoe" 0x34 (foe: &str) -> Vec<Constraint>;
     /// Lets the foe wait instead of the trip; returns the constraints that came of it.
-    swap_constraints "swapConstraints" TL_CONSTRAINT_SWAP 0x32 [trip: &str, foe_signal: &str, foe: &str]
+    swap_constraints "swapConstraints" 0x32 [trip: &str, foe_signal: &str, foe: &str]
         -> Vec<Constraint>;
 }
 
@@ -208,8 +206,9 @@ setters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
     set_phase_duration "setPhaseDuration" 0x24 (duration: f64);
     /// Drops the constraints of a trip for a foe at a signal; empty: any.
     remove_constraints "removeConstraints" 0x35 [trip: &str, foe_signal: &str, foe: &str];
-    /// Drops the constraints that no longer fit a trip's route.
-    update_constraints "updateConstraints" 0x36 (trip: &str);
+    /// Drops the constraints that no longer fit a vehicle's route. The vehicle is named by its identifier, not by
+    /// its trip.
+    update_constraints "updateConstraints" 0x36 (vehicle: &str);
 }
 
 impl<S: Scope> TrafficLight<'_, S> {

@@ -13,12 +13,12 @@ pub trait FromValue: Sized {
     /// Takes the value apart.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if it is of another type.
+    /// [`Error::Type`] if it is of another type.
     fn from_value(value: Value) -> Result<Self, Error>;
 }
 
 fn mismatch(expected: &'static str, found: &Value) -> Error {
-    Error::Protocol { expected, found: found.kind().to_owned(), at_byte: 0 }
+    Error::other_type(expected, found.kind())
 }
 
 macro_rules! from_value {
@@ -115,14 +115,14 @@ impl Default for Highlight {
 
 impl Highlight {
     pub(super) fn write(&self, w: &mut Writer) {
-        w.compound(if self.fade.is_some() { 5 } else { 2 });
+        // No opacity and no duration: it does not fade.
+        let (alpha, duration) = self.fade.unwrap_or((0, -1.0));
+        w.compound(5);
         Argument::write(self.color, w);
         w.double(self.size);
-        if let Some((alpha, duration)) = self.fade {
-            Argument::write(alpha, w);
-            w.double(duration);
-            Argument::write(self.kind, w);
-        }
+        Argument::write(alpha, w);
+        w.double(duration);
+        Argument::write(self.kind, w);
     }
 }
 
@@ -134,7 +134,7 @@ impl Fields {
     pub(super) fn take<T: FromValue>(&mut self) -> Result<T, Error> {
         match self.0.next() {
             Some(value) => T::from_value(value),
-            None => Err(Error::Protocol { expected: "a value", found: "the end of a compound".to_owned(), at_byte: 0 }),
+            None => Err(Error::other_type("a value", "the end of a compound")),
         }
     }
 
@@ -165,9 +165,7 @@ pub(super) fn compound<T>(value: Value, read: impl FnOnce(&mut Fields) -> Result
     let result = read(&mut fields)?;
     match fields.0.len() {
         0 => Ok(result),
-        left => {
-            Err(Error::Protocol { expected: "the end of a compound", found: format!("{left} values more"), at_byte: 0 })
-        }
+        left => Err(Error::other_type("the end of a compound", format!("{left} values more"))),
     }
 }
 

@@ -1,7 +1,12 @@
 //! Vehicles.
 
-use super::{Color, FromValue, Scope, Variable};
-use crate::sumo::{Batch, Error, batch::Call, codec::Value, constants::Domain};
+use super::{Argument, Color, FromValue, Scope};
+use crate::sumo::{
+    Error,
+    batch::Call,
+    codec::{Value, Writer},
+    constants::Domain,
+};
 
 mod changes;
 mod filters;
@@ -77,7 +82,8 @@ record! {
         end_pos: f64,
         /// Bus stop, parking area or the like; empty for none.
         stopping_place: String,
-        /// Bits, see [`Stop::flags`].
+        /// Bits: 1: stopped, 2: beside the road, 4: until a person boards, 8: until a container is loaded,
+        /// 16: bus stop, 32: container stop, 64: charging station, 128: parking area.
         flags: i32,
         /// Duration \[s\].
         duration: f64,
@@ -141,10 +147,40 @@ impl FromValue for LaneChangeState {
     }
 }
 
-/// Bits of [`LaneChangeState`]: wants to the left; wants to the right; cannot (leaders, followers, space,
-/// speed); nothing is known.
-const LEFT: i32 = 1 << 1;
-const RIGHT: i32 = 1 << 2;
+/// A side of a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+}
+
+impl Side {
+    /// As SUMO numbers lanes beside the vehicle's.
+    const fn offset(self) -> i8 {
+        match self {
+            Side::Left => 1,
+            Side::Right => -1,
+        }
+    }
+
+    /// The bit of [`LaneChangeState`] that is set if the vehicle wants there.
+    const fn bit(self) -> i32 {
+        match self {
+            Side::Left => 1 << 1,
+            Side::Right => 1 << 2,
+        }
+    }
+}
+
+impl Argument for Side {
+    fn write(self, w: &mut Writer) {
+        w.integer(self.offset().into());
+    }
+}
+
+/// Bits of [`LaneChangeState`]: cannot (leaders, followers, space, speed); nothing is known.
 const BLOCKED: i32 = 0b1111 << 9 | 1 << 14 | 1 << 28;
 const UNKNOWN: i32 = 1 << 30;
 
@@ -153,18 +189,17 @@ impl LaneChangeState {
         state & BLOCKED != 0
     }
 
-    /// Whether the vehicle changed to the side (`LEFT` or `RIGHT`) in the last step, so that what it thought
-    /// of it is past.
-    fn changed(&self, side: i32) -> bool {
-        self.state_traci & side != 0 && !Self::blocked(self.state_traci)
+    /// Whether the vehicle changed to the side in the last step, so that what it thought of it is past.
+    fn changed(&self, side: Side) -> bool {
+        self.state_traci & side.bit() != 0 && !Self::blocked(self.state_traci)
     }
 
-    fn could(&self, side: i32) -> bool {
+    fn could(&self, side: Side) -> bool {
         !self.changed(side) && self.state != UNKNOWN && !Self::blocked(self.state)
     }
 
-    fn wants_and_could(&self, side: i32) -> bool {
-        !self.changed(side) && self.state & side != 0 && !Self::blocked(self.state)
+    fn wants_and_could(&self, side: Side) -> bool {
+        !self.changed(side) && self.state & side.bit() != 0 && !Self::blocked(self.state)
     }
 
     /// SUMO's words for the bits of a state.
@@ -229,9 +264,9 @@ getters! { Vehicle, "vehicle", VEHICLE;
     /// Persons on board.
     get_person_id_list "getPersonIDList" LAST_STEP_PERSON_ID_LIST 0x1a -> Vec<String>;
     /// Travel time of an edge that the vehicle's routing assumes for a time of the simulation \[s\].
-    get_adapted_traveltime "getAdaptedTraveltime" VAR_EDGE_TRAVELTIME 0x58 [time: f64, edge: &str] -> f64;
+    get_adapted_traveltime "getAdaptedTraveltime" 0x58 [time: f64, edge: &str] -> f64;
     /// Effort of an edge that the vehicle's routing assumes for a time of the simulation \[s\].
-    get_effort "getEffort" VAR_EDGE_EFFORT 0x59 [time: f64, edge: &str] -> f64;
+    get_effort "getEffort" 0x59 [time: f64, edge: &str] -> f64;
     /// Whether the route is connected.
     is_route_valid "isRouteValid" VAR_ROUTE_VALID 0x92 -> bool;
     /// Bits of the lights and indicators.
@@ -264,17 +299,17 @@ getters! { Vehicle, "vehicle", VEHICLE;
     get_follower "getFollower" VAR_FOLLOWER 0x78 (distance: f64) -> Option<Neighbor>;
     /// The vehicles beside it; bits of `mode`: 1: right, else left; 2: ahead, else behind; 4: only those that
     /// block a change.
-    get_neighbors "getNeighbors" VAR_NEIGHBORS 0xbf (mode: u8) -> Vec<Neighbor>;
+    get_neighbors "getNeighbors" 0xbf (mode: u8) -> Vec<Neighbor>;
     /// Speed at which the vehicle would follow a leader \[m/s\]: own speed, gap \[m\], the leader's speed and
     /// greatest deceleration \[m/s²\], and the leader (may be empty).
-    get_follow_speed "getFollowSpeed" VAR_FOLLOW_SPEED 0x1c
+    get_follow_speed "getFollowSpeed" 0x1c
         [speed: f64, gap: f64, leader_speed: f64, leader_max_decel: f64, leader: &str] -> f64;
     /// Gap at which following is safe \[m\]: own speed, the leader's speed and greatest deceleration \[m/s²\], and
     /// the leader (may be empty).
-    get_secure_gap "getSecureGap" VAR_SECURE_GAP 0x1e
+    get_secure_gap "getSecureGap" 0x1e
         [speed: f64, leader_speed: f64, leader_max_decel: f64, leader: &str] -> f64;
     /// Speed at which the vehicle can stop within a gap \[m/s\].
-    get_stop_speed "getStopSpeed" VAR_STOP_SPEED 0x1d [speed: f64, gap: f64] -> f64;
+    get_stop_speed "getStopSpeed" 0x1d [speed: f64, gap: f64] -> f64;
     /// Expected delay at the departure from the next stop \[s\]; -1: none is planned.
     get_stop_delay "getStopDelay" VAR_STOP_DELAY 0x1f -> f64;
     /// Expected delay at the arrival at the next stop \[s\].
@@ -286,22 +321,22 @@ getters! { Vehicle, "vehicle", VEHICLE;
     /// Stops on the way, in short.
     get_next_stops "getNextStops" VAR_NEXT_STOPS 0x73 -> Vec<NextStop>;
     /// Stops on the way, at most `limit` of them (0: all); negative: so many past ones.
-    get_stops "getStops" VAR_NEXT_STOPS2 0x74 (limit: i32) -> Vec<StopData>;
+    get_stops "getStops" 0x74 (limit: i32) -> Vec<StopData>;
     /// Distance since departure \[m\].
     get_distance "getDistance" VAR_DISTANCE 0x84 -> f64;
     /// A parameter of a stop on the way, by its index; empty if it has none of that name.
-    get_stop_parameter "getStopParameter" VAR_STOP_PARAMETER 0x55 [stop: i32, key: &str] -> String;
+    get_stop_parameter "getStopParameter" 0x55 [stop: i32, key: &str] -> String;
     /// Bits of the state of stopping: 1: stopped, 2: parking, 4 and 8: waits for a person or a container,
     /// 16: at a bus stop, 32: at a container stop, 64: at a charging station, 128: at a parking area.
     get_stop_state "getStopState" VAR_STOPSTATE 0xb5 -> i32;
-    /// What the vehicle thinks of a change of lanes; 1: to the left, -1: to the right.
-    get_lane_change_state "getLaneChangeState" CMD_CHANGELANE 0x13 (direction: i32) -> LaneChangeState;
+    /// What the vehicle thinks of a change of lanes.
+    get_lane_change_state "getLaneChangeState" 0x13 (side: Side) -> LaneChangeState;
     /// How the vehicle finds routes: 0: default, 1: aggregated travel times, 2: effort, 3: both, 4: those set
     /// for it.
     get_routing_mode "getRoutingMode" VAR_ROUTING_MODE 0x89 -> i32;
 }
 
-const STOP_STATE: Call = Call::get("vehicle.getStopState", Domain::VEHICLE, VAR_STOPSTATE.id());
+const STOP_STATE: Call = Call::get("vehicle.getStopState", Domain::VEHICLE, VAR_STOPSTATE.number());
 const DISTANCE: u8 = 0x83;
 const DRIVING: u8 = 1;
 
@@ -328,7 +363,7 @@ impl<S: Scope> Vehicle<'_, S> {
 
     /// Has the vehicle ahead, within `distance` \[m\], reported after each step as [`VAR_LEADER`].
     pub fn subscribe_leader(&mut self, id: &str, distance: f64) -> S::Output<()> {
-        self.subscribe_with(id, VAR_LEADER.id(), &Value::Double(distance))
+        self.subscribe_with(id, VAR_LEADER, distance)
     }
 
     /// Distance along the route to a place, which is on a lane of an edge at a distance from its start \[m\].
@@ -383,45 +418,34 @@ impl<S: Scope> Vehicle<'_, S> {
     pub fn get_lane_change_state_pretty(
         &mut self,
         id: &str,
-        direction: i32,
+        side: Side,
     ) -> S::Output<(Vec<&'static str>, Vec<&'static str>)> {
-        self.lane_change(id, direction, |v| {
+        self.lane_change(id, side, |v| {
             let LaneChangeState { state, state_traci } = super::value(v)?;
             Ok((LaneChangeState::words(state), LaneChangeState::words(state_traci)))
         })
     }
 
-    /// Whether the vehicle could change lanes; 1: to the left, -1: to the right. `false` if it has just done it.
-    pub fn could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
-        let decode: super::Decode<bool> = match direction {
-            1 => |v| Ok(super::value::<LaneChangeState>(v)?.could(LEFT)),
-            -1 => |v| Ok(super::value::<LaneChangeState>(v)?.could(RIGHT)),
-            _ => |v| Ok(super::value::<LaneChangeState>(v)?.could(0)),
+    /// Whether the vehicle could change lanes. `false` if it has just done it.
+    pub fn could_change_lane(&mut self, id: &str, side: Side) -> S::Output<bool> {
+        let decode: super::Decode<bool> = match side {
+            Side::Left => |v| Ok(super::value::<LaneChangeState>(v)?.could(Side::Left)),
+            Side::Right => |v| Ok(super::value::<LaneChangeState>(v)?.could(Side::Right)),
         };
-        self.lane_change(id, direction, decode)
+        self.lane_change(id, side, decode)
     }
 
-    /// Whether the vehicle wants to change lanes and could; 1: to the left, -1: to the right. `false` if it has
-    /// just done it.
-    pub fn wants_and_could_change_lane(&mut self, id: &str, direction: i32) -> S::Output<bool> {
-        let decode: super::Decode<bool> = match direction {
-            1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(LEFT)),
-            -1 => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(RIGHT)),
-            _ => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(0)),
+    /// Whether the vehicle wants to change lanes and could. `false` if it has just done it.
+    pub fn wants_and_could_change_lane(&mut self, id: &str, side: Side) -> S::Output<bool> {
+        let decode: super::Decode<bool> = match side {
+            Side::Left => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(Side::Left)),
+            Side::Right => |v| Ok(super::value::<LaneChangeState>(v)?.wants_and_could(Side::Right)),
         };
-        self.lane_change(id, direction, decode)
+        self.lane_change(id, side, decode)
     }
 
-    fn lane_change<T>(&mut self, id: &str, direction: i32, decode: super::Decode<T>) -> S::Output<T> {
-        let call = Call::get("vehicle.getLaneChangeState", Domain::VEHICLE, CMD_CHANGELANE.id());
-        super::get_as(
-            self.0,
-            call,
-            id,
-            |w| {
-                w.integer(direction);
-            },
-            decode,
-        )
+    fn lane_change<T>(&mut self, id: &str, side: Side, decode: super::Decode<T>) -> S::Output<T> {
+        let call = Call::get("vehicle.getLaneChangeState", Domain::VEHICLE, 0x13);
+        super::get_as(self.0, call, id, |w| side.write(w), decode)
     }
 }

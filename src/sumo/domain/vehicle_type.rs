@@ -1,7 +1,7 @@
 //! Vehicle types.
 
-use super::{Color, Scope, Variable};
-use crate::sumo::{Batch, batch::Call, codec::Value, constants::Domain};
+use super::{Color, Scope};
+use crate::sumo::{batch::Call, constants::Domain};
 
 domain! {
     /// Calls for vehicle types.

@@ -76,7 +76,7 @@ pub struct Stop<'a> {
     pub duration: f64,
     /// Bits: 1: beside the road, 2: until a person boards, 4: until a container is loaded, 8: bus stop,
     /// 16: container stop, 32: charging station, 64: parking area, 128: overhead wire.
-    pub flags: i32,
+    pub flags: u8,
     /// Distance of its start from the start of the lane \[m\]; [`c::INVALID_DOUBLE_VALUE`]: close to its end.
     pub start_pos: f64,
     /// Not before this time \[s\]; [`c::INVALID_DOUBLE_VALUE`]: no such limit.
@@ -84,11 +84,11 @@ pub struct Stop<'a> {
 }
 
 impl<'a> Stop<'a> {
-    const BUS_STOP: i32 = 8;
-    const CONTAINER_STOP: i32 = 16;
-    const CHARGING_STATION: i32 = 32;
-    const PARKING_AREA: i32 = 64;
-    const PARKING: i32 = 1;
+    const BUS_STOP: u8 = 8;
+    const CONTAINER_STOP: u8 = 16;
+    const CHARGING_STATION: u8 = 32;
+    const PARKING_AREA: u8 = 64;
+    const PARKING: u8 = 1;
 
     /// A stop without end on the rightmost lane of an edge, at a distance from its start \[m\].
     pub const fn on_edge(edge: &'a str, pos: f64) -> Self {
@@ -102,7 +102,7 @@ impl<'a> Stop<'a> {
         Stop { duration, ..self }
     }
 
-    const fn at(place: &'a str, duration: f64, until: f64, flags: i32) -> Self {
+    const fn at(place: &'a str, duration: f64, until: f64, flags: u8) -> Self {
         Stop { duration, flags, until, ..Stop::on_edge(place, 1.0) }
     }
 }
@@ -122,7 +122,7 @@ impl StopChange<'_> {
     fn write(&self, w: &mut Writer) {
         let Stop { place, pos, lane, duration, flags, start_pos, until } = self.stop;
         w.compound(9).string(place).double(pos).u8(c::TYPE_BYTE).u8(lane.cast_unsigned()).double(duration);
-        w.integer(flags).double(start_pos).double(until).integer(self.index);
+        w.integer(flags.into()).double(start_pos).double(until).integer(self.index);
         w.u8(c::TYPE_BYTE).u8(self.teleport.cast_unsigned());
     }
 }
@@ -241,7 +241,7 @@ setters! { Vehicle, "vehicle", VEHICLE;
 impl<S: Scope> Vehicle<'_, S> {
     /// Makes a new vehicle.
     pub fn add(&mut self, id: &str, addition: &Addition<'_>) -> S::Output<()> {
-        set(self.0, call("vehicle.add", c::ADD_FULL), id, |w| {
+        set(self.0, call("vehicle.add", 0x85), id, |w| {
             w.compound(14);
             for text in [
                 addition.route,
@@ -295,8 +295,7 @@ impl<S: Scope> Vehicle<'_, S> {
         set(self.0, call(name, 0x12), id, |w| {
             let Stop { place, pos, lane, duration, flags, start_pos, until } = *stop;
             w.compound(7).string(place).double(pos).u8(c::TYPE_BYTE).u8(lane.cast_unsigned()).double(duration);
-            // Not more than eight bits.
-            w.u8(c::TYPE_BYTE).u8(flags as u8).double(start_pos).double(until);
+            w.u8(c::TYPE_BYTE).u8(flags).double(start_pos).double(until);
         })
     }
 

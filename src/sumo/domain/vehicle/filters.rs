@@ -1,7 +1,7 @@
 //! Filters: they restrict the context subscription of a vehicle that was made last, so the calls come right
 //! after it. Which of them can be combined is in SUMO's manual.
 
-use super::Vehicle;
+use super::{Side, Vehicle};
 use crate::sumo::{
     batch::{Batch, Call},
     codec::Writer,
@@ -64,10 +64,13 @@ impl<S: Scope> Vehicle<'_, S> {
         self.lead_follow("vehicle.addSubscriptionFilterCFManeuver", &[0])
     }
 
-    /// Only leaders and followers on the vehicle's own lane and on that to the left (1), to the right (-1), or
-    /// both (0): what a change of lanes looks at.
-    pub fn add_subscription_filter_lc_maneuver(&mut self, direction: i8) -> S::Output<()> {
-        let lanes: &[i8] = if direction == 0 { &[-1, 0, 1] } else { &[0, direction] };
+    /// Only leaders and followers on the vehicle's own lane and on that to one side, or to both (`None`): what a
+    /// change of lanes looks at.
+    pub fn add_subscription_filter_lc_maneuver(&mut self, side: Option<Side>) -> S::Output<()> {
+        let lanes: &[i8] = match side {
+            None => &[-1, 0, 1],
+            Some(side) => &[0, side.offset()],
+        };
         self.lead_follow("vehicle.addSubscriptionFilterLCManeuver", lanes)
     }
 

@@ -1,0 +1,146 @@
+//! What can be subscribed to.
+
+use std::{fmt, marker::PhantomData};
+
+use super::{Argument, FromValue};
+use crate::sumo::constants::Domain;
+
+/// A variable that can be subscribed to, with the type of its value.
+pub struct Variable<T> {
+    id: VariableId,
+    value: PhantomData<fn() -> T>,
+}
+
+/// A variable that can be subscribed to with an argument of type `A` only, see
+/// [`Vehicle::subscribe_with`](super::vehicle::Vehicle::subscribe_with). SUMO 1.15 takes arguments for no others
+/// than those that are constants of this type.
+pub struct VariableWith<A, T> {
+    variable: Variable<T>,
+    argument: PhantomData<fn(A)>,
+}
+
+/// A variable without the type of its value: its domain and its number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct VariableId {
+    domain: Domain,
+    number: u8,
+}
+
+impl VariableId {
+    /// The kind of object that has the variable.
+    pub const fn domain(self) -> Domain {
+        self.domain
+    }
+
+    /// The number, unique among the variables of the domain.
+    pub const fn number(self) -> u8 {
+        self.number
+    }
+}
+
+impl<T> Variable<T> {
+    /// A variable of a domain, by its number. SUMO 1.15 dies of a subscription to a variable that needs an
+    /// argument: take the constants of the domains where there are any.
+    pub const fn new(domain: Domain, number: u8) -> Self {
+        Variable { id: VariableId { domain, number }, value: PhantomData }
+    }
+
+    /// What subscriptions are made of.
+    pub const fn id(self) -> VariableId {
+        self.id
+    }
+
+    /// As [`VariableId::number`].
+    pub const fn number(self) -> u8 {
+        self.id.number
+    }
+}
+
+impl<A, T> VariableWith<A, T> {
+    pub(super) const fn new(domain: Domain, number: u8) -> Self {
+        VariableWith { variable: Variable::new(domain, number), argument: PhantomData }
+    }
+
+    /// As [`VariableId::domain`].
+    pub const fn domain(self) -> Domain {
+        self.variable.id.domain
+    }
+
+    /// As [`VariableId::number`].
+    pub const fn number(self) -> u8 {
+        self.variable.id.number
+    }
+}
+
+/// A variable whose value a subscription can report: a [`Variable`] or a [`VariableWith`].
+pub trait Reported: Identified {
+    /// The type of its value.
+    type Value: FromValue;
+}
+
+/// Nobody can name it outside this crate: the identifier of a [`VariableWith`] is not for subscriptions.
+pub trait Identified {
+    fn identify(self) -> VariableId;
+}
+
+impl<T: FromValue> Reported for Variable<T> {
+    type Value = T;
+}
+
+impl<T> Identified for Variable<T> {
+    fn identify(self) -> VariableId {
+        self.id
+    }
+}
+
+impl<A, T: FromValue> Reported for VariableWith<A, T> {
+    type Value = T;
+}
+
+impl<A, T> Identified for VariableWith<A, T> {
+    fn identify(self) -> VariableId {
+        self.variable.id
+    }
+}
+
+/// A type of arguments of subscriptions.
+pub trait SubscriptionArgument {
+    /// What is given; a text may live as short as the call.
+    type Given<'a>: Argument;
+}
+
+impl SubscriptionArgument for f64 {
+    type Given<'a> = f64;
+}
+
+impl SubscriptionArgument for &str {
+    type Given<'a> = &'a str;
+}
+
+impl<T> Clone for Variable<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Variable<T> {}
+
+impl<T> fmt::Debug for Variable<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Variable").field(&self.id).finish()
+    }
+}
+
+impl<A, T> Clone for VariableWith<A, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A, T> Copy for VariableWith<A, T> {}
+
+impl<A, T> fmt::Debug for VariableWith<A, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("VariableWith").field(&self.variable.id).finish()
+    }
+}
