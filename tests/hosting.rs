@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{Backend, Hosting};
+use iwol_sumo::sumo::{Backend, Command, Hosting, VehicleState, start};
 
 /// libsumo holds one simulation per process.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -94,10 +94,68 @@ fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
     agree(8, Driver::Sumo, 400, 4);
 }
 
+/// What is reported of vehicles that are placed by their poses, in `worlds` worlds that do the same.
+fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleState>>> {
+    let mut simulation = start(backend, task.simulation_config(1, worlds, &Hosting::default())).expect("SUMO runs");
+    let (half, interval) = (task.scenario.vehicle.length / 2.0, task.scenario.control.interval);
+    let mut reports = Vec::new();
+    for step in 0..60_u32 {
+        let mut commands = Vec::new();
+        for (world, slot) in (0..worlds).flat_map(|w| (0..8).map(move |s| (w, s))) {
+            let place = task.places[slot as usize];
+            let front = place.pos + half;
+            if step == 0 {
+                let route = place.route as u32;
+                commands.push(Command::Add {
+                    world,
+                    slot,
+                    route,
+                    vehicle_type: 0,
+                    depart_pos: front,
+                    depart_speed: 0.0,
+                });
+                commands.push(Command::SpeedMode { world, slot, mode: 32 });
+            } else {
+                let way = f64::from(step) * (5.0 + 0.37 * f64::from(slot)) * interval;
+                let ([x, y], heading, _) = task.routes[place.route].path.body(front + way, 2.0 * half);
+                commands.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
+            }
+        }
+        reports.push(simulation.step(&commands).expect("a step").vehicles.clone());
+    }
+    reports
+}
+
+#[test]
+fn steered_vehicles_are_where_they_were_put_wherever_their_world_runs() {
+    let _alone = ALONE.lock();
+    let task = task(8);
+    let alone = steer(&task, Backend::Traci, 1);
+    for (step, report) in alone.iter().enumerate() {
+        for (slot, vehicle) in report.iter().enumerate() {
+            let way = step as f64 * (5.0 + 0.37 * slot as f64) * task.scenario.control.interval;
+            let expected = task.places[slot].pos + task.scenario.vehicle.length / 2.0 + way;
+            let found = vehicle.expect("on the road").distance;
+            assert!((found - expected).abs() < 1e-6, "slot {slot}, step {step}: {found} m, not {expected} m");
+        }
+    }
+    // SUMO finds the place on the lane from coordinates, which are rounded otherwise in a tile.
+    let tiled = steer(&task, Backend::Traci, 3);
+    for (one, three) in alone.iter().zip(&tiled) {
+        for (a, b) in three.iter().zip(one.iter().cycle()) {
+            let (a, b) = (a.expect("on the road"), b.expect("on the road"));
+            assert!((a.distance - b.distance).abs() < 1e-9 && (a.speed - b.speed).abs() < 1e-7, "{a:?} {b:?}");
+        }
+    }
+    if cfg!(feature = "libsumo") {
+        assert!(steer(&task, Backend::Libsumo, 3) == tiled && steer(&task, Backend::Libsumo, 1) == alone);
+    }
+}
+
 #[cfg(feature = "libsumo")]
 #[test]
 fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
-    use iwol_sumo::sumo::{Error, start};
+    use iwol_sumo::sumo::Error;
     let _alone = ALONE.lock();
     let config = task(8).simulation_config(1, 2, &Hosting::default());
     let first = start(Backend::Libsumo, config.clone()).expect("libsumo runs");
@@ -110,7 +168,7 @@ fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
 #[cfg(not(feature = "libsumo"))]
 #[test]
 fn a_backend_that_is_not_built_in_is_refused_with_advice() {
-    use iwol_sumo::sumo::{Error, start};
+    use iwol_sumo::sumo::Error;
     let config = task(8).simulation_config(1, 2, &Hosting::default());
     let error = start(Backend::Libsumo, config).err();
     assert!(matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()), "{error:?}");

@@ -204,12 +204,14 @@ fn table(rows: &[Row]) -> String {
         text.push('\n');
     }
     for row in rows {
-        let (audit, mut line) = (&row.metrics.audit, String::new());
-        for (reason, count) in audit.differences() {
-            let _ = write!(line, "; {reason}: {count}");
+        let audit = &row.metrics.audit;
+        if audit.differences().is_empty() {
+            continue;
         }
-        if !line.is_empty() {
-            let _ = writeln!(text, "audit of {}: {} pairs in both reports{line}", row.policy, audit.agreed);
+        let _ = writeln!(text, "audit of {}: {:>5} pairs collide by both reports", row.policy, audit.agreed);
+        let indent = "audit of : ".len() + row.policy.chars().count();
+        for (reason, count) in audit.differences() {
+            let _ = writeln!(text, "{:indent$}{count:>5} {reason}", "");
         }
     }
     text

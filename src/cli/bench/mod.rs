@@ -1,5 +1,6 @@
 //! `iwol bench`
 
+mod act;
 mod compare;
 mod workload;
 
@@ -27,6 +28,8 @@ pub(super) struct Args {
 enum What {
     /// SUMO and the way to it: steps per second, the share of SUMO, bytes, resets
     Sim(Sim),
+    /// A policy's decision: median and 99th percentile, per vehicle, beside the first algorithm's
+    Act(act::Act),
 }
 
 #[derive(Debug, clap::Args)]
@@ -107,7 +110,13 @@ struct Row {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
-    let What::Sim(args) = &args.what;
+    match &args.what {
+        What::Sim(args) => simulation(args),
+        What::Act(args) => act::run(args).map(|()| Verdict::Good),
+    }
+}
+
+fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
     let scenario = Scenario::load(&args.scenario)?;
     let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
     let mut workloads = Vec::new();
@@ -268,8 +277,14 @@ fn measure(
 }
 
 fn median(values: &mut [f64]) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// The value below which the share `q` of the values lies; sorts them. NaN without values.
+fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    let last = values.len().saturating_sub(1);
+    values.get((values.len() as f64 * q) as usize).or(values.get(last)).copied().unwrap_or(f64::NAN)
 }
 
 /// Processor time that a process has used \[s\].

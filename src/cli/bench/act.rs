@@ -1,0 +1,123 @@
+//! `iwol bench act`: how long a policy takes to decide.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::bail;
+use iwol_sumo::algo::{self, ActMode, Observation, Settings};
+use iwol_sumo::env::Task;
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::scenario::Scenario;
+use serde::Serialize;
+use tch::Tensor;
+
+use super::quantile;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Act {
+    /// Scenario file
+    #[arg(long, default_value = "scenarios/intersection.xml")]
+    scenario: PathBuf,
+    /// Numbers of vehicles per world
+    #[arg(long, value_delimiter = ',', default_value = "8,48")]
+    agents: Vec<u32>,
+    /// Algorithms [default: all]
+    #[arg(long, value_delimiter = ',')]
+    algorithm: Vec<String>,
+    /// Worlds that decide at once
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    worlds: u16,
+    /// Timed decisions
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    decisions: u32,
+    /// Threads of libtorch
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// Print JSON lines instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Row {
+    algorithm: String,
+    agents: u32,
+    worlds: u16,
+    /// One decision of all vehicles: median and 99th percentile \[µs\].
+    median_us: f64,
+    p99_us: f64,
+    /// `median_us` over all vehicles \[µs\].
+    per_vehicle_us: f64,
+    /// Weights of the deployed policy.
+    parameters: i64,
+}
+
+pub(super) fn run(args: &Act) -> anyhow::Result<()> {
+    let scenario = Scenario::load(&args.scenario)?;
+    let names: Vec<&str> = match &args.algorithm[..] {
+        [] => algo::NAMES.to_vec(),
+        names => names.iter().map(String::as_str).collect(),
+    };
+    if let Some(unknown) = names.iter().find(|name| !algo::NAMES.contains(name)) {
+        bail!("there is no algorithm `{unknown}`; choose from {}", algo::NAMES.join(", "));
+    }
+    tch::set_num_threads(i32::from(args.threads));
+    if !args.json {
+        println!(
+            "{:9} {:>6} {:>6} {:>11} {:>11} {:>13} {:>8} {:>10}",
+            "algorithm", "agents", "worlds", "median", "99 %", "per vehicle", "× first", "weights"
+        );
+    }
+    for &agents in &args.agents {
+        let task = Task::new(&scenario, agents)?;
+        let mut first = None;
+        for name in &names {
+            let row = measure(name, &task, args)?;
+            let ratio = row.median_us / *first.get_or_insert(row.median_us);
+            if args.json {
+                println!("{}", serde_json::to_string(&row)?);
+            } else {
+                println!(
+                    "{name:9} {agents:>6} {:>6} {:>8.1} µs {:>8.1} µs {:>10.2} µs {ratio:>8.2} {:>10}",
+                    row.worlds, row.median_us, row.p99_us, row.per_vehicle_us, row.parameters
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Times decisions on random observations of vehicles that are all within reach of each other.
+fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
+    let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0))?;
+    let (e, n, o) = (i64::from(args.worlds), task.agents as i64, task.spec.observation.len() as i64);
+    let mut numbers = vec![0.0; (e * n * o) as usize];
+    rng::fill_normal(&mut Seed::new(1).rng(), &mut numbers);
+    let mut input = Observation {
+        observation: Tensor::from_slice(&numbers).view([e, n, o]).clamp(-1.0, 1.0),
+        comm: Tensor::ones([e, n, n], (tch::Kind::Float, tch::Device::Cpu)),
+        start: Tensor::zeros([e], (tch::Kind::Float, tch::Device::Cpu)),
+        memory: Tensor::zeros([e, n, learner.memory() as i64], (tch::Kind::Float, tch::Device::Cpu)),
+    };
+    let mut times = Vec::new();
+    for decision in 0..args.decisions + args.decisions / 10 {
+        let begin = Instant::now();
+        let decided = learner.act(&input, &ActMode::Deterministic);
+        let took = begin.elapsed().as_secs_f64() * 1e6;
+        input.memory = decided.memory;
+        // The first ones warm caches up.
+        if decision >= args.decisions / 10 {
+            times.push(took);
+        }
+    }
+    let median = quantile(&mut times, 0.5);
+    Ok(Row {
+        algorithm: name.to_owned(),
+        agents: task.agents as u32,
+        worlds: args.worlds,
+        median_us: median,
+        p99_us: quantile(&mut times, 0.99),
+        per_vehicle_us: median / (e * n) as f64,
+        parameters: learner.parameters().0,
+    })
+}
