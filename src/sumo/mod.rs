@@ -1,6 +1,6 @@
-//! Everything that knows SUMO: its wire ([`codec`], [`batch`], [`client`], [`reply`]), its process ([`process`]),
-//! its net files ([`net`]), and the boundary behind which all of that lies for the rest of the program
-//! ([`Simulation`], served by [`TraciSimulation`]).
+//! Everything that knows SUMO: the TraCI client ([`Client`], [`Batch`], the calls in [`domain`]) and its wire ([`codec`],
+//! [`reply`]), SUMO's process ([`process`]), its net files ([`net`]), and the boundary behind which all of that lies for
+//! the rest of the program: [`Simulation`], which [`start`] gives for a [`Backend`], with worlds spread by [`Hosting`].
 
 pub mod batch;
 pub mod client;
