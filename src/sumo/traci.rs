@@ -109,8 +109,8 @@ impl TraciSimulation {
         }
         let of_simulation = [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
         batch.subscribe(Domain::SIMULATION, "", &of_simulation);
-        // One subscription for all vehicles of a world. SUMO takes a time that grows with the square of their number to
-        // begin and end subscriptions, so that one for each vehicle would make respawns slow.
+        // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
+        // that one for each vehicle would make respawns slow.
         for junction in &self.fleet.junctions {
             batch.subscribe_context(
                 Domain::JUNCTION,

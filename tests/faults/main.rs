@@ -230,7 +230,7 @@ fn a_stopped_sumo_costs_its_worlds_episodes() {
 }
 
 #[test]
-fn a_refusal_is_answered_by_loading_again() {
+fn a_simulation_is_made_fresh_by_the_cheapest_means_that_is_sound() {
     let _alone = alone();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
     let task = Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task");
