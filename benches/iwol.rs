@@ -126,7 +126,7 @@ fn act(c: &mut Criterion) {
     let task = task(8);
     let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
     for name in algo::NAMES {
-        let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0)).expect("a learner");
+        let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
         let input = Observation {
             observation: zeros(&[worlds, agents, task.spec.observation.len() as i64]),
             comm: zeros(&[worlds, agents, agents]) + 1.0,
@@ -145,7 +145,7 @@ fn update(c: &mut Criterion) {
     let mut group = c.benchmark_group("update");
     group.sample_size(10);
     for name in algo::NAMES {
-        let mut learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0)).expect("a learner");
+        let mut learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
         let sizes = Sizes {
             steps: 16,
             envs: 16,

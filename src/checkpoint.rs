@@ -12,7 +12,7 @@ use crate::env::WorldState;
 use crate::record;
 
 /// Version of the layout.
-const FORMAT: &str = "iwol-sumo checkpoint 1";
+const FORMAT: &str = "iwol-sumo checkpoint 2";
 
 /// Where training stood.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
@@ -31,6 +31,10 @@ pub struct Progress {
     pub next_validation: u64,
     /// Step of the last validation.
     pub validated: u64,
+    /// Success of the training episodes, as a running mean.
+    pub recent_success: f64,
+    /// Step at which annealing began.
+    pub annealing_since: Option<u64>,
 }
 
 /// What a checkpoint holds.

@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use crate::algo::{self, settings};
-use crate::scenario::{self, Scenario};
+use crate::scenario::{self, ObservationGroups, Scenario};
 use crate::suggest::nearest;
 use crate::sumo::{Choice, Hosting};
 
@@ -28,8 +28,12 @@ pub struct Config {
     pub agents: u32,
     /// Seed of everything random.
     pub seed: u64,
-    /// Environment steps (of one world each) to train for.
+    /// Environment steps (of one world each) to train for, at most.
     pub steps: u64,
+    /// Where the networks are computed: `cpu`, `cuda` or `cuda:<number>`.
+    pub device: ComputeDevice,
+    /// A run folder or checkpoint, of any number of agents, whose weights training starts from; empty: from new ones.
+    pub init_from: PathBuf,
     /// The training loop.
     pub train: Train,
     /// Where the worlds run; results do not depend on it.
@@ -46,6 +50,65 @@ pub struct Config {
     pub env: Env,
 }
 
+/// Where networks are computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum ComputeDevice {
+    /// The processor.
+    Cpu,
+    /// A graphics processor, by its number.
+    Cuda(usize),
+}
+
+impl ComputeDevice {
+    /// The device, if this libtorch has it.
+    ///
+    /// # Errors
+    /// [`NoDevice`].
+    pub fn find(self) -> Result<tch::Device, NoDevice> {
+        match self {
+            Self::Cpu => Ok(tch::Device::Cpu),
+            Self::Cuda(number) => {
+                let present = tch::Cuda::device_count().max(0) as usize;
+                if number < present { Ok(tch::Device::Cuda(number)) } else { Err(NoDevice { number, present }) }
+            }
+        }
+    }
+}
+
+impl TryFrom<String> for ComputeDevice {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        let number = match name.as_str() {
+            "cpu" => return Ok(Self::Cpu),
+            "cuda" => Some(0),
+            _ => name.strip_prefix("cuda:").and_then(|number| number.parse().ok()),
+        };
+        number.map(Self::Cuda).ok_or_else(|| format!("`{name}` is no device; write cpu, cuda or cuda:<number>"))
+    }
+}
+
+impl From<ComputeDevice> for String {
+    fn from(device: ComputeDevice) -> Self {
+        match device {
+            ComputeDevice::Cpu => "cpu".to_owned(),
+            ComputeDevice::Cuda(number) => format!("cuda:{number}"),
+        }
+    }
+}
+
+/// The device that was asked for is not there.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "there is no device cuda:{number}: libtorch sees {present}; `scripts/bootstrap --gpu` installs a libtorch with CUDA, and \
+     `iwol doctor` says what it sees"
+)]
+pub struct NoDevice {
+    number: usize,
+    present: usize,
+}
+
 /// The training loop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -58,10 +121,16 @@ pub struct Train {
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
     pub validation_episodes: u64,
-    /// Stop once this share of agents succeeds in [`Train::stop_validations`] validations in a row; 0 never stops early.
+    /// Stop when annealing is over and this share of agents succeeded in the last [`Train::stop_validations`] validations; 0
+    /// never stops early.
     pub stop_success: f64,
     /// See [`Train::stop_success`].
     pub stop_validations: u32,
+    /// Annealing (of noise and learning rate) begins once this share of agents succeeds in the training episodes, noise and
+    /// all; 0, or when it never happens: so that it is over when the run is.
+    pub anneal_success: f64,
+    /// Environment steps that annealing takes.
+    pub anneal_steps: u64,
 }
 
 impl Default for Train {
@@ -71,8 +140,10 @@ impl Default for Train {
             segment: 128,
             validate_every: 16_384,
             validation_episodes: 64,
-            stop_success: 0.0,
-            stop_validations: 3,
+            stop_success: 0.99,
+            stop_validations: 2,
+            anneal_success: 0.9,
+            anneal_steps: 80_000,
         }
     }
 }
@@ -102,6 +173,8 @@ impl Default for Simulation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Env {
+    /// How others are seen: `nearest`, `conflict` or `both`.
+    pub observation: ObservationGroups,
     /// Others further away are not seen \[m\].
     pub detection_range: f64,
     /// Nearest vehicles in the observation.
@@ -134,6 +207,7 @@ impl Env {
     fn of(scenario: &Scenario) -> Self {
         let (seen, reward) = (&scenario.observation, &scenario.reward);
         Self {
+            observation: seen.groups,
             detection_range: seen.detection_range,
             neighbours: seen.neighbours,
             conflict_streams: seen.conflict_streams,
@@ -152,6 +226,7 @@ impl Env {
 
     fn apply(&self, scenario: &mut Scenario) {
         let (seen, reward) = (&mut scenario.observation, &mut scenario.reward);
+        seen.groups = self.observation;
         seen.detection_range = self.detection_range;
         seen.neighbours = self.neighbours;
         seen.conflict_streams = self.conflict_streams;
@@ -288,6 +363,8 @@ impl Config {
             agents: scenario.agents.default,
             seed: 0,
             steps: 400_000,
+            device: ComputeDevice::Cpu,
+            init_from: PathBuf::new(),
             train: Train::default(),
             simulation: Simulation::default(),
             network: settings::Network::default(),
@@ -308,7 +385,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 54] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 58] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -322,6 +399,8 @@ impl Config {
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
+            (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
+            (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
             (&["train.stop_validations"], t.stop_validations >= 1, "at least 1"),
             (&["simulation.processes"], self.simulation.processes <= 1024, "0 to 1024"),
             (&["simulation.timeout"], (0.1..=86_400.0).contains(&self.simulation.timeout), "0.1 to 86400"),
@@ -339,9 +418,10 @@ impl Config {
                 "1 to train.segment",
             ),
             (&["ppo.learning_rate"], finite_range(p.learning_rate), "0 or more"),
-            (&["ppo.learning_rate_constant"], share(p.learning_rate_constant), "0 to 1"),
             (&["ppo.learning_rate_end"], share(p.learning_rate_end), "0 to 1"),
             (&["ppo.epochs"], (1..=1000).contains(&p.epochs), "1 to 1000"),
+            (&["ppo.shards"], (1..=64).contains(&p.shards), "1 to 64"),
+            (&["ppo.average"], (0.0..1.0).contains(&p.average), "0 to below 1"),
             (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
@@ -351,8 +431,9 @@ impl Config {
             (&["ppo.max_grad_norm"], finite_positive(p.max_grad_norm), "above 0"),
             (&["ppo.value_norm_beta"], (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
             (&["exploration.log_std_start"], (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
+            (&["exploration.log_std_explore"], (-20.0..=5.0).contains(&x.log_std_explore), "-20 to 5"),
             (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
-            (&["exploration.log_std_share"], share(x.log_std_share), "0 to 1"),
+            (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),

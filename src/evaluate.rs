@@ -10,7 +10,7 @@ use rand::RngExt as _;
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Observation};
+use crate::algo::{ActMode, Algorithm, Observation, Reconstruction};
 use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -64,6 +64,19 @@ pub struct Evaluation {
     pub episodes: Vec<EpisodeRecord>,
     /// Reward per agent summed over windows of [`WINDOW`] steps, each starting with a fresh episode.
     pub windows: Vec<f64>,
+    /// What the policy's latent knows; empty for policies without one.
+    pub reconstruction: Vec<Knowledge>,
+}
+
+/// How well a latent predicts something that its agent does not observe, over the active agents of every eighth step.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Knowledge {
+    /// Of what: `world` (the privileged state) or `interaction` (the agent's message).
+    pub name: &'static str,
+    /// Mean squared error over samples and dimensions.
+    pub error: f64,
+    /// Share of the truth's variance that is predicted: 1 is perfect, 0 as good as always saying the mean.
+    pub explained: f64,
 }
 
 /// Means with 95 % intervals, the episode (or the window) being the unit.
@@ -91,6 +104,8 @@ pub struct Metrics {
     pub own_collisions: Estimate,
     /// Sums over all episodes: where the two tests differ, and why.
     pub audit: Audit,
+    /// What the policy's latent knows.
+    pub reconstruction: Vec<Knowledge>,
 }
 
 impl Evaluation {
@@ -109,6 +124,7 @@ impl Evaluation {
             sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
             own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
             audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
+            reconstruction: self.reconstruction.clone(),
         })
     }
 }
@@ -129,7 +145,8 @@ pub fn evaluate(
     report: &mut dyn FnMut(u64),
 ) -> Result<Evaluation, env::Error> {
     let stage = Stage { task, policy, seed, hosting, stop };
-    let mut records = stage.play(0..episodes, RETRIES, report)?;
+    let mut knowledge = Sums::default();
+    let mut records = stage.play(0..episodes, RETRIES, &mut knowledge, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -137,11 +154,11 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
-            return Ok(Evaluation { episodes: records, windows });
+            return Ok(Evaluation { episodes: records, windows, reconstruction: knowledge.finish() });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut |_| {})?);
+        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut knowledge, &mut |_| {})?);
     }
 }
 
@@ -176,6 +193,7 @@ impl Stage<'_> {
         &self,
         episodes: Range<u64>,
         retries: u32,
+        knowledge: &mut Sums,
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
@@ -194,7 +212,7 @@ impl Stage<'_> {
         let mut env = VecEnv::new(self.task, &options)?;
         let mut driver = PolicyDriver::new(self.policy, self.task, self.seed.child("actions"));
         while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            let actions = driver.act(env.worlds());
+            let actions = driver.act(env.worlds(), knowledge);
             env.step(actions)?;
             let finished = env.take_finished();
             if !finished.is_empty() {
@@ -209,7 +227,7 @@ impl Stage<'_> {
             if retries == 0 {
                 return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
             }
-            records.extend(self.play(episode..episode + 1, retries - 1, &mut |_| {})?);
+            records.extend(self.play(episode..episode + 1, retries - 1, knowledge, &mut |_| {})?);
         }
         records.sort_by_key(|record| record.episode);
         Ok(records)
@@ -225,7 +243,48 @@ struct PolicyDriver<'a> {
     observation: Vec<f32>,
     comm: Vec<f32>,
     start: Vec<f32>,
+    state: Vec<f32>,
+    active: Vec<f32>,
     memory: Tensor,
+    decisions: u64,
+}
+
+/// Decisions between two looks at the latent.
+const LOOK: u64 = 8;
+
+/// Sums from which [`Knowledge`] follows, per thing that is predicted.
+#[derive(Default)]
+struct Sums(Vec<(&'static str, f64, Tensor)>);
+
+impl Sums {
+    /// Adds the active samples of one decision, `active [E, N]`.
+    fn add(&mut self, all: Vec<Reconstruction>, active: &Tensor) {
+        let weight = active.unsqueeze(-1).to_kind(Kind::Double);
+        let count = weight.sum(Kind::Double).double_value(&[]);
+        for Reconstruction { name, found, truth } in all {
+            let (found, truth) = (found.to_kind(Kind::Double), truth.to_kind(Kind::Double));
+            let sum = |x: Tensor| (x * &weight).sum_dim_intlist(&[0_i64, 1][..], false, Kind::Double);
+            // Per dimension: squared errors, the truth, its squares.
+            let sums = Tensor::stack(&[sum((found - &truth).square()), sum(truth.shallow_clone()), sum(truth.square())], 0);
+            match self.0.iter_mut().find(|entry| entry.0 == name) {
+                Some(entry) => {
+                    entry.1 += count;
+                    entry.2 += sums;
+                }
+                None => self.0.push((name, count, sums)),
+            }
+        }
+    }
+
+    fn finish(&self) -> Vec<Knowledge> {
+        let finish = |(name, count, sums): &(&'static str, f64, Tensor)| {
+            let means = sums / count.max(1.0);
+            let error = means.get(0).mean(Kind::Double).double_value(&[]);
+            let variance = (means.get(2) - means.get(1).square()).mean(Kind::Double).double_value(&[]);
+            Knowledge { name, error, explained: if variance > 0.0 { 1.0 - error / variance } else { 0.0 } }
+        };
+        self.0.iter().map(finish).collect()
+    }
 }
 
 impl<'a> PolicyDriver<'a> {
@@ -240,11 +299,14 @@ impl<'a> PolicyDriver<'a> {
             observation: vec![0.0; worlds * n * task.spec.observation.len()],
             comm: vec![0.0; worlds * n * n],
             start: vec![0.0; worlds],
+            state: vec![0.0; worlds * n * task.spec.state.len()],
+            active: vec![0.0; worlds * n],
+            decisions: 0,
             memory: Tensor::zeros([worlds as i64, n as i64, memory as i64], (Kind::Float, Device::Cpu)),
         }
     }
 
-    fn act<'w>(&mut self, worlds: impl Iterator<Item = &'w World>) -> &[f32] {
+    fn act<'w>(&mut self, worlds: impl Iterator<Item = &'w World>, knowledge: &mut Sums) -> &[f32] {
         let width = self.task.agents * self.task.spec.actions;
         match self.policy {
             Policy::Throttle(throttle) => self.actions.fill(*throttle),
@@ -268,18 +330,24 @@ impl<'a> PolicyDriver<'a> {
                     let frame: &Frame = world.frame();
                     copy(&frame.observation, &mut self.observation, e);
                     copy(&frame.comm, &mut self.comm, e);
+                    copy(&frame.state, &mut self.state, e);
+                    copy(&frame.active, &mut self.active, e);
                     self.start[e] = f32::from(u8::from(frame.start));
                 }
                 let (e, n) = (self.start.len() as i64, n as i64);
-                let decision = learner.act(
-                    &Observation {
-                        observation: Tensor::from_slice(&self.observation).view([e, n, -1]),
-                        comm: Tensor::from_slice(&self.comm).view([e, n, n]),
-                        start: Tensor::from_slice(&self.start),
-                        memory: self.memory.shallow_clone(),
-                    },
-                    &ActMode::Deterministic,
-                );
+                let observation = Observation {
+                    observation: Tensor::from_slice(&self.observation).view([e, n, -1]),
+                    comm: Tensor::from_slice(&self.comm).view([e, n, n]),
+                    start: Tensor::from_slice(&self.start),
+                    memory: self.memory.shallow_clone(),
+                };
+                let decision = learner.act(&observation, &ActMode::Deterministic);
+                if self.decisions.is_multiple_of(LOOK) {
+                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
+                    let active = Tensor::from_slice(&self.active).view([e, n]);
+                    knowledge.add(learner.reconstruct(&observation, &state), &active);
+                }
+                self.decisions += 1;
                 self.memory = decision.memory;
                 let count = self.actions.len();
                 decision.action.reshape([-1]).copy_data(&mut self.actions, count);

@@ -11,15 +11,18 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, ActMode, Algorithm, Losses, Observation};
+use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace};
 use crate::checkpoint::{self, Checkpoint, Progress};
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
 use crate::evaluate::{Evaluation, Policy, evaluate};
 use crate::record::{self, JsonLines, TensorBoard};
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
+
+/// Training episodes over which the running mean of success reaches, about.
+const RECENT: f64 = 50.0;
 
 /// Files of a run.
 #[derive(Debug, Clone)]
@@ -64,6 +67,16 @@ impl RunDir {
     /// The checkpoint with the best validation.
     pub fn best(&self) -> PathBuf {
         self.0.join("checkpoints/best.safetensors")
+    }
+
+    /// The checkpoint that `path` stands for: a file for itself, a run folder for its best one, or else its last.
+    pub fn checkpoint(path: &Path) -> PathBuf {
+        let dir = Self::new(path);
+        match () {
+            () if !path.is_dir() => path.to_owned(),
+            () if dir.best().exists() => dir.best(),
+            () => dir.last(),
+        }
     }
 }
 
@@ -148,7 +161,8 @@ impl Trainer {
     fn build(config: Config, scenario: Scenario, checkpoint: Option<&Checkpoint>) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
         let task = Arc::new(Task::new(&scenario, config.agents)?);
-        let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"))?;
+        let device = config.device.find()?;
+        let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,
@@ -171,6 +185,12 @@ impl Trainer {
         let count = worlds * task.agents * learner.memory();
         let (env, memory, progress) = match checkpoint {
             None => {
+                let path = &config.init_from;
+                if !path.as_os_str().is_empty() {
+                    let stored = Checkpoint::load(&RunDir::checkpoint(path))?;
+                    let unfit = |source| Error::InitFrom { path: path.clone(), source };
+                    learner.load_weights(&stored.learner).map_err(unfit)?;
+                }
                 let first = Progress { next_validation: config.train.validate_every, ..Progress::default() };
                 (VecEnv::new(&task, &options)?, vec![0.0; count], first)
             }
@@ -226,15 +246,43 @@ impl Trainer {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
         self.collect(seed.child("noise"))?;
-        let rows = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
-        let share = (self.progress.step + rows) as f64 / self.config.steps as f64;
-        let losses = timed(&mut self.timers.update, || {
-            self.learner.update(&self.rollout, share.min(1.0), seed.child("update"))
-        })?;
+        self.progress.step += (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
+        let pace = self.pace();
+        let learner = &mut self.learner;
+        let losses = timed(&mut self.timers.update, || learner.update(&self.rollout, &pace, seed.child("update")))?;
         self.progress.iteration += 1;
-        self.progress.step += rows;
         self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
+    }
+
+    /// Where the schedules stand. Annealing begins once the training episodes succeed, or else so late that it is over
+    /// when the run is.
+    fn pace(&mut self) -> Pace {
+        let Progress { step, recent_success, .. } = self.progress;
+        let (train, noise, ppo) = (&self.config.train, &self.config.exploration, &self.config.ppo);
+        let found = train.anneal_success > 0.0 && recent_success >= train.anneal_success;
+        if self.progress.annealing_since.is_none() && (found || step + train.anneal_steps >= self.config.steps) {
+            self.progress.annealing_since = Some(step);
+        }
+        let ramp = |from: u64, to: u64, length: u64| ((to - from) as f64 / length.max(1) as f64).min(1.0);
+        let explored = |at: u64| {
+            noise.log_std_start + (noise.log_std_explore - noise.log_std_start) * ramp(0, at, noise.explore_steps)
+        };
+        let (log_std, share) = match self.progress.annealing_since {
+            None => (explored(step), 0.0),
+            Some(since) => {
+                let share = ramp(since, step, train.anneal_steps);
+                let from = explored(since);
+                (from + (noise.log_std_end - from) * share, share)
+            }
+        };
+        Pace { learning_rate: ppo.learning_rate * (1.0 - (1.0 - ppo.learning_rate_end) * share), log_std }
+    }
+
+    /// Whether annealing is over.
+    fn annealed(&self) -> bool {
+        let Progress { step, annealing_since, .. } = self.progress;
+        annealing_since.is_some_and(|since| step >= since + self.config.train.anneal_steps)
     }
 
     fn collect(&mut self, seed: Seed) -> Result<(), Error> {
@@ -270,7 +318,12 @@ impl Trainer {
             self.memory = decision.memory;
             let actions = self.rollout.at(t, s.actions);
             timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
-            self.finished.extend(self.env.take_finished());
+            for record in self.env.take_finished() {
+                if !record.interrupted {
+                    self.progress.recent_success += (record.success - self.progress.recent_success) / RECENT;
+                }
+                self.finished.push(record);
+            }
             timed(&mut self.timers.copy, || {
                 for (e, world) in self.env.worlds().enumerate() {
                     let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
@@ -284,23 +337,24 @@ impl Trainer {
         Ok(())
     }
 
-    /// Deterministic evaluation on the validation seeds, which are the same in every call.
+    /// Deterministic evaluation of the averaged weights on the validation seeds, which are the same in every call.
     ///
     /// # Errors
     /// When SUMO fails twice in a row.
-    pub fn validate(&self, stop: &AtomicBool) -> Result<Evaluation, Error> {
-        let policy = Policy::Learned(&*self.learner);
-        let episodes = self.config.train.validation_episodes;
-        Ok(evaluate(
+    pub fn validate(&mut self, stop: &AtomicBool) -> Result<Evaluation, Error> {
+        self.learner.swap_average();
+        let evaluation = evaluate(
             &self.task,
-            &policy,
-            episodes,
+            &Policy::Learned(&*self.learner),
+            self.config.train.validation_episodes,
             self.seed.child("validation"),
             // libsumo's one place is taken by the training worlds.
             &self.config.hosting().beside(),
             stop,
             &mut |_| {},
-        )?)
+        );
+        self.learner.swap_average();
+        Ok(evaluation?)
     }
 
     /// Everything needed to go on from here.
@@ -348,7 +402,7 @@ impl Trainer {
                 validation_success = Some(self.judge(&evaluation, dir, &mut files)?);
                 continue;
             }
-            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations {
+            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations && self.annealed() {
                 break Outcome::Solved;
             }
             if done {
@@ -385,7 +439,7 @@ impl Trainer {
         };
         let success = mean(|r| r.success);
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
-        files.validation(self.progress.step, evaluation, success, mean(|r| r.safety), window)?;
+        files.validation(&self.progress, evaluation, success, mean(|r| r.safety), window)?;
         let train = &self.config.train;
         let solved = train.stop_success > 0.0 && success >= train.stop_success;
         self.progress.solved = if solved { self.progress.solved.saturating_add(1) } else { 0 };
@@ -466,6 +520,7 @@ impl Files {
         let (timers, resets) = (&trainer.timers, trainer.env.resets());
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
+            ("episode/recent_success", trainer.progress.recent_success),
             ("steps_per_second", steps_per_second),
             ("resets/respawns", resets.respawns as f64),
             ("resets/loads", resets.loads as f64),
@@ -482,26 +537,32 @@ impl Files {
 
     fn validation(
         &mut self,
-        step: u64,
+        progress: &Progress,
         evaluation: &Evaluation,
         success: f64,
         safety: f64,
         window: f64,
     ) -> Result<(), Error> {
         for record in &evaluation.episodes {
-            self.episodes.append(&EpisodeLine { step, record })?;
+            self.episodes.append(&EpisodeLine { step: progress.step, record })?;
         }
         let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
             / evaluation.episodes.len().max(1) as f64;
-        self.write(
-            step,
-            &[
-                ("validation/success", success),
-                ("validation/safety", safety),
-                ("validation/window_reward", window),
-                ("validation/episode_length", length),
-            ],
-        )
+        let mut values = vec![
+            ("validation/success", success),
+            ("validation/safety", safety),
+            ("validation/window_reward", window),
+            ("validation/episode_length", length),
+            ("time/total_s", progress.seconds),
+        ];
+        for r in &evaluation.reconstruction {
+            let keys = match r.name {
+                "world" => ("validation/world_error", "validation/world_explained"),
+                _ => ("validation/interaction_error", "validation/interaction_explained"),
+            };
+            values.extend([(keys.0, r.error), (keys.1, r.explained)]);
+        }
+        self.write(progress.step, &values)
     }
 }
 
@@ -577,6 +638,17 @@ pub enum Error {
     /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] checkpoint::Error),
+    /// The device that was asked for is not there.
+    #[error(transparent)]
+    Device(#[from] config::NoDevice),
+    /// The weights to start from are of other networks.
+    #[error("the weights in `{}` do not fit this run's networks and observations", path.display())]
+    InitFrom {
+        /// The checkpoint.
+        path: PathBuf,
+        /// What does not fit.
+        source: algo::Error,
+    },
     /// The run folder cannot be made.
     #[error("cannot make the run folder `{}`", path.display())]
     Folder {

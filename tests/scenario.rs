@@ -9,7 +9,7 @@ use std::{
 
 use iwol_sumo::{
     scenario::{
-        AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, Reward, Route, Scenario,
+        AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
         SpawnRow, Termination, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
@@ -315,7 +315,8 @@ prop_compose! {
                 mode: ControlMode::Throttle, interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
             },
             observation: Observation {
-                detection_range: p[7], neighbours: counts[0], conflict_streams: counts[1], stream_vehicles: counts[2],
+                groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
+                conflict_streams: counts[1], stream_vehicles: counts[2],
             },
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
             termination: Termination { horizon, wreck_time: p[8] },

@@ -1,47 +1,298 @@
-//! What all actor-critic learners here carry: two parameter sets with their optimisers, value normalisation, the Gaussian
-//! head, and the tensors of a rollout.
+//! What all actor-critic learners here share: two parameter sets with their optimisers, value normalisation, averaged
+//! weights, and the passes over a rollout, on as many threads as minibatches have shards.
+//!
+//! Every shard has a copy of the networks. The copies share their weights and have gradients of their own, which are added
+//! up before a step: both cores are busy in forward and backward alike, without a thread pool inside libtorch, and the
+//! result depends on the number of shards alone, not on the machine.
 
+use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
 
-use super::ppo;
-use super::settings::{Exploration, NoiseMode, Ppo, Settings};
-use super::{Error, Losses};
-use crate::nn::{Adam, Init, Linear, Params, Path, ValueNorm, gaussian_entropy, gaussian_log_prob};
-use crate::rng::{self, Seed};
+use super::batch::{Batch, Shard, graph_noise, minibatches};
+use super::head::GaussianHead;
+use super::settings::{GraphNoise, Settings};
+use super::{ActMode, Algorithm, Decision, Error, Losses, Observation, Pace, Reconstruction};
+use crate::env::EnvSpec;
+use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
+use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// Parameters, optimisers and value normalisation.
-pub(super) struct Core {
-    pub(super) actor: Params,
-    pub(super) critic: Params,
-    pub(super) actor_adam: Adam,
-    pub(super) critic_adam: Adam,
-    pub(super) value_norm: ValueNorm,
-    pub(super) settings: Settings,
-    /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
-    pub(super) critic_memory: Option<Tensor>,
+/// The networks of one algorithm: how they decide, what they value, and what they lose on a shard.
+pub(super) trait Networks: Sized + Send {
+    /// Name, as on the command line.
+    const NAME: &'static str;
+    /// Whether the policy samples a communication graph.
+    const SAMPLES_GRAPH: bool = false;
+    /// Parts of the actor that a deployed policy does not need.
+    const TRAINING_ONLY: &'static [&'static str] = &[];
+
+    /// Creates the networks' parameters below these places.
+    fn new(spec: &EnvSpec, settings: &Settings, actor: Path<'_>, critic: Path<'_>) -> Self;
+
+    /// The policy's head.
+    fn head(&self) -> &GaussianHead;
+
+    /// Memory of the policy per agent, M.
+    fn memory(&self) -> i64;
+
+    /// Memory of the value per agent.
+    fn value_memory(&self) -> i64;
+
+    /// Chooses actions.
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+
+    /// Values (normalised) of all rows of sequences of `length` steps, `[rows, N]`, and the memory after each step,
+    /// `[length, C · N, M]`, if there is one; `memory` is that before the first, `[C · N, M]`.
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>);
+
+    /// What is lost on the active samples of a shard.
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss;
+
+    /// What the latent says about the world and about the messages, beside the truth; nothing for methods without one.
+    fn reconstruct(&self, _input: &Observation, _state: &Tensor) -> Vec<Reconstruction> {
+        Vec::new()
+    }
 }
 
-impl Core {
-    pub(super) fn new(mut actor: Params, mut critic: Params, settings: &Settings) -> Self {
+/// A loss, means over samples.
+pub(super) struct Loss {
+    /// What is differentiated.
+    pub(super) total: Tensor,
+    /// Named scalars to report.
+    pub(super) report: Vec<(&'static str, Tensor)>,
+}
+
+/// An algorithm made of networks that are trained by proximal policy optimisation.
+pub(super) struct ActorCritic<N> {
+    /// One copy per shard.
+    copies: Vec<N>,
+    pool: Option<rayon::ThreadPool>,
+    settings: Settings,
+    device: Device,
+    actor: Params,
+    critic: Params,
+    actor_adam: Adam,
+    critic_adam: Adam,
+    value_norm: ValueNorm,
+    /// Averaged weights of the actor, `[count]`.
+    average: Option<Tensor>,
+    /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
+    critic_memory: Option<Tensor>,
+}
+
+impl<N: Networks> ActorCritic<N> {
+    /// A learner with weights drawn from `seed`.
+    pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
+        let build = || {
+            let (mut actor, mut critic) = (Params::new(device), Params::new(device));
+            let (mut first, mut second) = (seed.child("actor").rng(), seed.child("critic").rng());
+            let networks = N::new(spec, settings, actor.root(&mut first), critic.root(&mut second));
+            (networks, actor, critic)
+        };
+        let (networks, mut actor, mut critic) = build();
+        let (mut actor_adam, mut critic_adam) = (Adam::new(&mut actor), Adam::new(&mut critic));
+        let mut copies = vec![networks];
+        // One device does one thing at a time.
+        let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
+        for _ in 1..shards {
+            let (networks, mut actor, mut critic) = build();
+            actor_adam.replica(&mut actor);
+            critic_adam.replica(&mut critic);
+            copies.push(networks);
+        }
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(shards).thread_name(|k| format!("shard{k}"));
+        // Libtorch counts its threads per thread.
+        let threads = threads.start_handler(|_| tch::set_num_threads(1));
+        let average = (settings.ppo.average > 0.0).then(|| actor_adam.weights().copy());
         Self {
-            actor_adam: Adam::new(&mut actor),
-            critic_adam: Adam::new(&mut critic),
+            copies,
+            pool: (shards > 1).then(|| threads.build().expect("threads can be started")),
+            settings: settings.clone(),
+            device,
             actor,
             critic,
+            actor_adam,
+            critic_adam,
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
-            settings: settings.clone(),
+            average,
             critic_memory: None,
         }
     }
 
-    pub(super) fn state(&self) -> Vec<(String, Tensor)> {
+    /// Applies `work` to each item with a copy of the networks of its own, in parallel; results in order.
+    fn parallel<T: Send, R: Send>(&mut self, items: Vec<T>, work: impl Fn(&N, T) -> R + Sync) -> Vec<R> {
+        let pairs = self.copies.iter_mut().zip(items);
+        match &self.pool {
+            None => pairs.map(|(networks, item)| work(networks, item)).collect(),
+            Some(pool) => {
+                let pairs: Vec<_> = pairs.collect();
+                pool.install(|| pairs.into_par_iter().map(|(networks, item)| work(networks, item)).collect())
+            }
+        }
+    }
+
+    /// Values (normalised) of all rows, `[(T + 1) · E, N]`; fills in the value's memory before each.
+    fn values(&mut self, batch: &mut Batch, rollout: &Rollout) -> Tensor {
+        let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
+        let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].value_memory());
+        let carried = self.critic_memory.take();
+        let carried =
+            carried.unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
+        let share = (envs as usize).div_ceil(self.copies.len()) as i64;
+        let parts: Vec<_> = (0..envs)
+            .step_by(share as usize)
+            .map(|first| {
+                let count = share.min(envs - first);
+                let memory = carried.view([envs, agents, width]).narrow(0, first, count).reshape([count * agents, width]);
+                (count, batch.of_envs(envs, first, count), memory)
+            })
+            .collect();
+        let parts = self.parallel(parts, |networks, (count, part, memory)| {
+            no_grad(|| {
+                let (values, after) = networks.values(&part, steps + 1, &memory);
+                let values = values.view([steps + 1, count, agents]);
+                let memory = after.map(|after| {
+                    let before = Tensor::cat(&[&memory.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
+                    let last = after.get(steps - 1).view([count, agents, width]);
+                    (before.view([steps + 1, count, agents, width]), last)
+                });
+                (values, memory)
+            })
+        });
+        let joined = |tensors: Vec<&Tensor>, dim: i64| Tensor::cat(&tensors, dim);
+        if width > 0 {
+            let memories = || parts.iter().filter_map(|(_, memory)| memory.as_ref());
+            batch.value_memory = joined(memories().map(|m| &m.0).collect(), 1).view([(steps + 1) * envs, agents, width]);
+            self.critic_memory = Some(joined(memories().map(|m| &m.1).collect(), 0).view([envs * agents, width]));
+        }
+        joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
+    }
+
+    /// One gradient step on a minibatch; gives what to report.
+    fn step(&mut self, batch: &Batch, shards: Vec<Shard>, learning_rate: f64) -> Result<Vec<(&'static str, f64)>, Error> {
+        // The reference updates the normalisation in every evaluation of the loss.
+        let returns: Vec<Tensor> = shards.iter().map(|shard| shard.active(&batch.returns)).collect();
+        self.value_norm.update(&Tensor::cat(&returns, 0));
+        let (norm, settings) = (self.value_norm, self.settings.clone());
+        let items: Vec<_> = shards.into_iter().map(|shard| (batch.share(), shard)).collect();
+        let reports = self.parallel(items, |networks, (batch, shard)| {
+            let loss = networks.loss(&batch, &shard, &settings, &norm);
+            (&loss.total * shard.weight).backward();
+            loss.report.iter().map(|(name, value)| (*name, shard.weight * scalar(value))).collect::<Vec<_>>()
+        });
+        let mut report = reports.into_iter().reduce(|mut sums, part| {
+            sums.iter_mut().zip(part).for_each(|(sum, value)| sum.1 += value.1);
+            sums
+        });
+        let report = report.get_or_insert_default();
+        let limit = self.settings.ppo.max_grad_norm;
+        let norms = (self.actor_adam.clip_grad_norm(limit), self.critic_adam.clip_grad_norm(limit));
+        for (what, norm) in [("the policy's gradient", norms.0), ("the value's gradient", norms.1)] {
+            if !norm.is_finite() {
+                return Err(Error::NonFinite { what });
+            }
+        }
+        self.actor_adam.step(learning_rate);
+        self.critic_adam.step(learning_rate);
+        report.extend([("ppo/grad_norm_actor", norms.0), ("ppo/grad_norm_critic", norms.1)]);
+        Ok(std::mem::take(report))
+    }
+}
+
+impl<N: Networks> Algorithm for ActorCritic<N> {
+    fn name(&self) -> &'static str {
+        N::NAME
+    }
+
+    fn memory(&self) -> usize {
+        self.copies[0].memory() as usize
+    }
+
+    fn samples_graph(&self) -> bool {
+        N::SAMPLES_GRAPH
+    }
+
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        no_grad(|| {
+            if self.device == Device::Cpu {
+                return self.copies[0].act(input, mode);
+            }
+            let there = |tensor: &Tensor| tensor.to_device(self.device);
+            let input = input.map(there);
+            let decision = match mode {
+                ActMode::Deterministic => self.copies[0].act(&input, mode),
+                ActMode::Sample { action, graph } => {
+                    let (action, graph) = (there(action), there(graph));
+                    self.copies[0].act(&input, &ActMode::Sample { action: &action, graph: &graph })
+                }
+            };
+            decision.map(|tensor| tensor.to_device(Device::Cpu))
+        })
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let there = |tensor: &Tensor| tensor.to_device(self.device);
+        let back = |tensor: &Tensor| tensor.to_device(Device::Cpu);
+        let found = no_grad(|| self.copies[0].reconstruct(&input.map(there), &there(state)));
+        found.into_iter().map(|r| Reconstruction { found: back(&r.found), truth: back(&r.truth), ..r }).collect()
+    }
+
+    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
+        let (ppo, network) = (self.settings.ppo.clone(), self.settings.network.clone());
+        let recurrent = self.copies[0].memory() > 0;
+        let length = if recurrent { network.chunk_length } else { 1 };
+        let mut batch = Batch::new(rollout, self.device);
+        batch.value_graph = graph_noise(rollout, self.device, seed.child("graph"));
+        let outputs = self.values(&mut batch, rollout);
+        batch.estimate(rollout, &outputs, &self.value_norm, &ppo);
+        let mut means = Means::default();
+        for epoch in 0..ppo.epochs {
+            if self.settings.iwol.graph_noise == GraphNoise::Resampled {
+                let noise = |of: &str| graph_noise(rollout, self.device, seed.child(of).index(epoch as u64));
+                batch.value_graph = noise("resampled");
+                if N::SAMPLES_GRAPH {
+                    batch.policy_graph = noise("resampled policy");
+                }
+            }
+            let order = seed.child("epoch").index(epoch as u64);
+            for shards in minibatches(rollout, length, ppo.minibatch, self.copies.len(), self.device, order) {
+                means.add(&self.step(&batch, shards, pace.learning_rate)?);
+            }
+        }
+        let head = self.copies[0].head();
+        head.impose(pace.log_std);
+        if let Some(average) = &mut self.average {
+            let _ = no_grad(|| average.lerp_(self.actor_adam.weights(), 1.0 - ppo.average));
+        }
+        means.finish(&[
+            ("ppo/explained_variance", batch.explained_variance),
+            ("ppo/std", head.std()),
+            ("ppo/learning_rate", pace.learning_rate),
+        ])
+    }
+
+    fn swap_average(&mut self) {
+        if let Some(average) = &mut self.average {
+            let mut weights = self.actor_adam.weights().shallow_clone();
+            no_grad(|| {
+                let training = weights.copy();
+                weights.copy_(average);
+                average.copy_(&training);
+            });
+        }
+    }
+
+    fn state(&self) -> Vec<(String, Tensor)> {
         let mut state = Vec::new();
         let mut add = |prefix: &str, tensors: &[(String, Tensor)]| {
-            state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), tensor.detach().copy())));
+            let copy = |tensor: &Tensor| tensor.detach().to_device(Device::Cpu).copy();
+            state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), copy(tensor))));
         };
         add("actor", self.actor.named());
         add("critic", self.critic.named());
+        if let Some(average) = &self.average {
+            add("actor_average", &named_views(average, &self.actor));
+        }
         add("actor_adam", &self.actor_adam.state());
         add("critic_adam", &self.critic_adam.state());
         add("value_norm", &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))]);
@@ -51,244 +302,73 @@ impl Core {
         state
     }
 
-    pub(super) fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        let part = |prefix: &str| -> Vec<(String, Tensor)> {
-            let prefix = format!("{prefix}/");
-            let strip =
-                |(name, t): &(String, Tensor)| name.strip_prefix(&prefix).map(|n| (n.to_owned(), t.shallow_clone()));
-            state.iter().filter_map(strip).collect()
-        };
-        self.actor.copy_from(&part("actor"))?;
-        self.critic.copy_from(&part("critic"))?;
-        self.actor_adam.load_state(&part("actor_adam"))?;
-        self.critic_adam.load_state(&part("critic_adam"))?;
-        let statistics = part("value_norm");
+    fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        self.actor.copy_from(&part(state, "actor"))?;
+        self.critic.copy_from(&part(state, "critic"))?;
+        if let Some(average) = &self.average {
+            nn::copy_named(&named_views(average, &self.actor), &part(state, "actor_average"))?;
+        }
+        self.actor_adam.load_state(&part(state, "actor_adam"))?;
+        self.critic_adam.load_state(&part(state, "critic_adam"))?;
+        self.load_value_norm(state)?;
+        self.critic_memory = part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
+        Ok(())
+    }
+
+    fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        let averaged = part(state, "actor_average");
+        // What is evaluated is what is gone on from. The noise is this run's own matter.
+        let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
+        for (name, tensor) in &mut actor {
+            if let Some((_, own)) = self.actor.named().iter().find(|(own, _)| own == name && name == "head.log_std") {
+                *tensor = own.detach().copy();
+            }
+        }
+        self.actor.copy_from(&actor)?;
+        self.critic.copy_from(&part(state, "critic"))?;
+        if let Some(average) = &mut self.average {
+            no_grad(|| average.copy_(self.actor_adam.weights()));
+        }
+        self.load_value_norm(state)
+    }
+
+    fn parameters(&self) -> (i64, i64) {
+        let needed = |name: &str| !N::TRAINING_ONLY.iter().any(|part| name.starts_with(part));
+        let deployed = self.actor.named().iter().filter(|(name, _)| needed(name)).map(|(_, t)| t.numel() as i64).sum();
+        (deployed, self.actor.count() + self.critic.count())
+    }
+}
+
+impl<N> ActorCritic<N> {
+    fn load_value_norm(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        let statistics = part(state, "value_norm");
         let values =
             statistics.first().map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double))).and_then(Result::ok);
         let values: [f64; 3] = values
             .and_then(|v| v.try_into().ok())
-            .ok_or_else(|| crate::nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;
+            .ok_or_else(|| nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;
         self.value_norm.load_state(values);
-        self.critic_memory = part("critic_memory").first().map(|(_, t)| t.copy());
         Ok(())
     }
-
-    /// Learning rate at this point of the run.
-    pub(super) fn learning_rate(&self, progress: f64) -> f64 {
-        let Ppo { learning_rate, learning_rate_constant: constant, learning_rate_end: end, .. } = self.settings.ppo;
-        let decayed = ((progress - constant) / (1.0 - constant).max(1e-9)).clamp(0.0, 1.0);
-        learning_rate * (1.0 - (1.0 - end) * decayed)
-    }
-
-    /// Clips the gradient norms and moves both networks; gives the norms before clipping. A gradient that is not finite
-    /// moves nothing.
-    pub(super) fn step(&mut self, progress: f64) -> Result<(f64, f64), Error> {
-        let (rate, limit) = (self.learning_rate(progress), self.settings.ppo.max_grad_norm);
-        let norms = (self.actor_adam.clip_grad_norm(limit), self.critic_adam.clip_grad_norm(limit));
-        for (what, norm) in [("the policy's gradient", norms.0), ("the value's gradient", norms.1)] {
-            if !norm.is_finite() {
-                return Err(Error::NonFinite { what });
-            }
-        }
-        self.actor_adam.step(rate);
-        self.critic_adam.step(rate);
-        Ok(norms)
-    }
 }
 
-/// Mean and standard deviation of the actions.
-#[derive(Debug)]
-pub(super) struct GaussianHead {
-    mean: Linear,
-    log_std: Tensor,
-    mode: NoiseMode,
-}
-
-impl GaussianHead {
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: i64, exploration: &Exploration) -> Self {
-        let mean = Linear::new(path.sub("mean"), inputs, actions, Init::Orthogonal(0.01));
-        let _ = no_grad(|| mean.bias().shallow_clone().fill_(exploration.mean_bias));
-        let log_std = path.create("log_std", &[actions], Init::Zeros);
-        let _ = no_grad(|| log_std.shallow_clone().fill_(exploration.log_std_start));
-        Self { mean, log_std, mode: exploration.mode }
-    }
-
-    /// Imposes the scheduled noise for an update and the rollout after it.
-    pub(super) fn schedule(&self, exploration: &Exploration, progress: f64) {
-        if self.mode == NoiseMode::Schedule {
-            let Exploration { log_std_start: start, log_std_end: end, log_std_share: share, .. } = *exploration;
-            let value = start + (end - start) * (progress / share.max(1e-9)).clamp(0.0, 1.0);
-            let _ = no_grad(|| self.log_std.shallow_clone().fill_(value));
-        }
-    }
-
-    /// Mean `[.., A]` and logarithm of the standard deviation `[A]`.
-    pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
-        let log_std =
-            if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
-        (self.mean.forward(x), log_std)
-    }
-
-    /// Action `[.., A]` and its log-probability `[..]`.
-    pub(super) fn sample(&self, x: &Tensor, noise: Option<&Tensor>) -> (Tensor, Tensor) {
-        let (mean, log_std) = self.forward(x);
-        let action = match noise {
-            Some(noise) => &mean + log_std.exp() * noise,
-            None => mean.shallow_clone(),
-        };
-        let log_prob = gaussian_log_prob(&mean, &log_std, &action);
-        (action, log_prob)
-    }
-
-    /// Current standard deviation, averaged over action dimensions.
-    pub(super) fn std(&self) -> f64 {
-        self.log_std.exp().mean(Kind::Float).double_value(&[])
-    }
-}
-
-/// A rollout as tensors; the first dimension is the row `t · E + e`.
-pub(super) struct Batch {
-    /// `[(T + 1) · E, N, O]`
-    pub(super) observation: Tensor,
-    /// `[(T + 1) · E, N, S]`
-    pub(super) state: Tensor,
-    /// `[(T + 1) · E, N, N]`
-    pub(super) comm: Tensor,
-    /// `[T · E, N]`
-    pub(super) active: Tensor,
-    /// 1 − start, `[(T + 1) · E, N]`
-    pub(super) keep: Tensor,
-    /// `[(T + 1) · E, N, M]`
-    pub(super) memory: Tensor,
-    /// `[T · E, N, A]`
-    pub(super) action: Tensor,
-    /// `[T · E, N]`
-    pub(super) log_prob: Tensor,
-    /// Normalised, `[T · E, N]`.
-    pub(super) advantage: Tensor,
-    /// In units of the reward, `[T · E, N]`.
-    pub(super) returns: Tensor,
-    /// The network's outputs before the update, `[T · E, N]`.
-    pub(super) value: Tensor,
-    /// Share of the returns' variance that the values explained.
-    pub(super) explained_variance: f64,
-}
-
-impl Batch {
-    pub(super) fn new(rollout: &Rollout) -> Self {
-        let s = rollout.sizes;
-        let (rows, closed, n) = ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
-        let tensor = |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape);
-        let start = Tensor::from_slice(&rollout.start).view([closed, 1]);
-        let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
-        let empty = || Tensor::zeros([rows, n], (Kind::Float, Device::Cpu));
-        Self {
-            observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
-            state: tensor(&rollout.state, &[closed, n, s.state as i64]),
-            comm: tensor(&rollout.comm, &[closed, n, n]),
-            active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
-            keep,
-            memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
-            action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
-            log_prob: tensor(&rollout.log_prob, &[rows, n]),
-            advantage: empty(),
-            returns: empty(),
-            value: empty(),
-            explained_variance: 0.0,
-        }
-    }
-
-    /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns.
-    pub(super) fn estimate(&mut self, rollout: &Rollout, outputs: &Tensor, norm: &ValueNorm, ppo: &Ppo) {
-        let values = Vec::<f32>::try_from(norm.denormalize(outputs).reshape([-1])).expect("values are floats");
-        let (mut advantage, returns) = rollout.advantages(&values, ppo.gamma, ppo.gae_lambda);
-        let count = advantage.len();
-        self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
-        ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
-        let shape = self.active.size();
-        self.advantage = Tensor::from_slice(&advantage).view(&shape[..]);
-        self.returns = Tensor::from_slice(&returns).view(&shape[..]);
-        self.value = outputs.narrow(0, 0, shape[0]).copy();
-    }
-}
-
-/// Part of a rollout for one gradient step.
-pub(super) struct Minibatch {
-    /// Sequence length L and number of sequences C: rows come as `[L, C]`.
-    pub(super) length: i64,
-    /// Rows `t · E + e`, step-major, `[L · C]`.
-    pub(super) rows: Tensor,
-    /// Rows of the first steps, `[C]`.
-    pub(super) first: Tensor,
-    /// Active samples among the `L · C · N`.
-    pub(super) samples: Tensor,
-}
-
-impl Minibatch {
-    /// Shuffled minibatches of one epoch that hold about `size` samples each.
-    pub(super) fn epoch(rollout: &Rollout, length: usize, size: usize, seed: Seed) -> Vec<Self> {
-        let agents = rollout.sizes.agents;
-        let mut chunks = rollout.chunks(length);
-        rng::shuffle(&mut seed.rng(), &mut chunks);
-        let count =
-            (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
-        let per_batch = chunks.len().div_ceil(count).max(1);
-        chunks
-            .chunks(per_batch)
-            .map(|chunks| {
-                let rows = rollout.rows(chunks, length);
-                let samples: Vec<i64> = (0..rows.len() * agents)
-                    .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
-                    .map(|i| i as i64)
-                    .collect();
-                Self {
-                    length: length as i64,
-                    first: Tensor::from_slice(&rows[..chunks.len()]),
-                    rows: Tensor::from_slice(&rows),
-                    samples: Tensor::from_slice(&samples),
-                }
-            })
-            .collect()
-    }
-
-    /// Whether there is nothing to learn from.
-    pub(super) fn is_empty(&self) -> bool {
-        self.samples.numel() == 0
-    }
-
-    /// The rows of a tensor, `[L · C, …]`.
-    pub(super) fn take(&self, tensor: &Tensor) -> Tensor {
-        tensor.index_select(0, &self.rows)
-    }
-
-    /// The active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
-    pub(super) fn active(&self, tensor: &Tensor) -> Tensor {
-        self.pick(&self.take(tensor))
-    }
-
-    /// The active samples of a tensor that holds this minibatch's rows only, `[L · C, N, …]` to `[B, …]`.
-    pub(super) fn pick(&self, tensor: &Tensor) -> Tensor {
-        tensor.flatten(0, 1).index_select(0, &self.samples)
-    }
-}
-
-/// Standard logistic noise for the graphs of all rows, `[(T + 1) · E, N, N]`.
-pub(super) fn graph_noise(rollout: &Rollout, seed: Seed) -> Tensor {
-    let s = rollout.sizes;
-    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
-    rng::fill_logistic(&mut seed.rng(), &mut noise);
-    Tensor::from_slice(&noise).view([((s.steps + 1) * s.envs) as i64, s.agents as i64, s.agents as i64])
+/// The tensors of a state below `prefix/`.
+fn part(state: &[(String, Tensor)], prefix: &str) -> Vec<(String, Tensor)> {
+    let strip = |(name, t): &(String, Tensor)| {
+        Some((name.strip_prefix(prefix)?.strip_prefix('/')?.to_owned(), t.shallow_clone()))
+    };
+    state.iter().filter_map(strip).collect()
 }
 
 /// Running means of diagnostics over the gradient steps of an update.
 #[derive(Default)]
-pub(super) struct Means {
+struct Means {
     sums: Losses,
     count: f64,
 }
 
 impl Means {
-    pub(super) fn add(&mut self, values: &[(&'static str, f64)]) {
+    fn add(&mut self, values: &[(&'static str, f64)]) {
         if self.sums.is_empty() {
             self.sums = values.iter().map(|(name, _)| (*name, 0.0)).collect();
         }
@@ -299,7 +379,7 @@ impl Means {
     }
 
     /// The means; an error when one is not finite.
-    pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
+    fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
         let mut losses: Losses = self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
         losses.extend_from_slice(extra);
         match losses.iter().find(|(_, value)| !value.is_finite()) {
@@ -309,43 +389,7 @@ impl Means {
     }
 }
 
-/// Loss and diagnostics of the policy on the active samples of a minibatch.
-pub(super) struct PolicyTerms {
-    pub(super) loss: Tensor,
-    pub(super) policy: Tensor,
-    pub(super) entropy: Tensor,
-    pub(super) approx_kl: Tensor,
-    pub(super) clip_fraction: Tensor,
-}
-
-impl PolicyTerms {
-    pub(super) fn new(batch: &Batch, mini: &Minibatch, head: &GaussianHead, input: &Tensor, ppo: &Ppo) -> Self {
-        let (mean, log_std) = head.forward(input);
-        let log_prob = gaussian_log_prob(&mean, &log_std, &mini.active(&batch.action));
-        let old = mini.active(&batch.log_prob);
-        let advantage = mini.active(&batch.advantage);
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &log_prob.ones_like().detach(), ppo.clip);
-        let entropy = gaussian_entropy(&log_std);
-        let (approx_kl, clip_fraction) = no_grad(|| {
-            let difference = &log_prob - &old;
-            let ratio = difference.exp();
-            let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float).mean(Kind::Float);
-            ((ratio - 1.0 - difference).mean(Kind::Float), outside)
-        });
-        Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
-    }
-}
-
-/// Value loss of a minibatch from the critic's outputs for its active samples; updates the normalisation first, as the
-/// reference does in every evaluation of the loss.
-pub(super) fn value_terms(batch: &Batch, mini: &Minibatch, values: &Tensor, norm: &mut ValueNorm, ppo: &Ppo) -> Tensor {
-    let returns = mini.active(&batch.returns);
-    norm.update(&returns);
-    let target = norm.normalize(&returns);
-    ppo::value_loss(values, &mini.active(&batch.value), &target, &target.ones_like(), ppo.clip, ppo.huber_delta)
-}
-
 /// The scalar of a tensor.
-pub(super) fn scalar(tensor: &Tensor) -> f64 {
+fn scalar(tensor: &Tensor) -> f64 {
     tensor.double_value(&[])
 }

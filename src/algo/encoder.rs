@@ -2,6 +2,8 @@
 
 use tch::Tensor;
 
+use super::Observation;
+use super::batch::Shard;
 use super::settings::{EncoderKind, Network};
 use crate::env::Features;
 use crate::nn::{Entity, Gru, LayerNorm, Mlp, Path, TokenGroup};
@@ -75,4 +77,38 @@ impl Encoder {
             }
         }
     }
+}
+
+/// Embeddings of a shard's active samples, `[B, H]`, of one or more features side by side, by an encoder with the given
+/// memory before each row.
+pub(super) fn encode_active(
+    encoder: &Encoder,
+    shard: &Shard,
+    features: &[&Tensor],
+    memory: &Tensor,
+    keep: &Tensor,
+) -> Tensor {
+    let all = |parts: Vec<Tensor>| if parts.len() == 1 { parts[0].shallow_clone() } else { Tensor::cat(&parts, -1) };
+    if encoder.memory() == 0 {
+        // Without memory, inactive samples need not be computed at all.
+        let x = all(features.iter().map(|f| shard.active(f)).collect()).unsqueeze(0);
+        return encoder.forward(&x, memory, keep).0.squeeze_dim(0);
+    }
+    let x = all(features.iter().map(|f| shard.take(f)).collect());
+    let (rows, agents, width) = x.size3().expect("features are [rows, N, F]");
+    let together = rows / shard.length * agents;
+    let first = memory.index_select(0, &shard.first).reshape([together, -1]);
+    let keep = shard.take(keep).view([shard.length, together, 1]);
+    let (f, _) = encoder.forward(&x.view([shard.length, together, width]), &first, &keep);
+    shard.pick(&f.view([rows, agents, -1]))
+}
+
+/// One decision of an encoder on local observations: embeddings `[E, N, H]` and the memory after it, `[E, N, M]`.
+pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
+    let (envs, agents, features) = input.observation.size3().expect("observations are [E, N, O]");
+    let x = input.observation.view([1, envs * agents, features]);
+    let keep = input.keep().reshape([1, envs * agents, 1]);
+    let (f, memory) = encoder.forward(&x, &input.memory.reshape([envs * agents, -1]), &keep);
+    let memory = memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
+    (f.view([envs, agents, -1]), memory)
 }

@@ -4,140 +4,99 @@
 //! Policy and value have a message path each. The graph of the policy is sampled once per decision; its noise is kept with
 //! the rollout, so that the update sees the graph that acted. Deployed policies take the most likely graph.
 
-use tch::{Device, Tensor, no_grad};
+use tch::Tensor;
 
-use super::core::{Batch, Core, GaussianHead, Means, Minibatch, PolicyTerms, graph_noise, scalar, value_terms};
+use super::batch::{Batch, Shard};
+use super::core::{Loss, Networks};
+use super::head::{GaussianHead, PolicyTerms};
 use super::im_iwol::Decoder;
-use super::message::{MessageCritic, MessageTrunk};
-use super::settings::{GraphNoise, WorldTarget};
-use super::{ActMode, Algorithm, Decision, Error, Losses, Observation, Settings};
+use super::message::{MessageCritic, MessageTrunk, Messages};
+use super::settings::WorldTarget;
+use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::Params;
-use crate::rng::Seed;
-use crate::rollout::Rollout;
+use crate::nn::{Path, ValueNorm};
 
 /// Explicit IWoL.
-pub struct ExIwol {
+pub(super) struct ExIwol {
     trunk: MessageTrunk,
     head: GaussianHead,
     world: Decoder,
     critic: MessageCritic,
-    deployed: i64,
-    core: Core,
+    target: WorldTarget,
 }
 
 impl ExIwol {
-    /// A learner with weights drawn from `seed`.
-    pub fn new(spec: &EnvSpec, settings: &Settings, seed: Seed) -> Self {
-        let (mut actor, mut critic) = (Params::new(Device::Cpu), Params::new(Device::Cpu));
-        let (network, iwol) = (&settings.network, &settings.iwol);
-        let hidden = network.hidden;
-        let mut rng = seed.child("actor").rng();
-        let mut root = actor.root(&mut rng);
-        let trunk = MessageTrunk::new(root.sub("trunk"), &spec.observation, network, iwol);
-        let head = GaussianHead::new(root.sub("head"), 2 * hidden, spec.actions as i64, &settings.exploration);
-        let target = if iwol.world_target == WorldTarget::State { spec.state.len() } else { spec.observation.len() };
-        let world = Decoder::new(root.sub("world"), hidden, hidden, target as i64, true);
-        let deployed =
-            actor.named().iter().filter(|(name, _)| !name.starts_with("world.")).map(|(_, t)| t.numel() as i64).sum();
-        let mut rng = seed.child("critic").rng();
-        let message_critic = MessageCritic::new(critic.root(&mut rng), &spec.observation, network, iwol);
-        Self { trunk, head, world, critic: message_critic, deployed, core: Core::new(actor, critic, settings) }
+    /// The message path at one decision.
+    fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
+        self.trunk.forward(&input.observation, &input.memory, &input.keep(), 1, &input.comm, graph)
     }
 }
 
-impl Algorithm for ExIwol {
-    fn name(&self) -> &'static str {
-        "ex-iwol"
+impl Networks for ExIwol {
+    const NAME: &'static str = "ex-iwol";
+    const SAMPLES_GRAPH: bool = true;
+    const TRAINING_ONLY: &'static [&'static str] = &["world."];
+
+    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
+        let (network, iwol) = (&settings.network, &settings.iwol);
+        let hidden = network.hidden;
+        Self {
+            trunk: MessageTrunk::new(actor.sub("trunk"), &spec.observation, network, iwol),
+            head: GaussianHead::new(actor.sub("head"), 2 * hidden, spec.actions as i64, &settings.exploration),
+            world: Decoder::new(actor.sub("world"), hidden, hidden, iwol.world_target.width(spec), true),
+            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
+            target: iwol.world_target,
+        }
     }
 
-    fn memory(&self) -> usize {
-        self.trunk.memory() as usize
+    fn head(&self) -> &GaussianHead {
+        &self.head
     }
 
-    fn samples_graph(&self) -> bool {
-        true
+    fn memory(&self) -> i64 {
+        self.trunk.memory()
+    }
+
+    fn value_memory(&self) -> i64 {
+        self.critic.memory()
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        no_grad(|| {
-            let (envs, agents, _) = input.observation.size3().expect("observations are [E, N, O]");
-            let keep = input.keep();
-            let graph = match mode {
-                ActMode::Deterministic => None,
-                ActMode::Sample { graph, .. } => Some(*graph),
-            };
-            let messages = self.trunk.forward(&input.observation, &input.memory, &keep, 1, &input.comm, graph);
-            let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
-            let (action, log_prob) = self.head.sample(&read, mode.action_noise());
-            let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
-            Decision { action, log_prob, memory }
-        })
+        let (envs, agents, _) = input.observation.size3().expect("observations are [E, N, O]");
+        let graph = match mode {
+            ActMode::Deterministic => None,
+            ActMode::Sample { graph, .. } => Some(*graph),
+        };
+        let messages = self.exchange(input, graph);
+        let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
+        let (action, log_prob) = self.head.sample(&read, mode.action_noise());
+        let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
+        Decision { action, log_prob, memory }
     }
 
-    fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error> {
-        let (ppo, iwol) = (self.core.settings.ppo.clone(), self.core.settings.iwol.clone());
-        let length = if self.trunk.memory() > 0 { self.core.settings.network.chunk_length } else { 1 };
-        let mut batch = Batch::new(rollout);
-        let mut policy_noise = Tensor::from_slice(&rollout.graph_noise).view_as(&batch.comm);
-        let mut noise = graph_noise(rollout, seed.child("graph"));
-        let steps = rollout.sizes.steps as i64;
-        let (outputs, memory) = self.critic.values(&batch, steps, &mut self.core.critic_memory, &noise);
-        batch.estimate(rollout, &outputs, &self.core.value_norm, &ppo);
-        let mut means = Means::default();
-        for epoch in 0..ppo.epochs {
-            if iwol.graph_noise == GraphNoise::Resampled {
-                noise = graph_noise(rollout, seed.child("resampled").index(epoch as u64));
-                policy_noise = graph_noise(rollout, seed.child("resampled policy").index(epoch as u64));
-            }
-            for mini in Minibatch::epoch(rollout, length, ppo.minibatch, seed.child("epoch").index(epoch as u64)) {
-                if mini.is_empty() {
-                    continue;
-                }
-                let (values, _) = self.critic.minibatch(&batch, &mini, &memory, &noise);
-                let value = value_terms(&batch, &mini, &mini.pick(&values), &mut self.core.value_norm, &ppo);
-
-                let messages = self.trunk.minibatch(&batch, &mini, &batch.memory, &policy_noise);
-                let m = mini.pick(&messages.message);
-                let input = Tensor::cat(&[&m, &mini.pick(&messages.embedding)], -1);
-                let policy = PolicyTerms::new(&batch, &mini, &self.head, &input, &ppo);
-                let truth = match iwol.world_target {
-                    WorldTarget::State => mini.active(&batch.state),
-                    WorldTarget::Observation => mini.active(&batch.observation),
-                };
-                let world = self.world.loss(&m, &truth);
-
-                (&policy.loss + iwol.lambda_world * &world + &value).backward();
-                let norms = self.core.step(progress)?;
-                means.add(&[
-                    ("loss/policy", scalar(&policy.policy)),
-                    ("loss/value", scalar(&value)),
-                    ("loss/world", scalar(&world)),
-                    ("loss/entropy", scalar(&policy.entropy)),
-                    ("ppo/approx_kl", scalar(&policy.approx_kl)),
-                    ("ppo/clip_fraction", scalar(&policy.clip_fraction)),
-                    ("ppo/grad_norm_actor", norms.0),
-                    ("ppo/grad_norm_critic", norms.1),
-                ]);
-            }
-        }
-        self.head.schedule(&self.core.settings.exploration, progress);
-        means.finish(&[
-            ("ppo/explained_variance", batch.explained_variance),
-            ("ppo/std", self.head.std()),
-            ("ppo/learning_rate", self.core.learning_rate(progress)),
-        ])
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        self.critic.values(batch, length, memory)
     }
 
-    fn state(&self) -> Vec<(String, Tensor)> {
-        self.core.state()
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let (ppo, iwol) = (&settings.ppo, &settings.iwol);
+        let (values, _) = self.critic.shard(batch, shard);
+        let value = ppo::value_terms(batch, shard, &shard.pick(&values), norm, ppo);
+
+        let messages = self.trunk.shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let m = shard.pick(&messages.message);
+        let input = Tensor::cat(&[&m, &shard.pick(&messages.embedding)], -1);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
+        let world = self.world.loss(&m, &shard.active(self.target.of(&batch.observation, &batch.state)));
+
+        let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach())];
+        report.extend(policy.report());
+        Loss { total: &policy.loss + iwol.lambda_world * &world + value, report }
     }
 
-    fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        self.core.load(state)
-    }
-
-    fn parameters(&self) -> (i64, i64) {
-        (self.deployed, self.core.actor.count() + self.core.critic.count())
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let truth = self.target.of(&input.observation, state).shallow_clone();
+        let found = self.world.forward(&self.exchange(input, None).message);
+        vec![Reconstruction { name: "world", found, truth }]
     }
 }

@@ -8,29 +8,28 @@
 //!   target and gets no gradient
 //! - deployed: encoder, Enc_IW and head; no message path
 
-use tch::{Device, Kind, Tensor, no_grad};
+use tch::{Kind, Tensor};
 
-use super::core::{Batch, Core, GaussianHead, Means, Minibatch, PolicyTerms, graph_noise, scalar, value_terms};
-use super::encoder::Encoder;
-use super::mappo::{encode_active, encode_locally};
+use super::batch::{Batch, Shard};
+use super::core::{Loss, Networks};
+use super::encoder::{Encoder, encode_active, encode_locally};
+use super::head::{GaussianHead, PolicyTerms};
 use super::message::MessageCritic;
-use super::settings::{GraphNoise, PolicyInput, WorldTarget};
-use super::{ActMode, Algorithm, Decision, Error, Losses, Observation, Settings};
+use super::settings::{PolicyInput, WorldTarget};
+use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::{Init, Linear, Params, Path};
-use crate::rng::Seed;
-use crate::rollout::Rollout;
+use crate::nn::{Init, Linear, Path, ValueNorm};
 
 /// Implicit IWoL.
-pub struct ImIwol {
+pub(super) struct ImIwol {
     encoder: Encoder,
     latent: Latent,
     head: GaussianHead,
     world: Decoder,
     interaction: Decoder,
     critic: MessageCritic,
-    deployed: i64,
-    core: Core,
+    input: PolicyInput,
+    target: WorldTarget,
 }
 
 /// Enc_IW: embedding to latent z.
@@ -61,53 +60,23 @@ impl Decoder {
         Self { layers, tanh }
     }
 
-    /// Mean squared error against `target`, over samples and dimensions.
-    pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
         let [first, second, third] = &self.layers;
         let output = third.forward(&second.forward(&first.forward(x).relu()).relu());
-        let output = if self.tanh { output.tanh() } else { output };
-        (output - target).square().mean(Kind::Float)
+        if self.tanh { output.tanh() } else { output }
+    }
+
+    /// Mean squared error against `target`, over samples and dimensions.
+    pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
+        (self.forward(x) - target).square().mean(Kind::Float)
     }
 }
 
 impl ImIwol {
-    /// A learner with weights drawn from `seed`.
-    pub fn new(spec: &EnvSpec, settings: &Settings, seed: Seed) -> Self {
-        let (mut actor, mut critic) = (Params::new(Device::Cpu), Params::new(Device::Cpu));
-        let (network, iwol) = (&settings.network, &settings.iwol);
-        let hidden = network.hidden;
-        let mut rng = seed.child("actor").rng();
-        let mut root = actor.root(&mut rng);
-        let encoder = Encoder::new(root.sub("encoder"), &spec.observation, network);
-        let latent = Latent {
-            first: Linear::torch_default(root.sub("latent").sub(0), hidden, hidden / 2),
-            second: Linear::torch_default(root.sub("latent").sub(1), hidden / 2, iwol.latent),
-        };
-        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
-        let head = GaussianHead::new(root.sub("head"), inputs, spec.actions as i64, &settings.exploration);
-        let target = if iwol.world_target == WorldTarget::State { spec.state.len() } else { spec.observation.len() };
-        let world = Decoder::new(root.sub("world"), iwol.latent, hidden, target as i64, true);
-        let interaction = Decoder::new(root.sub("interaction"), iwol.latent, hidden, hidden, iwol.interaction_tanh);
-        let decoders = |name: &str| name.starts_with("world.") || name.starts_with("interaction.");
-        let deployed = actor.named().iter().filter(|(name, _)| !decoders(name)).map(|(_, t)| t.numel() as i64).sum();
-        let mut rng = seed.child("critic").rng();
-        let message_critic = MessageCritic::new(critic.root(&mut rng), &spec.observation, network, iwol);
-        Self {
-            encoder,
-            latent,
-            head,
-            world,
-            interaction,
-            critic: message_critic,
-            deployed,
-            core: Core::new(actor, critic, settings),
-        }
-    }
-
     /// Latent z and what the policy head reads.
     fn policy_input(&self, f: &Tensor) -> (Tensor, Tensor) {
         let z = self.latent.forward(f);
-        let input = match self.core.settings.iwol.policy_input {
+        let input = match self.input {
             PolicyInput::Latent => z.shallow_clone(),
             PolicyInput::LatentEmbedding => Tensor::cat(&[&z, f], -1),
         };
@@ -115,86 +84,83 @@ impl ImIwol {
     }
 }
 
-impl Algorithm for ImIwol {
-    fn name(&self) -> &'static str {
-        "im-iwol"
+impl Networks for ImIwol {
+    const NAME: &'static str = "im-iwol";
+    const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
+
+    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
+        let (network, iwol) = (&settings.network, &settings.iwol);
+        let hidden = network.hidden;
+        let encoder = Encoder::new(actor.sub("encoder"), &spec.observation, network);
+        let latent = Latent {
+            first: Linear::torch_default(actor.sub("latent").sub(0), hidden, hidden / 2),
+            second: Linear::torch_default(actor.sub("latent").sub(1), hidden / 2, iwol.latent),
+        };
+        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
+        let head = GaussianHead::new(actor.sub("head"), inputs, spec.actions as i64, &settings.exploration);
+        let truth = iwol.world_target.width(spec);
+        Self {
+            encoder,
+            latent,
+            head,
+            world: Decoder::new(actor.sub("world"), iwol.latent, hidden, truth, true),
+            interaction: Decoder::new(actor.sub("interaction"), iwol.latent, hidden, hidden, iwol.interaction_tanh),
+            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
+            input: iwol.policy_input,
+            target: iwol.world_target,
+        }
     }
 
-    fn memory(&self) -> usize {
-        self.encoder.memory() as usize
+    fn head(&self) -> &GaussianHead {
+        &self.head
+    }
+
+    fn memory(&self) -> i64 {
+        self.encoder.memory()
+    }
+
+    fn value_memory(&self) -> i64 {
+        self.critic.memory()
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        no_grad(|| {
-            let (f, memory) = encode_locally(&self.encoder, input);
-            let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode.action_noise());
-            Decision { action, log_prob, memory }
-        })
+        let (f, memory) = encode_locally(&self.encoder, input);
+        let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode.action_noise());
+        Decision { action, log_prob, memory }
     }
 
-    fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error> {
-        let (ppo, iwol) = (self.core.settings.ppo.clone(), self.core.settings.iwol.clone());
-        let length = if self.encoder.memory() > 0 { self.core.settings.network.chunk_length } else { 1 };
-        let mut batch = Batch::new(rollout);
-        let mut noise = graph_noise(rollout, seed.child("graph"));
-        let steps = rollout.sizes.steps as i64;
-        let (outputs, memory) = self.critic.values(&batch, steps, &mut self.core.critic_memory, &noise);
-        batch.estimate(rollout, &outputs, &self.core.value_norm, &ppo);
-        let mut means = Means::default();
-        for epoch in 0..ppo.epochs {
-            if iwol.graph_noise == GraphNoise::Resampled {
-                noise = graph_noise(rollout, seed.child("resampled").index(epoch as u64));
-            }
-            for mini in Minibatch::epoch(rollout, length, ppo.minibatch, seed.child("epoch").index(epoch as u64)) {
-                if mini.is_empty() {
-                    continue;
-                }
-                let (values, messages) = self.critic.minibatch(&batch, &mini, &memory, &noise);
-                let value = value_terms(&batch, &mini, &mini.pick(&values), &mut self.core.value_norm, &ppo);
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        self.critic.values(batch, length, memory)
+    }
 
-                let f = encode_active(&self.encoder, &mini, &batch.observation, &batch.memory, &batch.keep);
-                let (z, input) = self.policy_input(&f);
-                let policy = PolicyTerms::new(&batch, &mini, &self.head, &input, &ppo);
-                let truth = match iwol.world_target {
-                    WorldTarget::State => mini.active(&batch.state),
-                    WorldTarget::Observation => mini.active(&batch.observation),
-                };
-                let world = self.world.loss(&z, &truth);
-                let interaction = self.interaction.loss(&z, &mini.pick(&messages.detach()));
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let (ppo, iwol) = (&settings.ppo, &settings.iwol);
+        let (values, messages) = self.critic.shard(batch, shard);
+        let value = ppo::value_terms(batch, shard, &shard.pick(&values), norm, ppo);
 
-                let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
-                (actor + &value).backward();
-                let norms = self.core.step(progress)?;
-                means.add(&[
-                    ("loss/policy", scalar(&policy.policy)),
-                    ("loss/value", scalar(&value)),
-                    ("loss/world", scalar(&world)),
-                    ("loss/interaction", scalar(&interaction)),
-                    ("loss/entropy", scalar(&policy.entropy)),
-                    ("ppo/approx_kl", scalar(&policy.approx_kl)),
-                    ("ppo/clip_fraction", scalar(&policy.clip_fraction)),
-                    ("ppo/grad_norm_actor", norms.0),
-                    ("ppo/grad_norm_critic", norms.1),
-                ]);
-            }
+        let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
+        let (z, input) = self.policy_input(&f);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
+        let world = self.world.loss(&z, &shard.active(self.target.of(&batch.observation, &batch.state)));
+        let interaction = self.interaction.loss(&z, &shard.pick(&messages.detach()));
+
+        let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
+        let mut report = vec![
+            ("loss/value", value.detach()),
+            ("loss/world", world.detach()),
+            ("loss/interaction", interaction.detach()),
+        ];
+        report.extend(policy.report());
+        Loss { total: actor + value, report }
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let z = self.latent.forward(&encode_locally(&self.encoder, input).0);
+        let truth = self.target.of(&input.observation, state).shallow_clone();
+        let mut all = vec![Reconstruction { name: "world", found: self.world.forward(&z), truth }];
+        if let Some(truth) = self.critic.messages(input) {
+            all.push(Reconstruction { name: "interaction", found: self.interaction.forward(&z), truth });
         }
-        self.head.schedule(&self.core.settings.exploration, progress);
-        means.finish(&[
-            ("ppo/explained_variance", batch.explained_variance),
-            ("ppo/std", self.head.std()),
-            ("ppo/learning_rate", self.core.learning_rate(progress)),
-        ])
-    }
-
-    fn state(&self) -> Vec<(String, Tensor)> {
-        self.core.state()
-    }
-
-    fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        self.core.load(state)
-    }
-
-    fn parameters(&self) -> (i64, i64) {
-        (self.deployed, self.core.actor.count() + self.core.critic.count())
+        all
     }
 }

@@ -1,9 +1,10 @@
 //! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and rounds of attention over it
 //! (paper: "Graph-attention Communication Protocol"; DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
 
-use tch::{Kind, Tensor, no_grad};
+use tch::Tensor;
 
-use super::core::{Batch, Minibatch};
+use super::batch::{Batch, Shard};
+use super::Observation;
 use super::encoder::Encoder;
 use super::settings::{Iwol, Network};
 use crate::env::Features;
@@ -67,15 +68,15 @@ impl MessageTrunk {
         Messages { message: self.transformer.forward(&embedding, &graph), embedding, memory: memories }
     }
 
-    /// As [`MessageTrunk::forward`], on the rows of a minibatch; `memory` is the trunk's own, for all rows.
-    pub(super) fn minibatch(&self, batch: &Batch, mini: &Minibatch, memory: &Tensor, noise: &Tensor) -> Messages {
+    /// As [`MessageTrunk::forward`], on the rows of a shard; `memory` is the trunk's own, for all rows.
+    pub(super) fn shard(&self, batch: &Batch, shard: &Shard, memory: &Tensor, noise: &Tensor) -> Messages {
         self.forward(
-            &mini.take(&batch.observation),
-            &memory.index_select(0, &mini.first),
-            &mini.take(&batch.keep),
-            mini.length,
-            &mini.take(&batch.comm),
-            Some(&mini.take(noise)),
+            &shard.take(&batch.observation),
+            &memory.index_select(0, &shard.first),
+            &shard.take(&batch.keep),
+            shard.length,
+            &shard.take(&batch.comm),
+            Some(&shard.take(noise)),
         )
     }
 }
@@ -95,57 +96,48 @@ impl MessageCritic {
         }
     }
 
-    /// Values (normalised) of a minibatch's rows, `[rows, N]`, and the messages behind them.
-    pub(super) fn minibatch(
-        &self,
-        batch: &Batch,
-        mini: &Minibatch,
-        memory: &Tensor,
-        noise: &Tensor,
-    ) -> (Tensor, Tensor) {
-        let messages = self.trunk.minibatch(batch, mini, memory, noise);
+    /// Memory per agent.
+    pub(super) fn memory(&self) -> i64 {
+        self.trunk.memory()
+    }
+
+    /// Values (normalised) of a shard's rows, `[rows, N]`, and the messages behind them, `[rows, N, H]`.
+    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor) {
+        let messages = self.trunk.shard(batch, shard, &batch.value_memory, &batch.value_graph);
         (self.head(&messages), messages.message)
+    }
+
+    /// The messages at one decision, over the most likely graph, `[E, N, H]`. Only without memory: that of the value is
+    /// not kept outside training.
+    pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
+        let messages = |keep: &Tensor| {
+            self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None).message
+        };
+        (self.trunk.memory() == 0).then(|| messages(&input.keep()))
     }
 
     fn head(&self, messages: &Messages) -> Tensor {
         self.value.forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1)).squeeze_dim(-1)
     }
 
-    /// Values (normalised) of a whole rollout, `[(T + 1) · E, N]`, with the memory before each of its rows,
-    /// `[(T + 1) · E, N, M]`; `carried` is the memory that the last rollout left, and is replaced.
-    pub(super) fn values(
-        &self,
-        batch: &Batch,
-        steps: i64,
-        carried: &mut Option<Tensor>,
-        noise: &Tensor,
-    ) -> (Tensor, Tensor) {
+    /// Values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory after each step.
+    pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        let whole = (&batch.observation, &batch.keep, &batch.comm, &batch.value_graph);
+        if self.trunk.memory() > 0 {
+            let messages = self.trunk.forward(whole.0, memory, whole.1, length, whole.2, Some(whole.3));
+            return (self.head(&messages), messages.memory);
+        }
         let (rows, agents, _) = batch.observation.size3().expect("observations are [rows, N, O]");
-        let width = self.trunk.memory();
-        no_grad(|| {
-            if width == 0 {
-                let memory = batch.observation.new_zeros([rows, agents, 0], (Kind::Float, tch::Device::Cpu));
-                let part = |from: i64, count: i64| {
-                    let cut = |t: &Tensor| t.narrow(0, from, count);
-                    let (o, c, z) = (cut(&batch.observation), cut(&batch.comm), cut(noise));
-                    self.head(&self.trunk.forward(&o, &cut(&memory), &cut(&batch.keep), 1, &c, Some(&z)))
-                };
-                // Parts bound the peak of memory; they change nothing else.
-                let size = (16_384 / agents).max(1);
-                let parts: Vec<Tensor> =
-                    (0..rows).step_by(size as usize).map(|k| part(k, size.min(rows - k))).collect();
-                return (Tensor::cat(&parts, 0), memory);
-            }
-            let envs = rows / (steps + 1);
-            let first = carried
-                .take()
-                .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, tch::Device::Cpu)));
-            let whole = (&batch.observation, &batch.keep, &batch.comm);
-            let messages = self.trunk.forward(whole.0, &first, whole.1, steps + 1, whole.2, Some(noise));
-            let after = messages.memory.as_ref().expect("a recurrent encoder has memory");
-            let before = Tensor::cat(&[&first.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
-            *carried = Some(after.get(steps - 1).copy());
-            (self.head(&messages), before.view([rows, agents, width]))
-        })
+        let part = |from: i64, count: i64| {
+            let cut = |t: &Tensor| t.narrow(0, from, count);
+            let messages = self.trunk.forward(
+                &cut(whole.0), memory, &cut(whole.1), 1, &cut(whole.2), Some(&cut(whole.3)),
+            );
+            self.head(&messages)
+        };
+        // Parts bound the peak of memory; they change nothing else.
+        let size = (4096 / agents).max(1);
+        let parts: Vec<Tensor> = (0..rows).step_by(size as usize).map(|k| part(k, size.min(rows - k))).collect();
+        (Tensor::cat(&parts, 0), None)
     }
 }

@@ -1,20 +1,22 @@
-//! The learners. What they share are pure functions ([`ppo`]) and small parts; each algorithm is one file with its own loop.
+//! The learners. An algorithm is one file: networks that decide and say what they lose. [`ppo`] holds the losses as pure
+//! functions, `core` the passes over a rollout; a method that does not fit them implements [`Algorithm`] itself.
 
+mod batch;
 mod core;
 mod encoder;
 mod ex_iwol;
+mod head;
 mod im_iwol;
 mod mappo;
 mod message;
 pub mod ppo;
 pub mod settings;
 
-pub use ex_iwol::ExIwol;
-pub use im_iwol::ImIwol;
-pub use mappo::Mappo;
 pub use settings::Settings;
 
-use tch::Tensor;
+use tch::{Device, Tensor};
+
+use self::core::ActorCritic;
 
 use crate::env::EnvSpec;
 use crate::nn;
@@ -80,6 +82,43 @@ pub struct Decision {
     pub memory: Tensor,
 }
 
+impl Observation {
+    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self {
+            observation: change(&self.observation),
+            comm: change(&self.comm),
+            start: change(&self.start),
+            memory: change(&self.memory),
+        }
+    }
+}
+
+impl Decision {
+    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self { action: change(&self.action), log_prob: change(&self.log_prob), memory: change(&self.memory) }
+    }
+}
+
+/// What a latent says about something, beside the truth.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// Of what: `world` or `interaction`.
+    pub name: &'static str,
+    /// What the decoder makes of the latent, `[E, N, K]`.
+    pub found: Tensor,
+    /// The truth, `[E, N, K]`.
+    pub truth: Tensor,
+}
+
+/// How fast to learn, and how much to explore afterwards.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Learning rate of this update.
+    pub learning_rate: f64,
+    /// Logarithm of the standard deviation of the actions from this update on, where it is imposed.
+    pub log_std: f64,
+}
+
 /// Named diagnostics of an update, in the field's usual names.
 pub type Losses = Vec<(&'static str, f64)>;
 
@@ -99,11 +138,18 @@ pub trait Algorithm {
     /// Chooses actions; no gradients, nothing of the learner changes.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
 
-    /// Learns from one rollout. `progress` is the share of the run that is done, `seed` the source of all noise.
+    /// What the latent says about `state [E, N, S]` and about messages; empty for methods without a latent.
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction>;
+
+    /// Learns from one rollout; `seed` is the source of all noise.
     ///
     /// # Errors
     /// [`Error::NonFinite`] when a loss is not finite.
-    fn update(&mut self, rollout: &Rollout, progress: f64, seed: Seed) -> Result<Losses, Error>;
+    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error>;
+
+    /// Exchanges the policy's weights with their average, if one is kept: once before [`Algorithm::act`] in an evaluation,
+    /// once more before training goes on.
+    fn swap_average(&mut self);
 
     /// Weights, optimiser moments, value normalisation: everything that [`Algorithm::load`] needs to go on bit for bit.
     fn state(&self) -> Vec<(String, Tensor)>;
@@ -114,19 +160,32 @@ pub trait Algorithm {
     /// [`Error::State`] when it is of another network.
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error>;
 
+    /// Takes over the weights (the averaged ones, where there are any) and the value normalisation of a state, and nothing
+    /// else: training starts from them.
+    ///
+    /// # Errors
+    /// [`Error::State`] when they are of another network.
+    fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error>;
+
     /// Number of parameters that a deployed policy needs, and of all.
     fn parameters(&self) -> (i64, i64);
 }
 
-/// Builds an algorithm by name, with weights drawn from `seed`.
+/// Builds an algorithm by name on `device`, with weights drawn from `seed`.
 ///
 /// # Errors
 /// [`Error::UnknownAlgorithm`].
-pub fn build(name: &str, spec: &EnvSpec, settings: &Settings, seed: Seed) -> Result<Box<dyn Algorithm>, Error> {
+pub fn build(
+    name: &str,
+    spec: &EnvSpec,
+    settings: &Settings,
+    seed: Seed,
+    device: Device,
+) -> Result<Box<dyn Algorithm>, Error> {
     match name {
-        "mappo" => Ok(Box::new(Mappo::new(spec, settings, seed))),
-        "im-iwol" => Ok(Box::new(ImIwol::new(spec, settings, seed))),
-        "ex-iwol" => Ok(Box::new(ExIwol::new(spec, settings, seed))),
+        "mappo" => Ok(Box::new(ActorCritic::<mappo::Mappo>::new(spec, settings, seed, device))),
+        "im-iwol" => Ok(Box::new(ActorCritic::<im_iwol::ImIwol>::new(spec, settings, seed, device))),
+        "ex-iwol" => Ok(Box::new(ActorCritic::<ex_iwol::ExIwol>::new(spec, settings, seed, device))),
         _ => Err(Error::UnknownAlgorithm { name: name.to_owned() }),
     }
 }

@@ -2,6 +2,10 @@
 
 use tch::{Kind, Tensor};
 
+use super::batch::{Batch, Shard};
+use super::settings::Ppo;
+use crate::nn::ValueNorm;
+
 /// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. All arguments `[B]`.
 pub fn policy_loss(log_prob: &Tensor, old_log_prob: &Tensor, advantage: &Tensor, active: &Tensor, clip: f64) -> Tensor {
     let ratio = (log_prob - old_log_prob).exp();
@@ -21,6 +25,12 @@ pub fn value_loss(
     let clipped = old_value + (value - old_value).clamp(-clip, clip);
     let loss = huber(&(target - value), huber_delta).maximum(&huber(&(target - clipped), huber_delta));
     masked_mean(&loss, active)
+}
+
+/// Value loss of a shard from the critic's outputs for its active samples.
+pub(super) fn value_terms(batch: &Batch, shard: &Shard, values: &Tensor, norm: &ValueNorm, ppo: &Ppo) -> Tensor {
+    let target = norm.normalize(&shard.active(&batch.returns));
+    value_loss(values, &shard.active(&batch.value), &target, &target.ones_like(), ppo.clip, ppo.huber_delta)
 }
 
 /// e²/2 up to `delta`, linear beyond.

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use tch::Tensor;
+
+use crate::env::EnvSpec;
 use crate::nn::MaskMode;
 
 /// Everything a learner can be told.
@@ -68,14 +71,19 @@ pub enum EncoderKind {
 pub struct Ppo {
     /// Adam's learning rate for policy and value.
     pub learning_rate: f64,
-    /// Share of the run after which the rate falls linearly.
-    pub learning_rate_constant: f64,
-    /// Share of the rate that is left at the end.
+    /// Share of the rate that is left when annealing is over; until annealing begins the rate is constant.
     pub learning_rate_end: f64,
     /// Passes over a rollout.
     pub epochs: usize,
     /// Samples (agent × step) per minibatch; more gradient steps with smaller ones.
     pub minibatch: usize,
+    /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
+    /// As many as there are cores is fastest. Sums are rounded differently with another number, so that it is a setting,
+    /// and not found out from the machine.
+    pub shards: usize,
+    /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use; 0: the last
+    /// weights are used.
+    pub average: f64,
     /// Discount per step.
     pub gamma: f64,
     /// λ of generalised advantage estimation.
@@ -96,10 +104,11 @@ impl Default for Ppo {
     fn default() -> Self {
         Self {
             learning_rate: 7e-4,
-            learning_rate_constant: 0.6,
-            learning_rate_end: 0.1,
+            learning_rate_end: 0.02,
             epochs: 5,
             minibatch: 2048,
+            shards: 2,
+            average: 0.9,
             gamma: 0.99,
             gae_lambda: 0.95,
             clip: 0.2,
@@ -119,17 +128,27 @@ pub struct Exploration {
     pub mode: NoiseMode,
     /// Logarithm of the standard deviation at the beginning (of the parameter, when learned).
     pub log_std_start: f64,
-    /// … at the end of the schedule.
+    /// … after [`Exploration::explore_steps`], held until annealing begins. Too low freezes a run that has not found the
+    /// way yet.
+    pub log_std_explore: f64,
+    /// … when annealing is over.
     pub log_std_end: f64,
-    /// Share of the run over which it falls linearly. Too early freezes a run that has not found the way yet.
-    pub log_std_share: f64,
+    /// Environment steps over which it falls linearly from the first to the second.
+    pub explore_steps: u64,
     /// Action mean of an untrained policy: above zero, agents move at once.
     pub mean_bias: f64,
 }
 
 impl Default for Exploration {
     fn default() -> Self {
-        Self { mode: NoiseMode::Schedule, log_std_start: 0.0, log_std_end: -1.7, log_std_share: 0.75, mean_bias: 0.5 }
+        Self {
+            mode: NoiseMode::Schedule,
+            log_std_start: 0.0,
+            log_std_explore: -0.8,
+            log_std_end: -1.7,
+            explore_steps: 130_000,
+            mean_bias: 0.5,
+        }
     }
 }
 
@@ -224,4 +243,22 @@ pub enum WorldTarget {
     State,
     /// Own observation.
     Observation,
+}
+
+impl WorldTarget {
+    /// Features of the target.
+    pub(super) fn width(self, spec: &EnvSpec) -> i64 {
+        match self {
+            Self::State => spec.state.len() as i64,
+            Self::Observation => spec.observation.len() as i64,
+        }
+    }
+
+    /// The target among the two.
+    pub(super) fn of<'a>(self, observation: &'a Tensor, state: &'a Tensor) -> &'a Tensor {
+        match self {
+            Self::State => state,
+            Self::Observation => observation,
+        }
+    }
 }

@@ -94,8 +94,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let task = Arc::new(Task::new(&scenario, config.agents)?);
     let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
         Some(checkpoint) => {
-            let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &config.settings(), Seed::new(0))?;
-            learner.load(&checkpoint.learner).context("the checkpoint does not fit this scenario's observations")?;
+            let (settings, device) = (config.settings(), config.device.find()?);
+            let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
+            learner
+                .load_weights(&checkpoint.learner)
+                .context("the checkpoint does not fit this scenario's observations")?;
             Some(learner)
         }
         None => None,
@@ -147,14 +150,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 }
 
 fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
-    let path = if run.is_dir() {
-        let dir = RunDir::new(run);
-        [dir.best(), dir.last()].into_iter().find(|path| path.exists()).with_context(|| {
-            format!("`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors", run.display())
-        })?
-    } else {
-        run.to_owned()
-    };
+    let path = RunDir::checkpoint(run);
+    if run.is_dir() && !path.exists() {
+        bail!("`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors", run.display());
+    }
     let checkpoint = Checkpoint::load(&path)?;
     if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
         bail!("`{}` is of the algorithm `{}`, which this program does not have", path.display(), checkpoint.algorithm);

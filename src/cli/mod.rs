@@ -62,8 +62,8 @@ pub fn main() -> ExitCode {
         .with_target(false)
         .without_time()
         .init();
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    tch::set_num_threads(cores as i32);
+    // Learners work on shards in parallel; threads of libtorch's own would only get into their way.
+    tch::set_num_threads(1);
     let result = match &cli.verb {
         Verb::Train(args) => train::run(args),
         Verb::Evaluate(args) => evaluate::run(args),

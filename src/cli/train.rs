@@ -33,6 +33,12 @@ pub(super) struct Args {
     /// Environment steps (of one world each)
     #[arg(long)]
     steps: Option<u64>,
+    /// Start from the weights of a run folder or checkpoint, of any number of vehicles
+    #[arg(long, value_name = "CHECKPOINT")]
+    init_from: Option<PathBuf>,
+    /// Where the networks are computed
+    #[arg(long, value_name = "cpu|cuda")]
+    device: Option<String>,
     /// How SUMO is spoken to; results do not depend on it
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
@@ -65,6 +71,12 @@ impl Args {
         }
         if let Some(seed) = self.seed {
             flags.push(("seed", integer(seed)?));
+        }
+        if let Some(path) = &self.init_from {
+            flags.push(("init_from", Value::String(path.display().to_string())));
+        }
+        if let Some(device) = &self.device {
+            flags.push(("device", Value::String(device.clone())));
         }
         if let Some(backend) = &self.backend {
             flags.push(("simulation.backend", Value::String(backend.clone())));

@@ -1,8 +1,10 @@
-//! What an agent sees: itself, the vehicle ahead, its nearest neighbours, and the streams that its route meets.
+//! What an agent sees of itself and of the others, in one of two ways or both, as the scenario says:
 //!
-//! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros. The stream groups
-//! describe, for each route that crosses or merges with the agent's own, the vehicles next to the meeting point:
-//! a description that does not depend on the number of vehicles and reads the same from every arm.
+//! - `nearest`: the nearest vehicles in any direction (paper).
+//! - `conflict`: the vehicle ahead, and for each route that crosses or merges with the agent's own, the vehicles next to
+//!   the meeting point: a description that does not depend on the number of vehicles and reads the same from every arm.
+//!
+//! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros.
 
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
@@ -41,28 +43,33 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             ("to_conflict_near", "15 m", -1.0, 1.0),
             ("to_arrival", "100 m", -1.0, 1.0),
             ("lateral", "1.75 m, positive left", -1.0, 1.0),
-            ("vehicles_ahead", "12 vehicles", 0.0, 1.0),
         ],
     );
+    if settings.groups.nearest() {
+        features.push(
+            "neighbour",
+            settings.neighbours,
+            &[
+                ("forward", "50 m", -1.0, 1.0),
+                ("left", "50 m", -1.0, 1.0),
+                ("velocity_forward", "22.2 m/s", -1.0, 1.0),
+                ("velocity_left", "22.2 m/s", -1.0, 1.0),
+                ("moving", "flag", 0.0, 1.0),
+                ("present", "flag", 0.0, 1.0),
+            ],
+        );
+    }
+    if !settings.groups.conflict() {
+        return features;
+    }
     features.push(
         "leader",
         1,
         &[
+            ("vehicles_ahead", "12 vehicles", 0.0, 1.0),
             ("gap_near", "10 m", -1.0, 1.0),
             ("gap_far", "50 m", -1.0, 1.0),
             ("relative_speed", "10 m/s", -1.0, 1.0),
-            ("moving", "flag", 0.0, 1.0),
-            ("present", "flag", 0.0, 1.0),
-        ],
-    );
-    features.push(
-        "neighbour",
-        settings.neighbours,
-        &[
-            ("forward", "50 m", -1.0, 1.0),
-            ("left", "50 m", -1.0, 1.0),
-            ("velocity_forward", "22.2 m/s", -1.0, 1.0),
-            ("velocity_left", "22.2 m/s", -1.0, 1.0),
             ("moving", "flag", 0.0, 1.0),
             ("present", "flag", 0.0, 1.0),
         ],
@@ -80,35 +87,23 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         );
         features.push(&format!("stream{stream}_vehicle"), settings.stream_vehicles, &VEHICLE);
     }
-    if settings.conflict_streams > 0 {
-        features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
-    }
+    features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
     features
+}
+
+/// What writing one agent's observation needs to know.
+struct View<'a> {
+    scenario: &'a Scenario,
+    routes: &'a [RouteGeometry],
+    traffic: &'a Traffic,
+    slot: usize,
 }
 
 /// Writes the observation of the agent in `slot`, `[O]`.
 pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Traffic, slot: usize, out: &mut [f32]) {
-    let settings = &scenario.observation;
-    let range = settings.detection_range;
     let own = &traffic.slots[slot];
     let route = &routes[own.route];
-    let seen = |j: usize| j != slot && traffic.distance(slot, j) <= range;
     let mut w = Writer::new(out);
-
-    // The nearest vehicle in front on the agent's lanes, and how many there are.
-    let mut ahead = 0;
-    let mut leader: Option<(f64, usize)> = None;
-    for (r, queue) in traffic.by_route.iter().enumerate() {
-        for &j in queue.iter().filter(|&&j| seen(j)) {
-            if let Some(gap) = route.shared_position(r, traffic.slots[j].s).map(|s| s - own.s).filter(|&gap| gap > 0.0)
-            {
-                ahead += 1;
-                if leader.is_none_or(|(best, _)| gap < best) {
-                    leader = Some((gap, j));
-                }
-            }
-        }
-    }
     let (sin, cos) = own.pose.heading.sin_cos();
     let to_conflict = route.to_first_conflict(own.s);
     w.put([
@@ -120,74 +115,114 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
         to_conflict / NEAR,
         (route.arrival - own.s) / 100.0,
         own.lateral / 1.75,
-        f64::from(ahead) / COUNT,
     ]);
-    if let Some((centre_gap, j)) = leader {
-        let gap = centre_gap - scenario.vehicle.length;
-        let other = &traffic.slots[j];
-        w.put([gap / 10.0, gap / FAR, (other.speed - own.speed) / 10.0, moving(other.status), 1.0]);
-    } else {
-        w.skip(5);
+    let view = View { scenario, routes, traffic, slot };
+    let groups = scenario.observation.groups;
+    if groups.nearest() {
+        view.put_nearest(&mut w);
     }
-
-    let mut nearest = [(f64::INFINITY, usize::MAX); 16];
-    let k = settings.neighbours.min(nearest.len());
-    if k > 0 {
-        for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && seen(j)) {
-            let d = traffic.distance(slot, j);
-            if d < nearest[k - 1].0 {
-                let at = nearest[..k].partition_point(|entry| entry.0 <= d);
-                nearest[at..k].rotate_right(1);
-                nearest[at] = (d, j);
-            }
-        }
-    }
-    for &(d, j) in &nearest[..k] {
-        if d.is_infinite() {
-            w.skip(6);
-            continue;
-        }
-        let other = &traffic.slots[j];
-        let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
-        let (other_sin, other_cos) = other.pose.heading.sin_cos();
-        let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
-        w.put([
-            (dx * cos + dy * sin) / FAR,
-            (dy * cos - dx * sin) / FAR,
-            (vx * cos + vy * sin) / SPEED,
-            (vy * cos - vx * sin) / SPEED,
-            moving(other.status),
-            1.0,
-        ]);
-    }
-
-    for stream in 0..settings.conflict_streams {
-        let Some(conflict) = route.conflicts.get(stream) else {
-            w.skip(4 + 5 * settings.stream_vehicles);
-            continue;
-        };
-        let own_distance = conflict.own - own.s;
-        let approaching = || {
-            // Queues are sorted by position, furthest first: next to the conflict point first.
-            traffic.by_route[conflict.route]
-                .iter()
-                .map(|&j| (conflict.other - traffic.slots[j].s, j))
-                .filter(|&(u, j)| u > -CLEARED && seen(j))
-        };
-        w.put([own_distance / FAR, own_distance / NEAR, approaching().count() as f64 / COUNT, 1.0]);
-        put_vehicles(&mut w, traffic, approaching(), settings.stream_vehicles);
-    }
-    if settings.conflict_streams > 0 {
-        let others = route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
-        let distances = others.map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j));
-        put_vehicles(
-            &mut w,
-            traffic,
-            distances.filter(|&(u, j)| u > -2.0 * CLEARED && seen(j)),
-            settings.stream_vehicles,
-        );
+    if groups.conflict() {
+        view.put_leader(&mut w);
+        view.put_streams(&mut w);
     }
     debug_assert_eq!(w.at, w.out.len());
+}
+
+impl View<'_> {
+    fn seen(&self, j: usize) -> bool {
+        j != self.slot && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
+    }
+
+    /// The nearest vehicles, nearest first.
+    fn put_nearest(&self, w: &mut Writer) {
+        let traffic = self.traffic;
+        let own = &traffic.slots[self.slot];
+        let (sin, cos) = own.pose.heading.sin_cos();
+        let mut nearest = [(f64::INFINITY, usize::MAX); 16];
+        let k = self.scenario.observation.neighbours.min(nearest.len());
+        if k > 0 {
+            for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j)) {
+                let d = traffic.distance(self.slot, j);
+                if d < nearest[k - 1].0 {
+                    let at = nearest[..k].partition_point(|entry| entry.0 <= d);
+                    nearest[at..k].rotate_right(1);
+                    nearest[at] = (d, j);
+                }
+            }
+        }
+        for &(d, j) in &nearest[..k] {
+            if d.is_infinite() {
+                w.skip(6);
+                continue;
+            }
+            let other = &traffic.slots[j];
+            let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
+            let (other_sin, other_cos) = other.pose.heading.sin_cos();
+            let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
+            w.put([
+                (dx * cos + dy * sin) / FAR,
+                (dy * cos - dx * sin) / FAR,
+                (vx * cos + vy * sin) / SPEED,
+                (vy * cos - vx * sin) / SPEED,
+                moving(other.status),
+                1.0,
+            ]);
+        }
+    }
+
+    /// The nearest vehicle in front on the agent's lanes, and how many there are.
+    fn put_leader(&self, w: &mut Writer) {
+        let traffic = self.traffic;
+        let own = &traffic.slots[self.slot];
+        let mut ahead = 0;
+        let mut leader: Option<(f64, usize)> = None;
+        for (r, queue) in traffic.by_route.iter().enumerate() {
+            for &j in queue.iter().filter(|&&j| self.seen(j)) {
+                let position = self.routes[own.route].shared_position(r, traffic.slots[j].s);
+                if let Some(gap) = position.map(|s| s - own.s).filter(|&gap| gap > 0.0) {
+                    ahead += 1;
+                    if leader.is_none_or(|(best, _)| gap < best) {
+                        leader = Some((gap, j));
+                    }
+                }
+            }
+        }
+        let Some((centre_gap, j)) = leader else {
+            w.skip(6);
+            return;
+        };
+        let gap = centre_gap - self.scenario.vehicle.length;
+        let other = &traffic.slots[j];
+        let closing = (other.speed - own.speed) / 10.0;
+        w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
+    }
+
+    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere.
+    fn put_streams(&self, w: &mut Writer) {
+        let (traffic, settings) = (self.traffic, &self.scenario.observation);
+        let own = &traffic.slots[self.slot];
+        let route = &self.routes[own.route];
+        for stream in 0..settings.conflict_streams {
+            let Some(conflict) = route.conflicts.get(stream) else {
+                w.skip(4 + VEHICLE.len() * settings.stream_vehicles);
+                continue;
+            };
+            let own_distance = conflict.own - own.s;
+            let approaching = || {
+                // Queues are sorted by position, furthest first: next to the conflict point first.
+                traffic.by_route[conflict.route]
+                    .iter()
+                    .map(|&j| (conflict.other - traffic.slots[j].s, j))
+                    .filter(|&(u, j)| u > -CLEARED && self.seen(j))
+            };
+            w.put([own_distance / FAR, own_distance / NEAR, approaching().count() as f64 / COUNT, 1.0]);
+            put_vehicles(w, traffic, approaching(), settings.stream_vehicles);
+        }
+        let others = route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
+        let distances = others.map(|(r, j)| (self.routes[r].to_first_conflict(traffic.slots[j].s), j));
+        let near = distances.filter(|&(u, j)| u > -2.0 * CLEARED && self.seen(j));
+        put_vehicles(w, traffic, near, settings.stream_vehicles);
+    }
 }
 
 fn put_vehicles(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, usize)>, count: usize) {

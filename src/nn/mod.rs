@@ -33,6 +33,6 @@ pub use linear::Linear;
 pub use mlp::Mlp;
 pub use norm::LayerNorm;
 pub use optim::{Adam, AdamConfig};
-pub use params::{Params, Path};
+pub use params::{Params, Path, copy_named, named_views};
 pub use transformer::{GraphTransformer, MaskMode};
 pub use value_norm::ValueNorm;

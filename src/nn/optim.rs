@@ -35,6 +35,8 @@ pub struct Adam {
     shapes: Vec<Vec<i64>>,
     weights: Tensor,
     gradient: Tensor,
+    /// Gradients of the replicas, added to `gradient` before it is used.
+    others: Vec<Tensor>,
     first: Tensor,
     second: Tensor,
     steps: i64,
@@ -55,18 +57,12 @@ impl Adam {
     /// If there are no parameters (a bug).
     pub fn with_config(params: &mut Params, config: AdamConfig) -> Self {
         let weights = params.flatten();
-        let (gradient, shapes) = (weights.zeros_like(), params.shapes());
-        // A first backward pass makes libtorch create the gradients, whose memory is then exchanged for the views.
-        let all: Vec<Tensor> = params.named().iter().map(|(_, t)| t.sum(Kind::Float)).collect();
-        Tensor::stack(&all, 0).sum(Kind::Float).backward();
-        for ((_, parameter), view) in params.named().iter().zip(views(&gradient, &shapes)) {
-            parameter.grad().set_data(&view);
-        }
         Adam {
             config,
             names: params.named().iter().map(|(name, _)| name.clone()).collect(),
-            shapes,
-            gradient,
+            shapes: params.shapes(),
+            gradient: flat_gradient(params, &weights),
+            others: Vec::new(),
             first: weights.zeros_like(),
             second: weights.zeros_like(),
             weights,
@@ -74,14 +70,43 @@ impl Adam {
         }
     }
 
+    /// Makes `params`, those of a second copy of the network, share the weights of the first. The copy has gradients of
+    /// its own, so that both can be differentiated at the same time; [`Adam::clip_grad_norm`] and [`Adam::step`] add
+    /// them up, in the order of the copies.
+    ///
+    /// # Panics
+    /// If they are the parameters of another network (a bug).
+    pub fn replica(&mut self, params: &mut Params) {
+        assert!(params.shapes() == self.shapes, "a replica is of another network");
+        params.share(&self.weights);
+        self.others.push(flat_gradient(params, &self.weights));
+    }
+
+    /// All weights, `[count]`: what the optimiser moves.
+    pub fn weights(&self) -> &Tensor {
+        &self.weights
+    }
+
     /// Sets the gradient to zero. [`Adam::step`] does so too.
     pub fn zero_grad(&mut self) {
+        self.gather();
         let _ = tch::no_grad(|| self.gradient.zero_());
+    }
+
+    /// Moves the replicas' gradients into the first one.
+    fn gather(&mut self) {
+        tch::no_grad(|| {
+            for other in &mut self.others {
+                self.gradient += &*other;
+                let _ = other.zero_();
+            }
+        });
     }
 
     /// Scales the gradient so that its Euclidean norm is at most `max` (as PyTorch's `clip_grad_norm_`), and returns the
     /// norm before. A norm that is not finite is returned with the gradient untouched: do not step then.
     pub fn clip_grad_norm(&mut self, max: f64) -> f64 {
+        self.gather();
         let norm = self.gradient.norm().double_value(&[]);
         let coefficient = max / (norm + 1e-6);
         if norm.is_finite() && coefficient < 1.0 {
@@ -95,6 +120,7 @@ impl Adam {
     /// The parameters change in place, unseen by libtorch's own checks: differentiate every loss before this.
     pub fn step(&mut self, lr: f64) {
         let AdamConfig { beta1, beta2, eps } = self.config;
+        self.gather();
         self.steps += 1;
         let correction1 = 1.0 - beta1.powf(self.steps as f64);
         let correction2 = (1.0 - beta2.powf(self.steps as f64)).sqrt();
@@ -133,6 +159,18 @@ impl Adam {
         }
         Ok(())
     }
+}
+
+/// A flat tensor for the gradients of parameters that are views of `weights`: `loss.backward()` accumulates into it.
+fn flat_gradient(params: &Params, weights: &Tensor) -> Tensor {
+    let gradient = weights.zeros_like();
+    // A first backward pass makes libtorch create the gradients, whose memory is then exchanged for the views.
+    let all: Vec<Tensor> = params.named().iter().map(|(_, t)| t.sum(Kind::Float)).collect();
+    Tensor::stack(&all, 0).sum(Kind::Float).backward();
+    for ((_, parameter), view) in params.named().iter().zip(views(&gradient, &params.shapes())) {
+        parameter.grad().set_data(&view);
+    }
+    gradient
 }
 
 #[cfg(test)]
@@ -197,6 +235,29 @@ mod tests {
         assert_eq!(bits(&params), bits(&params_2));
         let state = adam.state();
         assert!(matches!(adam.load_state(&state[1..]), Err(Error::Missing { name }) if name == "step"));
+    }
+
+    /// Half a batch on each of two copies moves the weights as the whole batch on one does.
+    #[test]
+    fn replicas_add_their_gradients() {
+        let (mut params, mlp, x) = network();
+        let (mut alone, mlp_alone, _) = network();
+        let (mut copy, mlp_copy, _) = network();
+        let (mut adam, mut single) = (Adam::new(&mut params), Adam::new(&mut alone));
+        adam.replica(&mut copy);
+        let norm = |adam: &mut Adam| adam.clip_grad_norm(f64::INFINITY);
+        for _ in 0..3 {
+            (loss(&mlp, &x.narrow(0, 0, 1)) / 3.0).backward();
+            (loss(&mlp_copy, &x.narrow(0, 1, 2)) * 2.0 / 3.0).backward();
+            loss(&mlp_alone, &x).backward();
+            let (split, whole) = (norm(&mut adam), norm(&mut single));
+            assert!((split - whole).abs() < 1e-5 * whole, "{split} {whole}");
+            adam.step(1e-2);
+            single.step(1e-2);
+            assert_eq!(bits(&params), bits(&copy), "one set of weights");
+        }
+        let distance = (adam.weights() - single.weights()).abs().max().double_value(&[]);
+        assert!(distance < 1e-4, "{distance}");
     }
 
     #[test]

@@ -52,43 +52,7 @@ impl Params {
     /// # Errors
     /// [`Error::Missing`] or [`Error::Unexpected`] if the sets of names differ, [`Error::Shape`] if a shape does.
     pub fn copy_from(&self, tensors: &[(String, Tensor)]) -> Result<(), Error> {
-        for (own, value) in match_by_name(&self.named, tensors)? {
-            tch::no_grad(|| own.shallow_clone().copy_(value));
-        }
-        Ok(())
-    }
-
-    /// A second store with the same names, order and values, that shares no memory with this one.
-    #[must_use]
-    pub fn deep_copy(&self) -> Params {
-        let copy = |t: &Tensor| t.detach().copy().set_requires_grad(true);
-        let named = self.named.iter().map(|(name, t)| (name.clone(), copy(t))).collect();
-        let mut params = Params { device: self.device, named, flat: None };
-        if self.flat.is_some() {
-            let _ = params.flatten();
-        }
-        params
-    }
-
-    /// Moves every value towards that in `other` by the fraction `weight`: averaged weights, target networks.
-    ///
-    /// # Panics
-    /// If the stores do not have the same names and shapes in the same order (a bug).
-    pub fn lerp_from(&self, other: &Params, weight: f64) {
-        let same = |(a, b): (&(String, Tensor), &(String, Tensor))| a.0 == b.0 && a.1.size() == b.1.size();
-        assert!(
-            self.named.len() == other.named.len() && self.named.iter().zip(&other.named).all(same),
-            "averaged weights are of another network"
-        );
-        tch::no_grad(|| {
-            if let (Some(own), Some(other)) = (&self.flat, &other.flat) {
-                let _ = own.shallow_clone().lerp_(other, weight);
-            } else {
-                for ((_, own), (_, other)) in self.named.iter().zip(&other.named) {
-                    let _ = own.shallow_clone().lerp_(other, weight);
-                }
-            }
-        });
+        copy_named(&self.named, tensors)
     }
 
     /// Moves all parameters into one flat tensor `[count]`, of which they become views, and returns that tensor.
@@ -110,10 +74,39 @@ impl Params {
         flat
     }
 
+    /// Makes all parameters views of `flat`, which holds the weights of another copy of the same network.
+    ///
+    /// # Panics
+    /// If it is of another size (a bug).
+    pub(super) fn share(&mut self, flat: &Tensor) {
+        assert!(flat.numel() as i64 == self.count(), "the shared weights are of another network");
+        let views = views(flat, &self.shapes());
+        for ((_, own), view) in self.named.iter_mut().zip(views) {
+            own.set_data(&view);
+        }
+        self.flat = Some(flat.shallow_clone());
+    }
+
     /// The shape of every parameter, in order.
     pub(super) fn shapes(&self) -> Vec<Vec<i64>> {
         self.named.iter().map(|(_, t)| t.size()).collect()
     }
+}
+
+/// Overwrites tensors with those of the same names. Nothing is changed if there is an error.
+///
+/// # Errors
+/// As [`Params::copy_from`].
+pub fn copy_named(own: &[(String, Tensor)], tensors: &[(String, Tensor)]) -> Result<(), Error> {
+    for (own, value) in match_by_name(own, tensors)? {
+        tch::no_grad(|| own.shallow_clone().copy_(value));
+    }
+    Ok(())
+}
+
+/// A flat tensor as views with the names and shapes of `params`.
+pub fn named_views(flat: &Tensor, params: &Params) -> Vec<(String, Tensor)> {
+    params.named.iter().map(|(name, _)| name.clone()).zip(views(flat, &params.shapes())).collect()
 }
 
 /// Cuts a flat tensor into consecutive views of the given shapes.
@@ -237,17 +230,20 @@ mod tests {
     }
 
     #[test]
-    fn copies_are_independent_and_averages_move() {
+    fn a_copy_can_share_weights_or_take_them_over() {
         let (mut params, _) = network(1);
         let mut flat = params.flatten();
-        let copy = params.deep_copy();
-        let _ = tch::no_grad(|| flat.fill_(1.0));
-        assert_ne!(values(&params), values(&copy));
-        copy.lerp_from(&params, 1.0);
-        assert_eq!(values(&params), values(&copy));
-        let other = network(2).0;
+        let (mut other, mlp) = network(2);
         other.copy_from(params.named()).unwrap();
         assert_eq!(values(&params), values(&other));
+        let _ = tch::no_grad(|| flat.fill_(1.0));
+        assert_ne!(values(&params), values(&other));
+        other.share(&flat);
+        let _ = tch::no_grad(|| flat.zero_());
+        assert_eq!(values(&params), values(&other));
+        let x = Tensor::ones([1, 5], (Kind::Float, Device::Cpu));
+        assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0, "layers see the shared weights");
+        assert!(named_views(&flat, &params).iter().zip(params.named()).all(|(v, p)| v.0 == p.0 && v.1.size() == p.1.size()));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, Reward, Route, Scenario,
+    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
     SpawnRow, Termination, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
@@ -40,7 +40,7 @@ const PARTS: Names = &[
     "termination",
     "communication",
 ];
-const OBSERVATION: Names = &["detectionRange", "neighbours", "conflictStreams", "streamVehicles"];
+const OBSERVATION: Names = &["groups", "detectionRange", "neighbours", "conflictStreams", "streamVehicles"];
 const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation"];
 
 impl Scenario {
@@ -125,6 +125,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             },
             control: self.control(part("control")?)?,
             observation: Observation {
+                groups: self.groups(observation)?,
                 detection_range: self.positive(observation, "detectionRange")?,
                 neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
@@ -145,6 +146,12 @@ impl<'a, 'input> Reader<'a, 'input> {
             communication: Communication { range: self.not_negative(communication, "range")? },
         };
         Ok((scenario, places))
+    }
+
+    fn groups(&self, node: Node<'a, 'input>) -> Result<ObservationGroups, Error> {
+        let name = self.text(node, "groups")?;
+        let known = ObservationGroups::NAMES.iter().find(|entry| entry.0 == name);
+        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
     }
 
     /// The name is also a folder's.

@@ -12,6 +12,8 @@ pub use error::Error;
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+
 /// One task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
@@ -138,9 +140,44 @@ pub enum ControlMode {
     Throttle,
 }
 
+/// How an agent sees others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ObservationGroups {
+    /// The nearest vehicles, in any direction (paper).
+    Nearest,
+    /// The vehicle ahead, and those next to where routes cross or merge with the agent's own.
+    Conflict,
+    /// One after the other.
+    Both,
+}
+
+impl ObservationGroups {
+    /// As in XML and settings.
+    pub const NAMES: [(&str, Self); 3] =
+        [("nearest", Self::Nearest), ("conflict", Self::Conflict), ("both", Self::Both)];
+
+    /// Whether the nearest vehicles are described.
+    pub fn nearest(self) -> bool {
+        self != Self::Conflict
+    }
+
+    /// Whether the vehicle ahead and crossing streams are described.
+    pub fn conflict(self) -> bool {
+        self != Self::Nearest
+    }
+
+    /// The name in XML and settings.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
+    }
+}
+
 /// What an agent sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
+    /// How others are described.
+    pub groups: ObservationGroups,
     /// Others further away than this are not seen \[m\].
     pub detection_range: f64,
     /// Nearest vehicles described one by one.

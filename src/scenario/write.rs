@@ -58,8 +58,9 @@ impl Scenario {
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
         writeln!(xml, "brake=\"{}\"/>", brake.join(" "))?;
         let o = self.observation;
-        write!(xml, "    <observation detectionRange=\"{}\" neighbours=\"{}\" ", o.detection_range, o.neighbours)?;
-        writeln!(xml, "conflictStreams=\"{}\" streamVehicles=\"{}\"/>", o.conflict_streams, o.stream_vehicles)?;
+        write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
+        write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;
+        writeln!(xml, "streamVehicles=\"{}\"/>", o.stream_vehicles)?;
         let r = self.reward;
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
         writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;

@@ -9,7 +9,7 @@ use iwol_sumo::env::Task;
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 use serde::Serialize;
-use tch::Tensor;
+use tch::{Device, Tensor};
 
 use super::quantile;
 
@@ -89,15 +89,15 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
 
 /// Times decisions on random observations of vehicles that are all within reach of each other.
 fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
-    let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0))?;
+    let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)?;
     let (e, n, o) = (i64::from(args.worlds), task.agents as i64, task.spec.observation.len() as i64);
     let mut numbers = vec![0.0; (e * n * o) as usize];
     rng::fill_normal(&mut Seed::new(1).rng(), &mut numbers);
     let mut input = Observation {
         observation: Tensor::from_slice(&numbers).view([e, n, o]).clamp(-1.0, 1.0),
-        comm: Tensor::ones([e, n, n], (tch::Kind::Float, tch::Device::Cpu)),
-        start: Tensor::zeros([e], (tch::Kind::Float, tch::Device::Cpu)),
-        memory: Tensor::zeros([e, n, learner.memory() as i64], (tch::Kind::Float, tch::Device::Cpu)),
+        comm: Tensor::ones([e, n, n], (tch::Kind::Float, Device::Cpu)),
+        start: Tensor::zeros([e], (tch::Kind::Float, Device::Cpu)),
+        memory: Tensor::zeros([e, n, learner.memory() as i64], (tch::Kind::Float, Device::Cpu)),
     };
     let mut times = Vec::new();
     for decision in 0..args.decisions + args.decisions / 10 {

@@ -1,0 +1,206 @@
+//! The tensors of a rollout, and their division into minibatches and shards.
+
+use tch::{Device, Kind, Tensor};
+
+use super::ppo;
+use super::settings::Ppo;
+use crate::nn::ValueNorm;
+use crate::rng::{self, Seed};
+use crate::rollout::Rollout;
+
+/// A rollout as tensors; the first dimension is the row `t · E + e`.
+pub(super) struct Batch {
+    /// `[(T + 1) · E, N, O]`
+    pub(super) observation: Tensor,
+    /// `[(T + 1) · E, N, S]`
+    pub(super) state: Tensor,
+    /// `[(T + 1) · E, N, N]`
+    pub(super) comm: Tensor,
+    /// `[T · E, N]`
+    pub(super) active: Tensor,
+    /// 1 − start, `[(T + 1) · E, N]`
+    pub(super) keep: Tensor,
+    /// Memory of the policy, `[(T + 1) · E, N, M]`.
+    pub(super) memory: Tensor,
+    /// Memory of the value, `[(T + 1) · E, N, M]`.
+    pub(super) value_memory: Tensor,
+    /// Noise of the policy's communication graph, `[(T + 1) · E, N, N]`; empty without one.
+    pub(super) policy_graph: Tensor,
+    /// Noise of the value's communication graph, likewise.
+    pub(super) value_graph: Tensor,
+    /// `[T · E, N, A]`
+    pub(super) action: Tensor,
+    /// `[T · E, N]`
+    pub(super) log_prob: Tensor,
+    /// Normalised, `[T · E, N]`.
+    pub(super) advantage: Tensor,
+    /// In units of the reward, `[T · E, N]`.
+    pub(super) returns: Tensor,
+    /// The network's outputs before the update, `[T · E, N]`.
+    pub(super) value: Tensor,
+    /// Share of the returns' variance that the values explained.
+    pub(super) explained_variance: f64,
+}
+
+impl Batch {
+    pub(super) fn new(rollout: &Rollout, device: Device) -> Self {
+        let s = rollout.sizes;
+        let (rows, closed, n) = ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
+        let tensor = |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
+        let start = tensor(&rollout.start, &[closed, 1]);
+        let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
+        let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
+        let policy_graph = if s.graph_noise { [closed, n, n] } else { [0, n, n] };
+        Self {
+            observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
+            state: tensor(&rollout.state, &[closed, n, s.state as i64]),
+            comm: tensor(&rollout.comm, &[closed, n, n]),
+            active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
+            keep,
+            memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
+            value_memory: Tensor::zeros([closed, n, 0], (Kind::Float, device)),
+            policy_graph: tensor(&rollout.graph_noise, &policy_graph),
+            value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
+            action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
+            log_prob: tensor(&rollout.log_prob, &[rows, n]),
+            advantage: empty(),
+            returns: empty(),
+            value: empty(),
+            explained_variance: 0.0,
+        }
+    }
+
+    /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns.
+    pub(super) fn estimate(&mut self, rollout: &Rollout, outputs: &Tensor, norm: &ValueNorm, ppo: &Ppo) {
+        let values = norm.denormalize(outputs).reshape([-1]).to_device(Device::Cpu);
+        let values = Vec::<f32>::try_from(values).expect("values are floats");
+        let (mut advantage, returns) = rollout.advantages(&values, ppo.gamma, ppo.gae_lambda);
+        let count = advantage.len();
+        self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
+        ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
+        let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
+        (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));
+        self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
+    }
+
+    /// A second handle on the same tensors, for another thread.
+    pub(super) fn share(&self) -> Self {
+        self.map(Tensor::shallow_clone)
+    }
+
+    /// What the value needs to know of `count` environments from number `first` on, of `envs`.
+    pub(super) fn of_envs(&self, envs: i64, first: i64, count: i64) -> Self {
+        self.map(|tensor| {
+            let size = tensor.size();
+            if size[0] % envs != 0 || tensor.numel() == 0 {
+                return tensor.shallow_clone();
+            }
+            let mut shape = vec![size[0] / envs, envs];
+            shape.extend(&size[1..]);
+            tensor.view(&shape[..]).narrow(1, first, count).flatten(0, 1)
+        })
+    }
+
+    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self {
+            observation: change(&self.observation),
+            state: change(&self.state),
+            comm: change(&self.comm),
+            active: change(&self.active),
+            keep: change(&self.keep),
+            memory: change(&self.memory),
+            value_memory: change(&self.value_memory),
+            policy_graph: change(&self.policy_graph),
+            value_graph: change(&self.value_graph),
+            action: change(&self.action),
+            log_prob: change(&self.log_prob),
+            advantage: change(&self.advantage),
+            returns: change(&self.returns),
+            value: change(&self.value),
+            explained_variance: self.explained_variance,
+        }
+    }
+}
+
+/// Part of a minibatch, on which one copy of the networks works.
+pub(super) struct Shard {
+    /// Sequence length L and number of sequences C: rows come as `[L, C]`.
+    pub(super) length: i64,
+    /// Rows `t · E + e`, step-major, `[L · C]`.
+    rows: Tensor,
+    /// Rows of the first steps, `[C]`.
+    pub(super) first: Tensor,
+    /// Active samples among the `L · C · N`.
+    samples: Tensor,
+    /// Share of the minibatch's active samples that are here.
+    pub(super) weight: f64,
+}
+
+/// Shuffled minibatches of one epoch that hold about `size` samples each, every one in up to `shards` parts. Parts without
+/// an active sample are left out.
+pub(super) fn minibatches(
+    rollout: &Rollout,
+    length: usize,
+    size: usize,
+    shards: usize,
+    device: Device,
+    seed: Seed,
+) -> Vec<Vec<Shard>> {
+    let agents = rollout.sizes.agents;
+    let mut chunks = rollout.chunks(length);
+    rng::shuffle(&mut seed.rng(), &mut chunks);
+    let count =
+        (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
+    let per_batch = chunks.len().div_ceil(count).max(1);
+    let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
+    let shard = |chunks: &[(usize, usize)]| {
+        let rows = rollout.rows(chunks, length);
+        let samples: Vec<i64> = (0..rows.len() * agents)
+            .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
+            .map(|i| i as i64)
+            .collect();
+        Shard {
+            length: length as i64,
+            first: indices(&rows[..chunks.len()]),
+            rows: indices(&rows),
+            weight: samples.len() as f64,
+            samples: indices(&samples),
+        }
+    };
+    let minibatch = |chunks: &[(usize, usize)]| {
+        let parts = chunks.chunks(chunks.len().div_ceil(shards.max(1)).max(1));
+        let mut parts: Vec<Shard> = parts.map(shard).filter(|shard| shard.weight > 0.0).collect();
+        let total: f64 = parts.iter().map(|shard| shard.weight).sum();
+        for part in &mut parts {
+            part.weight /= total;
+        }
+        parts
+    };
+    chunks.chunks(per_batch).map(minibatch).filter(|parts| !parts.is_empty()).collect()
+}
+
+impl Shard {
+    /// The rows of a tensor, `[L · C, …]`.
+    pub(super) fn take(&self, tensor: &Tensor) -> Tensor {
+        tensor.index_select(0, &self.rows)
+    }
+
+    /// The active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
+    pub(super) fn active(&self, tensor: &Tensor) -> Tensor {
+        self.pick(&self.take(tensor))
+    }
+
+    /// The active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to `[B, …]`.
+    pub(super) fn pick(&self, tensor: &Tensor) -> Tensor {
+        tensor.flatten(0, 1).index_select(0, &self.samples)
+    }
+}
+
+/// Standard logistic noise for the graphs of all rows, `[(T + 1) · E, N, N]`.
+pub(super) fn graph_noise(rollout: &Rollout, device: Device, seed: Seed) -> Tensor {
+    let s = rollout.sizes;
+    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
+    rng::fill_logistic(&mut seed.rng(), &mut noise);
+    let shape = [((s.steps + 1) * s.envs) as i64, s.agents as i64, s.agents as i64];
+    Tensor::from_slice(&noise).view(shape).to_device(device)
+}

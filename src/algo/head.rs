@@ -1,0 +1,93 @@
+//! The Gaussian policy head and its loss.
+
+use tch::{Kind, Tensor, no_grad};
+
+use super::batch::{Batch, Shard};
+use super::ppo;
+use super::settings::{Exploration, NoiseMode, Ppo};
+use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
+
+/// Mean and standard deviation of the actions.
+#[derive(Debug)]
+pub(super) struct GaussianHead {
+    mean: Linear,
+    log_std: Tensor,
+    mode: NoiseMode,
+}
+
+impl GaussianHead {
+    pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: i64, exploration: &Exploration) -> Self {
+        let mean = Linear::new(path.sub("mean"), inputs, actions, Init::Orthogonal(0.01));
+        let _ = no_grad(|| mean.bias().shallow_clone().fill_(exploration.mean_bias));
+        let log_std = path.create("log_std", &[actions], Init::Zeros);
+        let _ = no_grad(|| log_std.shallow_clone().fill_(exploration.log_std_start));
+        Self { mean, log_std, mode: exploration.mode }
+    }
+
+    /// Imposes the logarithm of the standard deviation, unless it is learned.
+    pub(super) fn impose(&self, log_std: f64) {
+        if self.mode == NoiseMode::Schedule {
+            let _ = no_grad(|| self.log_std.shallow_clone().fill_(log_std));
+        }
+    }
+
+    /// Mean `[.., A]` and logarithm of the standard deviation `[A]`.
+    pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
+        let log_std =
+            if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
+        (self.mean.forward(x), log_std)
+    }
+
+    /// Action `[.., A]` and its log-probability `[..]`.
+    pub(super) fn sample(&self, x: &Tensor, noise: Option<&Tensor>) -> (Tensor, Tensor) {
+        let (mean, log_std) = self.forward(x);
+        let action = match noise {
+            Some(noise) => &mean + log_std.exp() * noise,
+            None => mean.shallow_clone(),
+        };
+        let log_prob = gaussian_log_prob(&mean, &log_std, &action);
+        (action, log_prob)
+    }
+
+    /// Current standard deviation, averaged over action dimensions.
+    pub(super) fn std(&self) -> f64 {
+        self.log_std.exp().mean(Kind::Float).double_value(&[])
+    }
+}
+
+/// Loss and diagnostics of the policy on the active samples of a shard.
+pub(super) struct PolicyTerms {
+    pub(super) loss: Tensor,
+    policy: Tensor,
+    entropy: Tensor,
+    approx_kl: Tensor,
+    clip_fraction: Tensor,
+}
+
+impl PolicyTerms {
+    pub(super) fn new(batch: &Batch, shard: &Shard, head: &GaussianHead, input: &Tensor, ppo: &Ppo) -> Self {
+        let (mean, log_std) = head.forward(input);
+        let log_prob = gaussian_log_prob(&mean, &log_std, &shard.active(&batch.action));
+        let old = shard.active(&batch.log_prob);
+        let advantage = shard.active(&batch.advantage);
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &log_prob.ones_like().detach(), ppo.clip);
+        let entropy = gaussian_entropy(&log_std);
+        let (approx_kl, clip_fraction) = no_grad(|| {
+            let difference = &log_prob - &old;
+            let ratio = difference.exp();
+            let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float).mean(Kind::Float);
+            ((ratio - 1.0 - difference).mean(Kind::Float), outside)
+        });
+        Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
+    }
+
+    /// What to report of them.
+    pub(super) fn report(&self) -> [(&'static str, Tensor); 4] {
+        [
+            ("loss/policy", self.policy.detach()),
+            ("loss/entropy", self.entropy.detach()),
+            ("ppo/approx_kl", self.approx_kl.shallow_clone()),
+            ("ppo/clip_fraction", self.clip_fraction.shallow_clone()),
+        ]
+    }
+}
