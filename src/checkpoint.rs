@@ -31,8 +31,6 @@ pub struct Progress {
     pub next_validation: u64,
     /// Step of the last validation.
     pub validated: u64,
-    /// Success of the training episodes, as a running mean.
-    pub recent_success: f64,
     /// Step at which annealing began.
     pub annealing_since: Option<u64>,
 }
@@ -55,6 +53,24 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
+    /// The policy that was evaluated and its value function, without what only going on needs.
+    #[must_use]
+    pub fn weights(mut self) -> Self {
+        if self.learner.iter().any(|(name, _)| name.starts_with("actor_average/")) {
+            self.learner.retain(|(name, _)| !name.starts_with("actor/"));
+        }
+        for (name, _) in &mut self.learner {
+            if let Some(rest) = name.strip_prefix("actor_average/") {
+                *name = format!("actor/{rest}");
+            }
+        }
+        let kept = ["actor/", "critic/", "value_norm/"];
+        self.learner.retain(|(name, _)| kept.iter().any(|prefix| name.starts_with(prefix)));
+        self.worlds.clear();
+        self.memory.clear();
+        self
+    }
+
     /// Writes to a temporary name and renames: an interrupted or full disk leaves the old file.
     ///
     /// # Errors

@@ -126,8 +126,9 @@ pub struct Train {
     pub stop_success: f64,
     /// See [`Train::stop_success`].
     pub stop_validations: u32,
-    /// Annealing (of noise and learning rate) begins once this share of agents succeeds in the training episodes, noise and
-    /// all; 0, or when it never happens: so that it is over when the run is.
+    /// Annealing (of noise and learning rate) begins once this share of agents succeeds in a validation; 0, or when it never
+    /// happens: so that it is over when the run is. Training episodes would tell too early: agents that only succeed thanks
+    /// to their noise do not yet know how.
     pub anneal_success: f64,
     /// Environment steps that annealing takes.
     pub anneal_steps: u64,
@@ -142,8 +143,8 @@ impl Default for Train {
             validation_episodes: 64,
             stop_success: 0.99,
             stop_validations: 2,
-            anneal_success: 0.9,
-            anneal_steps: 80_000,
+            anneal_success: 0.97,
+            anneal_steps: 120_000,
         }
     }
 }
@@ -385,7 +386,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 58] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 59] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -437,7 +438,8 @@ impl Config {
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
-            (&["iwol.heads", "network.hidden"], i.heads >= 1 && n.hidden % i.heads == 0, "a divisor of network.hidden"),
+            (&["iwol.message"], (1..=4096).contains(&i.message), "1 to 4096"),
+            (&["iwol.heads", "iwol.message"], i.heads >= 1 && i.message % i.heads == 0, "a divisor of iwol.message"),
             (&["iwol.temperature"], finite_positive(i.temperature), "above 0"),
             (&["iwol.slope"], i.slope.is_finite(), "a finite number"),
             (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),

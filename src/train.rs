@@ -21,9 +21,6 @@ use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
 
-/// Training episodes over which the running mean of success reaches, about.
-const RECENT: f64 = 50.0;
-
 /// Files of a run.
 #[derive(Debug, Clone)]
 pub struct RunDir(PathBuf);
@@ -255,28 +252,28 @@ impl Trainer {
         Ok(losses)
     }
 
-    /// Where the schedules stand. Annealing begins once the training episodes succeed, or else so late that it is over
-    /// when the run is.
+    /// Where the schedules stand. Annealing begins when a validation succeeds, or else so late that it is over when the run
+    /// is. In its first half the noise goes down, and the learning rate with it; in the second half the learning rate.
     fn pace(&mut self) -> Pace {
-        let Progress { step, recent_success, .. } = self.progress;
+        let step = self.progress.step;
         let (train, noise, ppo) = (&self.config.train, &self.config.exploration, &self.config.ppo);
-        let found = train.anneal_success > 0.0 && recent_success >= train.anneal_success;
-        if self.progress.annealing_since.is_none() && (found || step + train.anneal_steps >= self.config.steps) {
+        if self.progress.annealing_since.is_none() && step + train.anneal_steps >= self.config.steps {
             self.progress.annealing_since = Some(step);
         }
         let ramp = |from: u64, to: u64, length: u64| ((to - from) as f64 / length.max(1) as f64).min(1.0);
         let explored = |at: u64| {
             noise.log_std_start + (noise.log_std_explore - noise.log_std_start) * ramp(0, at, noise.explore_steps)
         };
-        let (log_std, share) = match self.progress.annealing_since {
-            None => (explored(step), 0.0),
-            Some(since) => {
-                let share = ramp(since, step, train.anneal_steps);
-                let from = explored(since);
-                (from + (noise.log_std_end - from) * share, share)
-            }
+        let Some(since) = self.progress.annealing_since else {
+            return Pace { learning_rate: ppo.learning_rate, log_std: explored(step) };
         };
-        Pace { learning_rate: ppo.learning_rate * (1.0 - (1.0 - ppo.learning_rate_end) * share), log_std }
+        let share = ramp(since, step, train.anneal_steps);
+        let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
+        let (from, to) = (explored(since), noise.log_std_end.min(explored(since)));
+        let log_std = from + (to - from) * quiet;
+        // A step of the same size changes a policy with less noise by more.
+        let steady = ppo.learning_rate * (log_std - from).exp();
+        Pace { learning_rate: steady + (ppo.learning_rate * ppo.learning_rate_end - steady) * slow, log_std }
     }
 
     /// Whether annealing is over.
@@ -318,12 +315,7 @@ impl Trainer {
             self.memory = decision.memory;
             let actions = self.rollout.at(t, s.actions);
             timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
-            for record in self.env.take_finished() {
-                if !record.interrupted {
-                    self.progress.recent_success += (record.success - self.progress.recent_success) / RECENT;
-                }
-                self.finished.push(record);
-            }
+            self.finished.extend(self.env.take_finished());
             timed(&mut self.timers.copy, || {
                 for (e, world) in self.env.worlds().enumerate() {
                     let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
@@ -444,6 +436,9 @@ impl Trainer {
         let solved = train.stop_success > 0.0 && success >= train.stop_success;
         self.progress.solved = if solved { self.progress.solved.saturating_add(1) } else { 0 };
         self.progress.validated = self.progress.step;
+        if train.anneal_success > 0.0 && success >= train.anneal_success {
+            self.progress.annealing_since.get_or_insert(self.progress.step);
+        }
         // The next multiple of the interval.
         self.progress.next_validation = (self.progress.step / train.validate_every + 1) * train.validate_every;
         if self.progress.best.is_none_or(|best| (success, window) > best) {
@@ -520,7 +515,6 @@ impl Files {
         let (timers, resets) = (&trainer.timers, trainer.env.resets());
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
-            ("episode/recent_success", trainer.progress.recent_success),
             ("steps_per_second", steps_per_second),
             ("resets/respawns", resets.respawns as f64),
             ("resets/loads", resets.loads as f64),

@@ -6,7 +6,7 @@
 
 use iwol_sumo::algo::ppo;
 use iwol_sumo::nn::{
-    Adam, CommGraph, Entity, GraphTransformer, Gru, MaskMode, Mlp, Params, Path, TokenGroup, ValueNorm,
+    Adam, CommGraph, Entity, GraphTransformer, Gru, MaskMode, Mlp, Packing, Params, Path, TokenGroup, ValueNorm,
     gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
@@ -118,14 +118,21 @@ fn entity_encoder_with_absent_tokens() {
     case.check_gradients(&out, &[("grad_obs", &obs), ("grad_qkv", &qkv), ("grad_embed", &embed)]);
 }
 
+/// Features `[B, N, H]` of agents who are all there, as rows of a packing.
+fn all_places(f: &Tensor) -> (Tensor, Packing) {
+    let size = f.size();
+    (f.flatten(0, 1), Packing::full(size[0], size[1]))
+}
+
 #[test]
 fn graph_is_a_straight_through_gumbel_softmax() {
     let case = Case::new("graph");
     for slope in [0.2, 1.2] {
-        let (_, graph) = case.network(|path| CommGraph::new(path, 6, slope, 0.7));
+        let (_, graph) = case.network(|path| CommGraph::new(path, 6, 6, slope, 0.7));
         let f = case.input("f");
-        case.check(&format!("scores_{slope}"), &graph.scores(&f));
-        let g = graph.forward(&f, &case.get("physical"), Some(&case.get("noise")));
+        let (flat, packing) = all_places(&f);
+        case.check(&format!("scores_{slope}"), &graph.scores(&flat, &packing));
+        let g = graph.forward(&flat, &packing, &case.get("physical"), Some(&case.get("noise")));
         case.check_within(&format!("graph_{slope}"), &g, 0.0);
         case.check_gradients(&g, &[(&format!("grad_f_{slope}"), &f)]);
     }
@@ -135,9 +142,10 @@ fn graph_is_a_straight_through_gumbel_softmax() {
 fn transformer_in_both_mask_modes() {
     let case = Case::new("transformer");
     for (mode, name) in [(MaskMode::Hard, "hard"), (MaskMode::LogitMul, "logit_mul")] {
-        let (params, transformer) = case.network(|path| GraphTransformer::new(path, 8, 2, 2, mode));
+        let (params, transformer) = case.network(|path| GraphTransformer::new(path, 8, 8, 2, 2, mode));
         let (f, graph) = (case.input("f"), case.input("graph"));
-        let out = transformer.forward(&f, &graph);
+        let (flat, packing) = all_places(&f);
+        let out = packing.unpack(&transformer.forward(&flat, &packing, &graph));
         case.check(&format!("out_{name}"), &out);
         let qkv = parameter(&params, "rounds.0.attention.qkv.weight");
         let (of_f, of_graph, of_qkv) =

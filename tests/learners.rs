@@ -1,11 +1,13 @@
 //! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
 
-use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Settings, settings::EncoderKind};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, Settings, settings::EncoderKind};
 use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
+const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2 };
+const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
@@ -24,6 +26,7 @@ fn small(encoder: EncoderKind) -> Settings {
     settings.network.hidden = 16;
     settings.network.token_width = 8;
     settings.iwol.rounds = 2;
+    settings.iwol.message = 12;
     settings.iwol.latent = 4;
     settings.ppo.minibatch = 64;
     settings.ppo.epochs = 2;
@@ -55,7 +58,7 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
 /// A learner whose weights are disturbed: fresh ones are close to the identity in the message path (gain 0.01), so that
 /// effects through it would drown in rounding.
 fn loud(name: &str, spec: &EnvSpec, settings: &Settings) -> Box<dyn Algorithm> {
-    let mut learner = algo::build(name, spec, settings, Seed::new(1)).expect("a learner");
+    let mut learner = algo::build(name, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
     let mut state = learner.state();
     for (i, (name, tensor)) in state.iter_mut().enumerate() {
         if name.starts_with("actor/") || name.starts_with("critic/") {
@@ -190,7 +193,7 @@ fn updates_are_deterministic_and_move_every_network() {
             let mut learner = loud(name, &spec(4), &small(encoder));
             let first = bits(&*learner);
             let rollout = random_rollout(&*learner, 4, 3);
-            learner.update(&rollout, 0.1, Seed::new(seed)).expect("finite");
+            learner.update(&rollout, &PACE, Seed::new(seed)).expect("finite");
             let last = bits(&*learner);
             (first, last)
         };
@@ -207,9 +210,7 @@ fn updates_are_deterministic_and_move_every_network() {
 #[test]
 fn without_a_learning_rate_nothing_moves() {
     each(|name, encoder| {
-        let mut settings = small(encoder);
-        settings.ppo.learning_rate = 0.0;
-        let mut learner = algo::build(name, &spec(4), &settings, Seed::new(2)).expect("a learner");
+        let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
         let weights = |learner: &dyn Algorithm| {
             bits(learner)
                 .into_iter()
@@ -217,7 +218,7 @@ fn without_a_learning_rate_nothing_moves() {
                 .collect::<Vec<_>>()
         };
         let before = weights(&*learner);
-        learner.update(&random_rollout(&*learner, 4, 3), 0.0, Seed::new(4)).expect("finite");
+        learner.update(&random_rollout(&*learner, 4, 3), &STILL, Seed::new(4)).expect("finite");
         assert_eq!(before, weights(&*learner), "{name} {encoder:?}");
     });
 }
@@ -226,7 +227,7 @@ fn without_a_learning_rate_nothing_moves() {
 fn the_dead_do_not_teach() {
     each(|name, encoder| {
         let run = |rubbish: f32| {
-            let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2)).expect("a learner");
+            let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
             let mut rollout = random_rollout(&*learner, 4, 3);
             let s = rollout.sizes;
             for at in 0..(s.steps + 1) * s.envs * s.agents {
@@ -241,7 +242,7 @@ fn the_dead_do_not_teach() {
                     rollout.log_prob[at] = rubbish;
                 }
             }
-            let losses = learner.update(&rollout, 0.1, Seed::new(4)).expect("finite");
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
             (bits(&*learner), losses)
         };
         let (calm, losses) = run(0.0);
@@ -255,17 +256,79 @@ fn the_dead_do_not_teach() {
     });
 }
 
+/// Work on two threads is the work on one, up to rounding.
+#[test]
+fn shards_share_one_set_of_weights() {
+    each(|name, encoder| {
+        let run = |shards: usize| {
+            let mut settings = small(encoder);
+            settings.ppo.shards = shards;
+            settings.ppo.average = 0.5;
+            let mut learner = loud(name, &spec(4), &settings);
+            let rollout = random_rollout(&*learner, 4, 3);
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            (learner.state(), losses)
+        };
+        let ((one, losses), (two, others)) = (run(1), run(2));
+        for ((name_1, a), (_, b)) in one.iter().zip(&two).filter(|(a, _)| !a.0.contains("adam")) {
+            let distance = (a - b).abs().max().double_value(&[]);
+            assert!(distance < 2e-4, "{name} {encoder:?}: {name_1} {distance}");
+        }
+        for ((what, a), (_, b)) in losses.iter().zip(&others) {
+            assert!((a - b).abs() < 1e-3 * (1.0 + a.abs()), "{name} {encoder:?}: {what} {a} {b}");
+        }
+    });
+}
+
+#[test]
+fn averaged_weights_follow_and_can_be_exchanged() {
+    each(|name, encoder| {
+        let mut settings = small(encoder);
+        settings.ppo.average = 0.75;
+        let mut learner = algo::build(name, &spec(4), &settings, Seed::new(2), Device::Cpu).expect("a learner");
+        let of = |state: &[(String, Tensor)], prefix: &str| -> Vec<Tensor> {
+            let named = state.iter().filter(|(n, _)| n.starts_with(prefix));
+            named.map(|(_, t)| t.shallow_clone()).collect()
+        };
+        let start = learner.state();
+        learner.update(&random_rollout(&*learner, 4, 3), &PACE, Seed::new(4)).expect("finite");
+        let end = learner.state();
+        let average = of(&end, "actor_average/");
+        assert_eq!(average.len(), of(&start, "actor/").len());
+        for ((first, last), average) in of(&start, "actor/").iter().zip(of(&end, "actor/")).zip(&average) {
+            let expected = first * 0.75 + last * 0.25;
+            assert!((expected - average).abs().max().double_value(&[]) < 1e-6, "{name} {encoder:?}");
+        }
+        learner.swap_average();
+        let swapped = learner.state();
+        assert!(of(&swapped, "actor/").iter().zip(&average).all(|(a, b)| a.equal(b)), "{name}: acts with the average");
+        learner.swap_average();
+        let again = bits(&*learner);
+        assert!(end.iter().map(|(n, _)| n).eq(again.iter().map(|(n, _)| n)));
+        assert!(learner.state().iter().zip(&end).all(|(a, b)| a.1.equal(&b.1)), "{name}: nothing is lost");
+
+        // Starting from a state takes the averaged policy over, and the value; the noise stays the new run's.
+        let mut next = algo::build(name, &spec(9), &settings, Seed::new(8), Device::Cpu).expect("a learner");
+        next.load_weights(&end).expect("weights fit any number of agents");
+        let begun = next.state();
+        for ((what, a), b) in begun.iter().filter(|(n, _)| n.starts_with("actor/")).zip(&average) {
+            assert_eq!(a.equal(b), what != "actor/head.log_std", "{name}: {what}");
+        }
+        assert!(of(&begun, "critic/").iter().zip(of(&end, "critic/")).all(|(a, b)| a.equal(&b)));
+    });
+}
+
 #[test]
 fn a_state_is_taken_over_whole_or_not_at_all() {
     each(|name, encoder| {
-        let mut trained = algo::build(name, &spec(4), &small(encoder), Seed::new(2)).expect("a learner");
-        trained.update(&random_rollout(&*trained, 4, 3), 0.1, Seed::new(4)).expect("finite");
-        let mut fresh = algo::build(name, &spec(4), &small(encoder), Seed::new(9)).expect("a learner");
+        let mut trained = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+        trained.update(&random_rollout(&*trained, 4, 3), &PACE, Seed::new(4)).expect("finite");
+        let mut fresh = algo::build(name, &spec(4), &small(encoder), Seed::new(9), Device::Cpu).expect("a learner");
         fresh.load(&trained.state()).expect("the same network");
         assert_eq!(bits(&*fresh), bits(&*trained), "{name} {encoder:?}");
         let next = random_rollout(&*trained, 4, 6);
-        trained.update(&next, 0.2, Seed::new(7)).expect("finite");
-        fresh.update(&next, 0.2, Seed::new(7)).expect("finite");
+        trained.update(&next, &PACE, Seed::new(7)).expect("finite");
+        fresh.update(&next, &PACE, Seed::new(7)).expect("finite");
         assert_eq!(bits(&*fresh), bits(&*trained), "{name} {encoder:?}: the next update too");
         let mut state = trained.state();
         drop(state.remove(0));
@@ -277,11 +340,9 @@ fn a_state_is_taken_over_whole_or_not_at_all() {
 fn play(name: &str, others: bool, updates: u64) -> f32 {
     let mut settings = small(EncoderKind::Mlp);
     settings.exploration.log_std_start = -0.5;
-    settings.exploration.log_std_end = -1.5;
     settings.exploration.mean_bias = 0.0;
-    settings.ppo.learning_rate = 3e-3;
     settings.ppo.minibatch = 256;
-    let mut learner = algo::build(name, &spec(2), &settings, Seed::new(1)).expect("a learner");
+    let mut learner = algo::build(name, &spec(2), &settings, Seed::new(1), Device::Cpu).expect("a learner");
     let sizes = Sizes {
         steps: 16,
         envs: 32,
@@ -334,7 +395,9 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
             rollout.log_prob[cell.clone()].copy_from_slice(&log_probs);
             rollout.reward[cell].copy_from_slice(&rewards);
         }
-        learner.update(&rollout, update as f64 / updates as f64, Seed::new(3).index(update)).expect("finite");
+        let share = (update + 1) as f64 / updates as f64;
+        let pace = Pace { learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)), log_std: -0.5 - share };
+        learner.update(&rollout, &pace, Seed::new(3).index(update)).expect("finite");
     }
     mean
 }

@@ -4,7 +4,7 @@ use tch::{Device, Kind, Tensor};
 
 use super::ppo;
 use super::settings::Ppo;
-use crate::nn::ValueNorm;
+use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
@@ -188,6 +188,11 @@ impl Shard {
     /// The active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
     pub(super) fn active(&self, tensor: &Tensor) -> Tensor {
         self.pick(&self.take(tensor))
+    }
+
+    /// Places of the active samples among those of a packing of this shard's rows.
+    pub(super) fn positions(&self, packing: &Packing) -> Tensor {
+        packing.positions(&self.samples)
     }
 
     /// The active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to `[B, …]`.

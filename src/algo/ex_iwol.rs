@@ -39,11 +39,11 @@ impl Networks for ExIwol {
 
     fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
-        let hidden = network.hidden;
+        let (hidden, message) = (network.hidden, iwol.message);
         Self {
             trunk: MessageTrunk::new(actor.sub("trunk"), &spec.observation, network, iwol),
-            head: GaussianHead::new(actor.sub("head"), 2 * hidden, spec.actions as i64, &settings.exploration),
-            world: Decoder::new(actor.sub("world"), hidden, hidden, iwol.world_target.width(spec), true),
+            head: GaussianHead::new(actor.sub("head"), message + hidden, spec.actions as i64, &settings.exploration),
+            world: Decoder::new(actor.sub("world"), message, hidden, iwol.world_target.width(spec), true),
             critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
             target: iwol.world_target,
         }
@@ -68,7 +68,7 @@ impl Networks for ExIwol {
             ActMode::Sample { graph, .. } => Some(*graph),
         };
         let messages = self.exchange(input, graph);
-        let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
+        let read = messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
         let (action, log_prob) = self.head.sample(&read, mode.action_noise());
         let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
         Decision { action, log_prob, memory }
@@ -81,11 +81,12 @@ impl Networks for ExIwol {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, _) = self.critic.shard(batch, shard);
-        let value = ppo::value_terms(batch, shard, &shard.pick(&values), norm, ppo);
+        let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
         let messages = self.trunk.shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let m = shard.pick(&messages.message);
-        let input = Tensor::cat(&[&m, &shard.pick(&messages.embedding)], -1);
+        let positions = shard.positions(&messages.packing);
+        let m = messages.message.index_select(0, &positions);
+        let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
         let world = self.world.loss(&m, &shard.active(self.target.of(&batch.observation, &batch.state)));
 
@@ -96,7 +97,8 @@ impl Networks for ExIwol {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let truth = self.target.of(&input.observation, state).shallow_clone();
-        let found = self.world.forward(&self.exchange(input, None).message);
+        let messages = self.exchange(input, None);
+        let found = self.world.forward(&messages.packing.unpack(&messages.message));
         vec![Reconstruction { name: "world", found, truth }]
     }
 }

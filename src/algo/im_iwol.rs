@@ -104,7 +104,7 @@ impl Networks for ImIwol {
             latent,
             head,
             world: Decoder::new(actor.sub("world"), iwol.latent, hidden, truth, true),
-            interaction: Decoder::new(actor.sub("interaction"), iwol.latent, hidden, hidden, iwol.interaction_tanh),
+            interaction: Decoder::new(actor.sub("interaction"), iwol.latent, hidden, iwol.message, iwol.interaction_tanh),
             critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
             input: iwol.policy_input,
             target: iwol.world_target,
@@ -136,13 +136,13 @@ impl Networks for ImIwol {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, messages) = self.critic.shard(batch, shard);
-        let value = ppo::value_terms(batch, shard, &shard.pick(&values), norm, ppo);
+        let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
         let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let (z, input) = self.policy_input(&f);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
         let world = self.world.loss(&z, &shard.active(self.target.of(&batch.observation, &batch.state)));
-        let interaction = self.interaction.loss(&z, &shard.pick(&messages.detach()));
+        let interaction = self.interaction.loss(&z, &messages.detach());
 
         let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
         let mut report = vec![

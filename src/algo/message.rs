@@ -8,7 +8,7 @@ use super::Observation;
 use super::encoder::Encoder;
 use super::settings::{Iwol, Network};
 use crate::env::Features;
-use crate::nn::{CommGraph, GraphTransformer, Init, Linear, Path};
+use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 
 /// Observations of all agents in, messages m and embeddings f out.
 #[derive(Debug)]
@@ -17,26 +17,33 @@ pub(super) struct MessageTrunk {
     graph: CommGraph,
     transformer: GraphTransformer,
     physical_mask: bool,
+    /// Whether agents who are gone still influence others, as in the released code.
+    leaks: bool,
 }
 
-/// Result of the message path for B rows.
+/// Result of the message path for the P agents who are there.
 pub(super) struct Messages {
-    /// `[B, N, H]`
+    /// `[P, D]`
     pub(super) message: Tensor,
-    /// `[B, N, H]`
+    /// `[P, H]`
     pub(super) embedding: Tensor,
+    /// Where they belong among `[L · C, N]`.
+    pub(super) packing: Packing,
     /// Memory after each step of the encoder, `[L, C · N, M]`.
     pub(super) memory: Option<Tensor>,
 }
 
 impl MessageTrunk {
     pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network, iwol: &Iwol) -> Self {
-        let hidden = network.hidden;
+        let (hidden, message) = (network.hidden, iwol.message);
+        let transformer = path.sub("transformer");
+        let transformer = GraphTransformer::new(transformer, hidden, message, iwol.rounds, iwol.heads, iwol.mask);
         Self {
             encoder: Encoder::new(path.sub("encoder"), features, network),
-            graph: CommGraph::new(path.sub("graph"), hidden, iwol.slope, iwol.temperature),
-            transformer: GraphTransformer::new(path.sub("transformer"), hidden, iwol.rounds, iwol.heads, iwol.mask),
+            graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.slope, iwol.temperature),
+            transformer,
             physical_mask: iwol.physical_mask,
+            leaks: !iwol.physical_mask || iwol.mask != MaskMode::Hard,
         }
     }
 
@@ -58,14 +65,26 @@ impl MessageTrunk {
         noise: Option<&Tensor>,
     ) -> Messages {
         let (rows, agents, features) = observation.size3().expect("observations are [rows, N, O]");
-        let agents_of_step = rows / length * agents;
-        let x = observation.view([length, agents_of_step, features]);
-        let memory = memory.reshape([agents_of_step, -1]);
-        let (f, memories) = self.encoder.forward(&x, &memory, &keep.reshape([length, agents_of_step, 1]));
-        let embedding = f.view([rows, agents, -1]);
+        // Whom nobody can hear need not be computed; where cut edges leak, that is everyone.
+        let packing = if self.leaks {
+            Packing::full(rows, agents)
+        } else {
+            Packing::of(&comm.diagonal(0, 1, 2))
+        };
+        let (embedding, memories) = if self.encoder.memory() == 0 {
+            let (f, _) = self.encoder.forward(&packing.pack(observation).unsqueeze(0), memory, keep);
+            (f.squeeze_dim(0), None)
+        } else {
+            let together = rows / length * agents;
+            let x = observation.view([length, together, features]);
+            let keep = keep.reshape([length, together, 1]);
+            let (f, memories) = self.encoder.forward(&x, &memory.reshape([together, -1]), &keep);
+            (packing.pack(&f.view([rows, agents, -1])), memories)
+        };
         let anyone = if self.physical_mask { comm.shallow_clone() } else { comm.ones_like() };
-        let graph = self.graph.forward(&embedding, &anyone, noise);
-        Messages { message: self.transformer.forward(&embedding, &graph), embedding, memory: memories }
+        let graph = self.graph.forward(&embedding, &packing, &anyone, noise);
+        let message = self.transformer.forward(&embedding, &packing, &graph);
+        Messages { message, embedding, packing, memory: memories }
     }
 
     /// As [`MessageTrunk::forward`], on the rows of a shard; `memory` is the trunk's own, for all rows.
@@ -92,7 +111,7 @@ impl MessageCritic {
     pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network, iwol: &Iwol) -> Self {
         Self {
             trunk: MessageTrunk::new(path.sub("trunk"), features, network, iwol),
-            value: Linear::new(path.sub("value"), 2 * network.hidden, 1, Init::Orthogonal(1.0)),
+            value: Linear::new(path.sub("value"), iwol.message + network.hidden, 1, Init::Orthogonal(1.0)),
         }
     }
 
@@ -101,17 +120,20 @@ impl MessageCritic {
         self.trunk.memory()
     }
 
-    /// Values (normalised) of a shard's rows, `[rows, N]`, and the messages behind them, `[rows, N, H]`.
+    /// Values (normalised) of a shard's active samples, `[B]`, and the messages behind them, `[B, D]`.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor) {
         let messages = self.trunk.shard(batch, shard, &batch.value_memory, &batch.value_graph);
-        (self.head(&messages), messages.message)
+        let positions = shard.positions(&messages.packing);
+        let message = messages.message.index_select(0, &positions);
+        (self.head(&messages).index_select(0, &positions), message)
     }
 
-    /// The messages at one decision, over the most likely graph, `[E, N, H]`. Only without memory: that of the value is
+    /// The messages at one decision, over the most likely graph, `[E, N, D]`. Only without memory: that of the value is
     /// not kept outside training.
     pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
         let messages = |keep: &Tensor| {
-            self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None).message
+            let messages = self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None);
+            messages.packing.unpack(&messages.message)
         };
         (self.trunk.memory() == 0).then(|| messages(&input.keep()))
     }
@@ -122,22 +144,25 @@ impl MessageCritic {
 
     /// Values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory after each step.
     pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        let rows = |messages: &Messages| {
+            messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1)
+        };
         let whole = (&batch.observation, &batch.keep, &batch.comm, &batch.value_graph);
         if self.trunk.memory() > 0 {
             let messages = self.trunk.forward(whole.0, memory, whole.1, length, whole.2, Some(whole.3));
-            return (self.head(&messages), messages.memory);
+            return (rows(&messages), messages.memory);
         }
-        let (rows, agents, _) = batch.observation.size3().expect("observations are [rows, N, O]");
+        let (count, agents, _) = batch.observation.size3().expect("observations are [rows, N, O]");
         let part = |from: i64, count: i64| {
             let cut = |t: &Tensor| t.narrow(0, from, count);
             let messages = self.trunk.forward(
                 &cut(whole.0), memory, &cut(whole.1), 1, &cut(whole.2), Some(&cut(whole.3)),
             );
-            self.head(&messages)
+            rows(&messages)
         };
         // Parts bound the peak of memory; they change nothing else.
         let size = (4096 / agents).max(1);
-        let parts: Vec<Tensor> = (0..rows).step_by(size as usize).map(|k| part(k, size.min(rows - k))).collect();
+        let parts: Vec<Tensor> = (0..count).step_by(size as usize).map(|k| part(k, size.min(count - k))).collect();
         (Tensor::cat(&parts, 0), None)
     }
 }

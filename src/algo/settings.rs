@@ -144,9 +144,9 @@ impl Default for Exploration {
         Self {
             mode: NoiseMode::Schedule,
             log_std_start: 0.0,
-            log_std_explore: -0.8,
+            log_std_explore: -1.5,
             log_std_end: -1.7,
-            explore_steps: 130_000,
+            explore_steps: 250_000,
             mean_bias: 0.5,
         }
     }
@@ -168,6 +168,8 @@ pub enum NoiseMode {
 pub struct Iwol {
     /// Width D of Im-IWoL's latent z (paper: 32).
     pub latent: i64,
+    /// Width of a message, and of the graph transformer that makes it (paper: 128).
+    pub message: i64,
     /// Rounds L of the graph transformer (released scripts: 4).
     pub rounds: usize,
     /// Attention heads of the graph transformer (paper: 4).
@@ -199,7 +201,8 @@ impl Default for Iwol {
     fn default() -> Self {
         Self {
             latent: 32,
-            rounds: 4,
+            message: 64,
+            rounds: 2,
             heads: 4,
             lambda_world: 0.05,
             lambda_interaction: 0.05,

@@ -11,7 +11,7 @@ use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Metrics, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{Knowledge, Metrics, POLICIES, Policy, evaluate};
 use iwol_sumo::record;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::stats::Estimate;
@@ -201,6 +201,13 @@ fn table(rows: &[Row]) -> String {
             let _ = if i == 0 { write!(text, "{cell:<width$}") } else { write!(text, "   {cell:>width$}") };
         }
         text.push('\n');
+    }
+    for row in rows.iter().filter(|row| !row.metrics.reconstruction.is_empty()) {
+        let know = |k: &Knowledge| {
+            format!("{:.1} % of the {}'s variance (mean squared error {:.4})", 100.0 * k.explained, k.name, k.error)
+        };
+        let parts: Vec<String> = row.metrics.reconstruction.iter().map(know).collect();
+        let _ = writeln!(text, "latent of {}: explains {}", row.policy, parts.join(" and "));
     }
     for row in rows {
         let audit = &row.metrics.audit;

@@ -3,6 +3,7 @@
 mod bench;
 mod doctor;
 mod evaluate;
+mod export;
 mod plot;
 mod train;
 
@@ -31,6 +32,8 @@ enum Verb {
     Train(train::Args),
     /// Evaluate trained and untrained policies, headless
     Evaluate(evaluate::Args),
+    /// Copy a policy into a small folder of its own, which `evaluate` and `train --init-from` take
+    Export(export::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
     /// Measure speed
@@ -67,6 +70,7 @@ pub fn main() -> ExitCode {
     let result = match &cli.verb {
         Verb::Train(args) => train::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
+        Verb::Export(args) => export::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),

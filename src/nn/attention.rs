@@ -2,7 +2,7 @@
 
 use tch::{Kind, Tensor};
 
-use super::{Init, Linear, Path};
+use super::{Init, Linear, Packing, Path};
 
 /// What is done to the attention logits `[B, heads, T, T]` before the softmax.
 #[derive(Debug, Clone, Copy)]
@@ -33,11 +33,12 @@ impl SelfAttention {
         SelfAttention { heads, qkv, out: Linear::new(path.sub("out"), width, width, init) }
     }
 
-    /// `x: [B, T, width]` to the same shape.
-    pub fn forward(&self, x: &Tensor, mask: Mask<'_>) -> Tensor {
-        let (batch, tokens, width) = x.size3().expect("tokens are [B, T, width]");
+    /// Tokens `x: [P, width]` of the rows of a packing to the same shape. What stands in empty places must be masked.
+    pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
+        let ((batch, tokens), width) = (packing.size(), x.size()[1]);
         let head = width / self.heads;
-        let qkv = self.qkv.forward(x).view([batch, tokens, 3, self.heads, head]).permute([2, 0, 3, 1, 4]).unbind(0);
+        let qkv = packing.unpack(&self.qkv.forward(x));
+        let qkv = qkv.view([batch, tokens, 3, self.heads, head]).permute([2, 0, 3, 1, 4]).unbind(0);
         let scaled = &qkv[0] * (1.0 / (head as f64).sqrt());
         let logits = scaled.matmul(&qkv[1].transpose(-2, -1));
         let logits = match mask {
@@ -45,7 +46,7 @@ impl SelfAttention {
             Mask::Multiply(factor) => logits * factor,
         };
         let mixed = softmax(&logits).matmul(&qkv[2]);
-        self.out.forward(&mixed.transpose(1, 2).reshape([batch, tokens, width]))
+        self.out.forward(&packing.pack(&mixed.transpose(1, 2).reshape([batch, tokens, width])))
     }
 }
 

@@ -7,7 +7,7 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::{Init, LayerNorm, Linear, Mask, Path, SelfAttention};
+use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
 /// Where in a flat observation the tokens of one kind lie: `count` tokens of `width` features each, one after another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,11 +81,14 @@ impl Entity {
         let present = Tensor::cat(&present, 1);
         let _ = present.select(1, 0).fill_(1.0);
         let x = self.embed_norm.forward(&Tensor::cat(&tokens, 1));
+        let (_, count, width) = x.size3().expect("tokens are [B, T, width]");
+        let (packing, tokens) = (Packing::full(batch, count), x.flatten(0, 1));
 
         let hidden_keys = present.logical_not().unsqueeze(1).unsqueeze(1);
         let bias =
             Tensor::zeros(hidden_keys.size(), (Kind::Float, x.device())).masked_fill(&hidden_keys, f64::NEG_INFINITY);
-        let x = self.attention_norm.forward(&(&x + self.attention.forward(&x, Mask::Add(&bias))));
+        let change = self.attention.forward(&tokens, &packing, Mask::Add(&bias));
+        let x = self.attention_norm.forward(&(tokens + change)).view([batch, count, width]);
 
         let weight = present.to_kind(Kind::Float);
         let weight = &weight / weight.sum_dim_intlist(1, true, Kind::Float);

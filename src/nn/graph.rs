@@ -9,7 +9,7 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::{Init, Mlp, Path};
+use super::{Init, Mlp, Packing, Path};
 
 /// Scores pairs of agents and decides on edges.
 #[derive(Debug)]
@@ -22,32 +22,33 @@ pub struct CommGraph {
 }
 
 impl CommGraph {
-    /// A graph over features of width `hidden`, with a trunk of its own of the same width. `slope` is that of the leaky
+    /// A graph over features of width `inputs`, with a trunk of its own of width `hidden`. `slope` is that of the leaky
     /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `temperature` that
     /// of the straight-through gradient.
-    pub fn new(mut path: Path<'_>, hidden: i64, slope: f64, temperature: f64) -> Self {
-        let base = Mlp::new(path.sub("base"), hidden, hidden, 1);
+    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, slope: f64, temperature: f64) -> Self {
+        let base = Mlp::new(path.sub("base"), inputs, hidden, 1);
         let init = Init::XavierNormal(SQRT_2);
         let receiver = path.create("receiver", &[1, hidden], init);
         CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), slope, temperature }
     }
 
-    /// Scores `e: [B, N, N]` from features `f: [B, N, H]`; `e[b, i, j]` speaks for `i` listening to `j`, and the
+    /// Scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a packing; `e[b, i, j]` speaks for `i` listening to `j`, and the
     /// probability of that edge is `sigmoid(e)`.
-    pub fn scores(&self, f: &Tensor) -> Tensor {
+    pub fn scores(&self, f: &Tensor, packing: &Packing) -> Tensor {
         let halves = self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
+        let halves = packing.unpack(&halves);
         let sum = halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2);
         &sum * self.slope + sum.relu() * (1.0 - self.slope)
     }
 
-    /// The graph `G: [B, N, N]` for features `f: [B, N, H]`, with values exactly 0 or 1 and the gradient of the
+    /// The graph `G: [B, N, N]` for features `f: [P, H]`, with values exactly 0 or 1 and the gradient of the
     /// soft sample; row `i` holds those whom `i` listens to.
     ///
     /// `physical: [B, N, N]` (any kind; 0 cuts) removes edges; agents always listen to themselves, also dead ones.
     /// `noise: [B, N, N]` is logistic (the difference of two Gumbel variables); without it an edge exists where its
     /// probability exceeds one half.
-    pub fn forward(&self, f: &Tensor, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
-        let mut scores = self.scores(f);
+    pub fn forward(&self, f: &Tensor, packing: &Packing, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
+        let mut scores = self.scores(f, packing);
         if let Some(noise) = noise {
             scores += noise;
         }
@@ -84,8 +85,12 @@ mod tests {
         Tensor::from_slice(&noise).view(shape)
     }
 
+    fn everyone(f: &Tensor) -> (Tensor, Packing) {
+        (f.flatten(0, 1), Packing::full(f.size()[0], f.size()[1]))
+    }
+
     fn scheduler() -> CommGraph {
-        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 0.2, 1.0)
+        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 5, 0.2, 1.0)
     }
 
     #[test]
@@ -93,8 +98,9 @@ mod tests {
         let f = uniform(&[40, 6, 5], 1);
         let noise = logistic(&[40, 6, 6], 2);
         let physical = uniform(&[40, 6, 6], 3).gt(0.3);
+        let (f, packing) = everyone(&f);
         for noise in [Some(&noise), None] {
-            let graph = scheduler().forward(&f, &physical, noise);
+            let graph = scheduler().forward(&f, &packing, &physical, noise);
             assert!((graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0, "values are exactly 0 or 1");
             assert!(graph.diagonal(0, 1, 2).eq(1.0).all().int64_value(&[]) != 0, "self loops");
             let off_diagonal: Tensor = 1.0 - Tensor::eye(6, CPU);
@@ -109,10 +115,10 @@ mod tests {
     fn edges_appear_as_often_as_their_probability_says() {
         let (f, scheduler) = (uniform(&[1, 4, 5], 4), scheduler());
         let (draws, all) = (20_000, Tensor::ones([1, 4, 4], CPU));
-        let f_many = f.expand([draws, 4, 5], false);
+        let (f_many, packing) = everyone(&f.expand([draws, 4, 5], false));
         let noise = logistic(&[draws, 4, 4], 5);
-        let frequency = scheduler.forward(&f_many, &all, Some(&noise)).mean_dim(0, false, Kind::Float);
-        let expected = with_self_loops(&scheduler.scores(&f).sigmoid()).get(0);
+        let frequency = scheduler.forward(&f_many, &packing, &all, Some(&noise)).mean_dim(0, false, Kind::Float);
+        let expected = with_self_loops(&scheduler.scores(&f.get(0), &Packing::full(1, 4)).sigmoid()).get(0);
         let worst = (frequency - expected).abs().max().double_value(&[]);
         assert!(worst < 0.02, "{worst}");
     }
@@ -121,7 +127,8 @@ mod tests {
     fn gradient_reaches_the_scores_through_possible_edges_only() {
         let f = uniform(&[50, 3, 5], 7).set_requires_grad(true);
         let physical = Tensor::from_slice(&[1_f32, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]).view([1, 3, 3]);
-        let graph = scheduler().forward(&f, &physical, Some(&logistic(&[50, 3, 3], 8)));
+        let (flat, packing) = everyone(&f);
+        let graph = scheduler().forward(&flat, &packing, &physical, Some(&logistic(&[50, 3, 3], 8)));
         let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false).remove(0).transpose(0, 1);
         assert!(gradient.get(0).abs().max().double_value(&[]) > 0.0);
         assert_eq!(gradient.get(2).abs().max().double_value(&[]), 0.0, "the third agent is dead");

@@ -8,7 +8,7 @@ use std::f64::consts::SQRT_2;
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
-use super::{Init, LayerNorm, Linear, Mask, Path, SelfAttention};
+use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
 /// How the graph acts on the attention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -42,8 +42,8 @@ impl Block {
         }
     }
 
-    fn forward(&self, x: &Tensor, mask: Mask<'_>) -> Tensor {
-        let x = self.attention_norm.forward(&(x + self.attention.forward(x, mask)));
+    fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
+        let x = self.attention_norm.forward(&(x + self.attention.forward(x, packing, mask)));
         let change = self.down.forward(&self.up.forward(&x).gelu("none"));
         self.mlp_norm.forward(&(x + change))
     }
@@ -64,13 +64,14 @@ pub struct GraphTransformer {
 }
 
 impl GraphTransformer {
-    /// A transformer whose features and messages have `width` entries, with that many `rounds` and attention `heads`.
+    /// A transformer from features of `inputs` entries to messages of `width` entries, with that many `rounds` and attention
+    /// `heads`.
     ///
     /// # Panics
     /// If the heads do not divide the width.
-    pub fn new(mut path: Path<'_>, width: i64, rounds: usize, heads: i64, mask: MaskMode) -> Self {
-        let in_norm = LayerNorm::new(path.sub("in_norm"), width);
-        let input = Linear::new(path.sub("input"), width, width, Init::Orthogonal(SQRT_2));
+    pub fn new(mut path: Path<'_>, inputs: i64, width: i64, rounds: usize, heads: i64, mask: MaskMode) -> Self {
+        let in_norm = LayerNorm::new(path.sub("in_norm"), inputs);
+        let input = Linear::new(path.sub("input"), inputs, width, Init::Orthogonal(SQRT_2));
         let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
         let mut blocks = path.sub("rounds");
         let blocks = (0..rounds).map(|i| Block::new(blocks.sub(i), width, heads)).collect();
@@ -86,9 +87,9 @@ impl GraphTransformer {
         }
     }
 
-    /// Features `f: [B, N, H]` and graph `G: [B, N, N]` (0 or 1, row = listener) to messages `[B, N, H]`. Every
-    /// agent must listen to somebody, usually itself.
-    pub fn forward(&self, f: &Tensor, graph: &Tensor) -> Tensor {
+    /// Features `f: [P, H]` of the agents in the `B` rows of a packing, and graph `G: [B, N, N]` (0 or 1, row = listener),
+    /// to messages `[P, D]`. Every agent must listen to somebody, usually itself, and none to an empty place.
+    pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
         let x = self.input.forward(&self.in_norm.forward(f)).gelu("none");
         let mut x = self.embed_norm.forward(&x);
         let mask = match self.mask {
@@ -100,7 +101,7 @@ impl GraphTransformer {
                 MaskMode::Hard => Mask::Add(&mask),
                 MaskMode::LogitMul => Mask::Multiply(&mask),
             };
-            x = block.forward(&x, mask);
+            x = block.forward(&x, packing, mask);
         }
         self.out.forward(&self.head_norm.forward(&self.head.forward(&x).gelu("none")))
     }
@@ -128,7 +129,7 @@ mod tests {
 
     fn transformer(mask: MaskMode) -> GraphTransformer {
         let mut params = Params::new(Device::Cpu);
-        let network = GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, 3, 2, mask);
+        let network = GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2, mask);
         // The gain of 0.01 would hide any flow of information below rounding: make all matrices large.
         tch::no_grad(|| {
             for (name, tensor) in params.named() {
@@ -138,6 +139,12 @@ mod tests {
             }
         });
         network
+    }
+
+    /// Messages `[B, N, H]` where everyone is there.
+    fn messages(network: &GraphTransformer, f: &Tensor, graph: &Tensor) -> Tensor {
+        let packing = Packing::full(f.size()[0], AGENTS);
+        packing.unpack(&network.forward(&f.flatten(0, 1), &packing, graph))
     }
 
     fn uniform(shape: &[i64], seed: u64) -> Tensor {
@@ -168,8 +175,8 @@ mod tests {
     fn a_cut_sender_changes_nothing_bit_for_bit() {
         let (network, f) = (transformer(MaskMode::Hard), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
         let graph = silenced(2);
-        let out = network.forward(&f, &graph);
-        let out_perturbed = network.forward(&perturbed(&f.detach(), 2), &graph);
+        let out = messages(&network, &f, &graph);
+        let out_perturbed = messages(&network, &perturbed(&f.detach(), 2), &graph);
         assert!(others(&out, 2).equal(&others(&out_perturbed, 2)), "others hear a cut sender");
         assert!(!out.select(1, 2).equal(&out_perturbed.select(1, 2)), "the sender hears itself");
         let gradient =
@@ -184,7 +191,7 @@ mod tests {
         let complete = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
         for (mask, graph) in [(MaskMode::Hard, complete), (MaskMode::LogitMul, silenced(2))] {
             let network = transformer(mask);
-            let difference = network.forward(&f, &graph) - network.forward(&perturbed(&f, 2), &graph);
+            let difference = messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
             assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3, "{mask:?}");
         }
     }
@@ -193,15 +200,15 @@ mod tests {
     #[test]
     fn a_dead_agent_changes_nothing_through_the_learned_graph() {
         let mut params = Params::new(Device::Cpu);
-        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, 0.2, 1.0);
+        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 1.0);
         let network = transformer(MaskMode::Hard);
         let physical = silenced(4);
         let _ = physical.select(1, 4).fill_(0.0);
         let noise = uniform(&[3, AGENTS, AGENTS], 4) * 3.0;
         let f = uniform(&[3, AGENTS, WIDTH], 5).set_requires_grad(true);
         let run = |f: &Tensor| {
-            let graph = scheduler.forward(f, &physical, Some(&noise));
-            others(&network.forward(f, &graph), 4)
+            let graph = scheduler.forward(&f.flatten(0, 1), &Packing::full(3, AGENTS), &physical, Some(&noise));
+            others(&messages(&network, f, &graph), 4)
         };
         let out = run(&f);
         assert!(out.equal(&run(&perturbed(&f.detach(), 4))));
@@ -210,5 +217,19 @@ mod tests {
         let gradients = Tensor::run_backward(&[out.square().sum(Kind::Float)], &inputs, false, false);
         assert_eq!(gradients[0].select(1, 4).abs().max().double_value(&[]), 0.0);
         assert!(gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0), "the scheduler is trained");
+    }
+    /// Leaving the absent out changes nothing for those who are there.
+    #[test]
+    fn packed_agents_send_the_same_messages() {
+        let network = transformer(MaskMode::Hard);
+        let mut present = Tensor::ones([3, AGENTS], (Kind::Float, Device::Cpu));
+        let _ = present.get(0).get(2).fill_(0.0);
+        let _ = present.get(2).narrow(0, 0, 2).fill_(0.0);
+        let graph = crate::nn::graph::with_self_loops(&(present.unsqueeze(1) * present.unsqueeze(2)));
+        let f = uniform(&[3, AGENTS, WIDTH], 5);
+        let packing = Packing::of(&present);
+        let packed = packing.unpack(&network.forward(&packing.pack(&f), &packing, &graph));
+        let all = messages(&network, &f, &graph) * present.unsqueeze_(-1);
+        assert!((packed - all).abs().max().double_value(&[]) < 1e-5);
     }
 }

@@ -2,6 +2,7 @@
 
 mod act;
 mod compare;
+mod update;
 mod workload;
 
 use std::path::PathBuf;
@@ -30,6 +31,8 @@ enum What {
     Sim(Sim),
     /// A policy's decision: median and 99th percentile, per vehicle, beside the first algorithm's
     Act(act::Act),
+    /// Learning from a rollout: milliseconds, per sample, beside the same networks in PyTorch
+    Update(update::Update),
 }
 
 #[derive(Debug, clap::Args)]
@@ -113,6 +116,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     match &args.what {
         What::Sim(args) => simulation(args),
         What::Act(args) => act::run(args).map(|()| Verdict::Good),
+        What::Update(args) => update::run(args).map(|()| Verdict::Good),
     }
 }
 

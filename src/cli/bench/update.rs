@@ -1,0 +1,189 @@
+//! `iwol bench update`: how long learning from a rollout takes, beside the same in PyTorch.
+
+use std::path::PathBuf;
+use std::process::Command as Program;
+use std::time::Instant;
+
+use anyhow::{Context as _, ensure};
+use iwol_sumo::algo::{self, Algorithm, Pace};
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::env::Task;
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::rollout::{Rollout, Sizes};
+use serde::Serialize;
+use toml::Value;
+
+use super::median;
+
+const REFERENCE: &str = include_str!("../../../benches/reference_update.py");
+/// Share of the agents that act, as in a rollout of a policy that has learned.
+const ACTIVE: usize = 75;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Update {
+    /// Scenario file, for the sizes of observations
+    #[arg(long, default_value = "scenarios/intersection.xml")]
+    scenario: PathBuf,
+    /// Number of vehicles per world
+    #[arg(long, default_value_t = 8)]
+    agents: u32,
+    /// Algorithms [default: all]
+    #[arg(long, value_delimiter = ',')]
+    algorithm: Vec<String>,
+    /// One setting, e.g. --set network.hidden=128; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Timed updates
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repetitions: u32,
+    /// A Python with torch, to run benches/reference_update.py in turn, with as many threads as there are shards
+    #[arg(long, value_name = "PYTHON")]
+    reference: Option<PathBuf>,
+    /// Print JSON lines instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+/// One line of the table.
+#[derive(Debug, Serialize)]
+struct Row {
+    algorithm: String,
+    agents: u32,
+    /// Samples (agent × step) in the rollout, each seen once per epoch.
+    samples: usize,
+    epochs: usize,
+    median_ms: f64,
+    /// Per sample of the rollout, all epochs.
+    per_sample_us: f64,
+    reference_ms: Option<f64>,
+    /// Reference / ours.
+    ratio: Option<f64>,
+}
+
+pub(super) fn run(args: &Update) -> anyhow::Result<()> {
+    let names: Vec<&str> = match &args.algorithm[..] {
+        [] => algo::NAMES.to_vec(),
+        names => names.iter().map(String::as_str).collect(),
+    };
+    if !args.json {
+        println!(
+            "{:9} {:>6} {:>8} {:>7} {:>11} {:>12} {:>12} {:>7}",
+            "algorithm", "agents", "samples", "epochs", "median", "per sample", "PyTorch", "ratio"
+        );
+    }
+    for name in names {
+        let flags = vec![
+            ("scenario", Value::String(args.scenario.display().to_string())),
+            ("agents", Value::Integer(args.agents.into())),
+            ("algorithm", Value::String(name.to_owned())),
+        ];
+        let layers = Layers { document: Document::default(), sets: args.set.clone(), flags };
+        let (config, scenario) = Config::resolve(&layers)?;
+        let row = measure(name, &config, &Task::new(&scenario, config.agents)?, args)?;
+        if args.json {
+            println!("{}", serde_json::to_string(&row)?);
+            continue;
+        }
+        let optional = |value: Option<f64>, unit: &str| value.map_or("-".to_owned(), |v| format!("{v:.1} {unit}"));
+        println!(
+            "{name:9} {:>6} {:>8} {:>7} {:>8.1} ms {:>9.2} µs {:>12} {:>7}",
+            row.agents,
+            row.samples,
+            row.epochs,
+            row.median_ms,
+            row.per_sample_us,
+            optional(row.reference_ms, "ms"),
+            row.ratio.map_or("-".to_owned(), |r| format!("{r:.2}")),
+        );
+    }
+    Ok(())
+}
+
+fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::Result<Row> {
+    let device = config.device.find()?;
+    let mut learner = algo::build(name, &task.spec, &config.settings(), Seed::new(0), device)?;
+    let rollout = random_rollout(&*learner, config, task);
+    let pace = Pace { learning_rate: config.ppo.learning_rate, log_std: 0.0 };
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for repetition in 0..=args.repetitions {
+        let begin = Instant::now();
+        learner.update(&rollout, &pace, Seed::new(u64::from(repetition)))?;
+        // The first one warms caches up.
+        if repetition > 0 {
+            ours.push(1e3 * begin.elapsed().as_secs_f64());
+            if let Some(python) = &args.reference {
+                theirs.extend(reference(python, name, config, task)?);
+            }
+        }
+    }
+    let s = rollout.sizes;
+    let samples = s.steps * s.envs * s.agents;
+    let median_ms = median(&mut ours);
+    let reference_ms = (!theirs.is_empty()).then(|| median(&mut theirs));
+    Ok(Row {
+        algorithm: name.to_owned(),
+        agents: config.agents,
+        samples,
+        epochs: config.ppo.epochs,
+        median_ms,
+        per_sample_us: 1e3 * median_ms / samples as f64,
+        reference_ms,
+        ratio: reference_ms.map(|r| r / median_ms),
+    })
+}
+
+/// Noise of the shape of a rollout.
+fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Rollout {
+    let mut rollout = Rollout::new(Sizes {
+        steps: config.train.segment,
+        envs: config.train.envs,
+        agents: task.agents,
+        observation: task.spec.observation.len(),
+        state: task.spec.state.len(),
+        actions: task.spec.actions,
+        memory: learner.memory(),
+        graph_noise: learner.samples_graph(),
+    });
+    let mut rng = Seed::new(1).rng();
+    let s = rollout.sizes;
+    for array in [&mut rollout.observation, &mut rollout.state, &mut rollout.action, &mut rollout.reward] {
+        rng::fill_normal(&mut rng, array);
+    }
+    rng::fill_logistic(&mut rng, &mut rollout.graph_noise);
+    rollout.log_prob.fill(-1.4);
+    rollout.active.iter_mut().for_each(|active| *active = f32::from(u8::from(rng::below(&mut rng, 100) < ACTIVE)));
+    for (k, link) in rollout.comm.iter_mut().enumerate() {
+        let (row, i, j) = (k / (s.agents * s.agents), k / s.agents % s.agents, k % s.agents);
+        *link = rollout.active[row * s.agents + i] * rollout.active[row * s.agents + j];
+    }
+    rollout.terminated.iter_mut().for_each(|end| *end = f32::from(u8::from(rng::below(&mut rng, 100) == 0)));
+    rollout
+}
+
+/// Milliseconds of one update in PyTorch, after one that is not timed.
+fn reference(python: &PathBuf, name: &str, config: &Config, task: &Task) -> anyhow::Result<Vec<f64>> {
+    let sizes = [
+        ("agents", i64::from(config.agents)),
+        ("envs", config.train.envs as i64),
+        ("steps", config.train.segment as i64),
+        ("observation", task.spec.observation.len() as i64),
+        ("state", task.spec.state.len() as i64),
+        ("hidden", config.network.hidden),
+        ("message", config.iwol.message),
+        ("rounds", config.iwol.rounds as i64),
+        ("heads", config.iwol.heads),
+        ("latent", config.iwol.latent),
+        ("epochs", config.ppo.epochs as i64),
+        ("minibatch", config.ppo.minibatch as i64),
+        ("threads", config.ppo.shards as i64),
+        ("repeat", 1),
+    ];
+    let mut program = Program::new(python);
+    program.args(["-c", REFERENCE, "--algorithm", name]);
+    program.args(sizes.iter().flat_map(|(key, value)| [format!("--{key}"), value.to_string()]));
+    let output = program.output().with_context(|| format!("cannot run `{}`", python.display()))?;
+    let (text, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    ensure!(output.status.success(), "the reference failed: {}", errors.lines().last().unwrap_or("it said nothing"));
+    let last = text.lines().last().unwrap_or_default();
+    serde_json::from_str(last).with_context(|| format!("the reference printed `{last}`"))
+}

@@ -1,0 +1,34 @@
+//! `iwol export`
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::record;
+use iwol_sumo::train::RunDir;
+
+use super::Verdict;
+
+/// What is left out is what only `iwol train --resume` needs: the optimisers' moments and the worlds.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// A run folder (its best checkpoint) or a checkpoint
+    run: PathBuf,
+    /// The new folder
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let checkpoint = Checkpoint::load(&RunDir::checkpoint(&args.run))?.weights();
+    let dir = RunDir::new(&args.out);
+    if dir.best().exists() || dir.last().exists() {
+        bail!("`{}` already holds a checkpoint; choose another --out", args.out.display());
+    }
+    std::fs::create_dir_all(args.out.join("checkpoints"))
+        .with_context(|| format!("cannot make the folder `{}`", args.out.display()))?;
+    record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
+    checkpoint.save(&dir.best())?;
+    println!("{}", args.out.display());
+    Ok(Verdict::Good)
+}
