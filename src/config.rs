@@ -31,7 +31,7 @@ pub struct Config {
     /// Environment steps (of one world each) to train for, at most.
     pub steps: u64,
     /// Where the networks are computed: `cpu`, `cuda` or `cuda:<number>`.
-    pub device: ComputeDevice,
+    pub device: algo::ComputeDevice,
     /// A run folder or checkpoint, of any number of agents, whose weights training starts from; empty: from new ones.
     pub init_from: PathBuf,
     /// The training loop.
@@ -48,65 +48,6 @@ pub struct Config {
     pub iwol: settings::Iwol,
     /// The scenario's numbers.
     pub env: Env,
-}
-
-/// Where networks are computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub enum ComputeDevice {
-    /// The processor.
-    Cpu,
-    /// A graphics processor, by its number.
-    Cuda(usize),
-}
-
-impl ComputeDevice {
-    /// The device, if this libtorch has it.
-    ///
-    /// # Errors
-    /// [`NoDevice`].
-    pub fn find(self) -> Result<tch::Device, NoDevice> {
-        match self {
-            Self::Cpu => Ok(tch::Device::Cpu),
-            Self::Cuda(number) => {
-                let present = tch::Cuda::device_count().max(0) as usize;
-                if number < present { Ok(tch::Device::Cuda(number)) } else { Err(NoDevice { number, present }) }
-            }
-        }
-    }
-}
-
-impl TryFrom<String> for ComputeDevice {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        let number = match name.as_str() {
-            "cpu" => return Ok(Self::Cpu),
-            "cuda" => Some(0),
-            _ => name.strip_prefix("cuda:").and_then(|number| number.parse().ok()),
-        };
-        number.map(Self::Cuda).ok_or_else(|| format!("`{name}` is no device; write cpu, cuda or cuda:<number>"))
-    }
-}
-
-impl From<ComputeDevice> for String {
-    fn from(device: ComputeDevice) -> Self {
-        match device {
-            ComputeDevice::Cpu => "cpu".to_owned(),
-            ComputeDevice::Cuda(number) => format!("cuda:{number}"),
-        }
-    }
-}
-
-/// The device that was asked for is not there.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "there is no device cuda:{number}: libtorch sees {present}; `scripts/bootstrap --gpu` installs a libtorch with CUDA, and \
-     `iwol doctor` says what it sees"
-)]
-pub struct NoDevice {
-    number: usize,
-    present: usize,
 }
 
 /// The training loop.
@@ -143,7 +84,7 @@ impl Default for Train {
             validation_episodes: 64,
             stop_success: 0.99,
             stop_validations: 2,
-            anneal_success: 0.97,
+            anneal_success: 0.99,
             anneal_steps: 120_000,
         }
     }
@@ -364,7 +305,7 @@ impl Config {
             agents: scenario.agents.default,
             seed: 0,
             steps: 400_000,
-            device: ComputeDevice::Cpu,
+            device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train: Train::default(),
             simulation: Simulation::default(),
@@ -386,7 +327,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 59] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 60] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -442,6 +383,7 @@ impl Config {
             (&["iwol.heads", "iwol.message"], i.heads >= 1 && i.message % i.heads == 0, "a divisor of iwol.message"),
             (&["iwol.temperature"], finite_positive(i.temperature), "above 0"),
             (&["iwol.slope"], i.slope.is_finite(), "a finite number"),
+            (&["iwol.decoded"], i.decoded > 0.0 && share(i.decoded), "above 0, to 1"),
             (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),
             (&["iwol.lambda_interaction"], finite_range(i.lambda_interaction), "0 or more"),
             (&["env.detection_range"], finite_range(e.detection_range), "0 or more"),
@@ -665,7 +607,7 @@ mod tests {
         // Some settings are valid only together: the order in which they are read must not matter.
         for sets in [
             ["env.cooperation=0.25", "train.envs=3"],
-            ["network.hidden=96", "iwol.heads=3"],
+            ["iwol.message=96", "iwol.heads=3"],
             ["network.token_width=24", "network.token_heads=3"],
             ["train.segment=256", "network.chunk_length=200"],
         ] {
@@ -692,9 +634,11 @@ mod tests {
         assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
         assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
         assert_eq!(
-            message("[network]\nhidden = 6\n", &[]),
-            "c.toml:2:10: bad value for `iwol.heads`: allowed: a divisor of network.hidden"
+            message("[iwol]\nmessage = 6\n", &[]),
+            "c.toml:2:11: bad value for `iwol.heads`: allowed: a divisor of iwol.message"
         );
+        assert!(message("", &["device=gpu"]).contains("write cpu, cuda or cuda:<number>"));
+        assert!(message("", &["env.observation=all"]).contains("unknown variant"));
         assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
         assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
     }

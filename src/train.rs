@@ -13,7 +13,7 @@ use tch::Tensor;
 
 use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace};
 use crate::checkpoint::{self, Checkpoint, Progress};
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
 use crate::evaluate::{Evaluation, Policy, evaluate};
 use crate::record::{self, JsonLines, TensorBoard};
@@ -253,7 +253,7 @@ impl Trainer {
     }
 
     /// Where the schedules stand. Annealing begins when a validation succeeds, or else so late that it is over when the run
-    /// is. In its first half the noise goes down, and the learning rate with it; in the second half the learning rate.
+    /// is. In its first half the noise goes down, in the second the learning rate.
     fn pace(&mut self) -> Pace {
         let step = self.progress.step;
         let (train, noise, ppo) = (&self.config.train, &self.config.exploration, &self.config.ppo);
@@ -264,16 +264,17 @@ impl Trainer {
         let explored = |at: u64| {
             noise.log_std_start + (noise.log_std_explore - noise.log_std_start) * ramp(0, at, noise.explore_steps)
         };
+        // A step of the same size changes a policy with less noise by more.
+        let follow = if ppo.learning_rate_follows_noise { 1.0 } else { 0.0 };
+        let rate = |log_std: f64| ppo.learning_rate * (follow * log_std).exp();
         let Some(since) = self.progress.annealing_since else {
-            return Pace { learning_rate: ppo.learning_rate, log_std: explored(step) };
+            return Pace { learning_rate: rate(explored(step)), log_std: explored(step) };
         };
         let share = ramp(since, step, train.anneal_steps);
         let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
         let (from, to) = (explored(since), noise.log_std_end.min(explored(since)));
         let log_std = from + (to - from) * quiet;
-        // A step of the same size changes a policy with less noise by more.
-        let steady = ppo.learning_rate * (log_std - from).exp();
-        Pace { learning_rate: steady + (ppo.learning_rate * ppo.learning_rate_end - steady) * slow, log_std }
+        Pace { learning_rate: rate(log_std) * (1.0 - (1.0 - ppo.learning_rate_end) * slow), log_std }
     }
 
     /// Whether annealing is over.
@@ -634,7 +635,7 @@ pub enum Error {
     Checkpoint(#[from] checkpoint::Error),
     /// The device that was asked for is not there.
     #[error(transparent)]
-    Device(#[from] config::NoDevice),
+    Device(#[from] algo::NoDevice),
     /// The weights to start from are of other networks.
     #[error("the weights in `{}` do not fit this run's networks and observations", path.display())]
     InitFrom {

@@ -72,7 +72,7 @@ fn a_mistake_in_a_scenario_is_located() {
     let output = output.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(output, @r#"
     2
-    error: DIR/mine.xml:70:18: unknown attribute `horizn` in <termination>; did you mean `horizon`?
+    error: DIR/mine.xml:71:18: unknown attribute `horizn` in <termination>; did you mean `horizon`?
 
     hint: valid in <termination>: horizon, wreckTime
     "#);
@@ -186,7 +186,7 @@ fn damaged_checkpoints_are_refused() {
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
     assert_snapshot!(tidy(failure(wider.arg(&run))), @r#"
     2
-    error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 91], but this network needs [16, 91]; check the configuration
+    error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 67], but this network needs [16, 67]; check the configuration
     "#);
     // Truncated.
     let file = run.join("checkpoints/last.safetensors");

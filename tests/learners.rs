@@ -264,6 +264,8 @@ fn shards_share_one_set_of_weights() {
             let mut settings = small(encoder);
             settings.ppo.shards = shards;
             settings.ppo.average = 0.5;
+            // A part of the samples would be another part.
+            settings.iwol.decoded = 1.0;
             let mut learner = loud(name, &spec(4), &settings);
             let rollout = random_rollout(&*learner, 4, 3);
             let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");

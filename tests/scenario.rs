@@ -186,7 +186,7 @@ fn misspelt_names_are_pointed_at() {
     insta::assert_snapshot!(mistake("<jitter longitudinal", "<jitter longitudnal"), @"task.xml:55:13: unknown attribute `longitudnal` in <jitter>; did you mean `longitudinal`? (hint: valid in <jitter>: longitudinal, lateral)");
     insta::assert_snapshot!(mistake("<vehicle ", "<vehicel "), @"task.xml:52:5: unknown element `vehicel` in <scenario>; did you mean `vehicle`? (hint: valid in <scenario>: description, agents, routes, nets, vehicle, jitter, control, observation, reward, termination, communication)");
     insta::assert_snapshot!(mistake("<spawn route=\"westbound\"", "<spawn route=\"westbund\""), @"task.xml:27:20: route `westbund` is not the id of a route; did you mean `westbound`?");
-    insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"100\">far</communication>"), @"task.xml:73:32: unknown text `far` in <communication>");
+    insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"100\">far</communication>"), @"task.xml:74:32: unknown text `far` in <communication>");
     insta::assert_snapshot!(mistake("xsi:noNamespace", "xmlns:o=\"o\" o:a=\"1\" xsi:noNamespace"), @"task.xml:8:97: unknown attribute `a` in <scenario> (hint: valid in <scenario>: name)");
     insta::assert_snapshot!(mistake("mode=\"throttle\"", "mode=\"thrttle\""), @"task.xml:59:14: `thrttle` is not a valid mode of <control>, allowed: throttle");
 }
@@ -195,7 +195,7 @@ fn misspelt_names_are_pointed_at() {
 fn missing_and_doubled_parts_are_named() {
     insta::assert_snapshot!(mistake(" width=\"1.852\"", ""), @"task.xml:52:5: <vehicle> lacks the attribute `width` (hint: scenarios/intersection.xml shows every element and attribute)");
     insta::assert_snapshot!(mistake("<jitter longitudinal=\"1\" lateral=\"0.25\"/>", ""), @"task.xml:8:1: <scenario> lacks the element `jitter` (hint: scenarios/intersection.xml shows every element and attribute)");
-    insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"1\"/><communication range=\"2\"/>"), @"task.xml:73:31: a second element <communication>");
+    insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"1\"/><communication range=\"2\"/>"), @"task.xml:74:31: a second element <communication>");
     insta::assert_snapshot!(mistake("<route id=\"westbound\"", "<route id=\"eastbound\""), @"task.xml:17:16: a second route with the id `eastbound`");
     insta::assert_snapshot!(mistake("</scenario>", ""), @"task.xml:1:1: cannot be read as XML: the root node was opened but never closed");
 }
@@ -216,7 +216,7 @@ fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("accel=\"2.909\"", "accel=\"2,909\""), @"task.xml:59:45: `2,909` is not a valid accel of <control>, allowed: a number greater than 0");
     insta::assert_snapshot!(mistake("max=\"48\"", "max=\"49\""), @"task.xml:12:21: `49` is not a valid max of <agents>, allowed: 4 to 48, the number of places of the largest net");
     insta::assert_snapshot!(mistake("default=\"8\"", "default=\"3\""), @"task.xml:12:30: `3` is not a valid default of <agents>, allowed: a whole number from 4 to 48");
-    insta::assert_snapshot!(mistake("cooperation=\"0.5\"", "cooperation=\"1.5\""), @"task.xml:67:78: `1.5` is not a valid cooperation of <reward>, allowed: 0 to 1");
+    insta::assert_snapshot!(mistake("cooperation=\"0.4\"", "cooperation=\"1.5\""), @"task.xml:68:78: `1.5` is not a valid cooperation of <reward>, allowed: 0 to 1");
     insta::assert_snapshot!(mistake("0.5:10.2", "0.2:10.2"), @"task.xml:59:72: `0.3:8.2 0.2:10.2 1:14.7` is not a valid brake of <control>, allowed: pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling");
     insta::assert_snapshot!(mistake("interval=\"0.1\"", "interval=\"0.0005\""), @"task.xml:59:30: `0.0005` is not a valid interval of <control>, allowed: 0.001 to 10, a multiple of 0.001");
     insta::assert_snapshot!(mistake("horizon=\"1000\"", "horizon=\"0\""), @"task.xml:70:18: `0` is not a valid horizon of <termination>, allowed: a whole number from 1 to 1000000");

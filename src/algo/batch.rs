@@ -190,6 +190,12 @@ impl Shard {
         self.pick(&self.take(tensor))
     }
 
+    /// How many of the active samples make up `share` of them, at least one.
+    pub(super) fn some(&self, share: f64) -> i64 {
+        let count = self.samples.size()[0];
+        ((count as f64 * share).ceil() as i64).clamp(1, count)
+    }
+
     /// Places of the active samples among those of a packing of this shard's rows.
     pub(super) fn positions(&self, packing: &Packing) -> Tensor {
         packing.positions(&self.samples)

@@ -107,8 +107,12 @@ pub(super) fn encode_active(
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (envs, agents, features) = input.observation.size3().expect("observations are [E, N, O]");
     let x = input.observation.view([1, envs * agents, features]);
+    if encoder.memory() == 0 {
+        let (f, _) = encoder.forward(&x, &input.memory, &input.start);
+        return (f.view([envs, agents, -1]), input.memory.shallow_clone());
+    }
     let keep = input.keep().reshape([1, envs * agents, 1]);
     let (f, memory) = encoder.forward(&x, &input.memory.reshape([envs * agents, -1]), &keep);
-    let memory = memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
-    (f.view([envs, agents, -1]), memory)
+    let memory = memory.expect("an encoder with memory has one afterwards");
+    (f.view([envs, agents, -1]), memory.view([envs, agents, -1]))
 }

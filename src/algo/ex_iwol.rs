@@ -88,7 +88,9 @@ impl Networks for ExIwol {
         let m = messages.message.index_select(0, &positions);
         let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
-        let world = self.world.loss(&m, &shard.active(self.target.of(&batch.observation, &batch.state)));
+        let some = |x: &Tensor| x.narrow(0, 0, shard.some(iwol.decoded));
+        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
+        let world = self.world.loss(&some(&m), &some(&truth));
 
         let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach())];
         report.extend(policy.report());

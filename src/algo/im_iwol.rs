@@ -141,8 +141,10 @@ impl Networks for ImIwol {
         let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let (z, input) = self.policy_input(&f);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
-        let world = self.world.loss(&z, &shard.active(self.target.of(&batch.observation, &batch.state)));
-        let interaction = self.interaction.loss(&z, &messages.detach());
+        let some = |x: &Tensor| x.narrow(0, 0, shard.some(iwol.decoded));
+        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
+        let world = self.world.loss(&some(&z), &some(&truth));
+        let interaction = self.interaction.loss(&some(&z), &some(&messages.detach()));
 
         let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
         let mut report = vec![

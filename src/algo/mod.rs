@@ -3,6 +3,7 @@
 
 mod batch;
 mod core;
+mod device;
 mod encoder;
 mod ex_iwol;
 mod head;
@@ -12,6 +13,7 @@ mod message;
 pub mod ppo;
 pub mod settings;
 
+pub use device::{ComputeDevice, NoDevice};
 pub use settings::Settings;
 
 use tch::{Device, Tensor};

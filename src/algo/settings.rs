@@ -71,15 +71,18 @@ pub enum EncoderKind {
 pub struct Ppo {
     /// Adam's learning rate for policy and value.
     pub learning_rate: f64,
-    /// Share of the rate that is left when annealing is over; until annealing begins the rate is constant.
+    /// Whether that rate is for a standard deviation of 1 of the actions, and falls with the imposed one: a step of the same
+    /// size changes a policy with less noise by more.
+    pub learning_rate_follows_noise: bool,
+    /// Share of the rate that is left when annealing is over.
     pub learning_rate_end: f64,
     /// Passes over a rollout.
     pub epochs: usize,
     /// Samples (agent × step) per minibatch; more gradient steps with smaller ones.
     pub minibatch: usize,
     /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
-    /// As many as there are cores is fastest. Sums are rounded differently with another number, so that it is a setting,
-    /// and not found out from the machine.
+    /// As many as there are cores is fastest. Another number gives other roundings, and lets decoders learn from other
+    /// samples, so that it is a setting, and not found out from the machine.
     pub shards: usize,
     /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use; 0: the last
     /// weights are used.
@@ -104,6 +107,7 @@ impl Default for Ppo {
     fn default() -> Self {
         Self {
             learning_rate: 7e-4,
+            learning_rate_follows_noise: true,
             learning_rate_end: 0.02,
             epochs: 5,
             minibatch: 2048,
@@ -178,6 +182,9 @@ pub struct Iwol {
     pub lambda_world: f64,
     /// λ_I, weight of the interaction decoder's loss (paper: 0.05).
     pub lambda_interaction: f64,
+    /// Share of a minibatch's samples (at random) from which the decoders learn. All of them would cost more than the policy
+    /// itself does, for a mean that a part estimates as well.
+    pub decoded: f64,
     /// Slope of the leaky rectifier in the additive attention (released: 1.2 for driving).
     pub slope: f64,
     /// Temperature of the Gumbel-softmax.
@@ -202,10 +209,11 @@ impl Default for Iwol {
         Self {
             latent: 32,
             message: 64,
-            rounds: 2,
+            rounds: 1,
             heads: 4,
             lambda_world: 0.05,
             lambda_interaction: 0.05,
+            decoded: 0.25,
             slope: 0.2,
             temperature: 1.0,
             mask: MaskMode::Hard,

@@ -155,7 +155,7 @@ fn check_torch(findings: &mut Findings) {
     findings.row(
         "device",
         if tch::Cuda::is_available() {
-            format!("cpu (CUDA sees {} devices; training does not use them yet)", tch::Cuda::device_count())
+            format!("cpu (CUDA sees {} devices; use them with `iwol train --device cuda`)", tch::Cuda::device_count())
         } else if with_cuda {
             "cpu (libtorch has CUDA, but sees no device: does `nvidia-smi` list one?)".to_owned()
         } else {
