@@ -304,7 +304,7 @@ impl Config {
             algorithm: "im-iwol".to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: 400_000,
+            steps: 500_000,
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train: Train::default(),

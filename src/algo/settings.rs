@@ -148,9 +148,9 @@ impl Default for Exploration {
         Self {
             mode: NoiseMode::Schedule,
             log_std_start: 0.0,
-            log_std_explore: -1.5,
+            log_std_explore: -0.9,
             log_std_end: -1.7,
-            explore_steps: 250_000,
+            explore_steps: 150_000,
             mean_bias: 0.5,
         }
     }

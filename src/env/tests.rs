@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::rng::Seed;
-use crate::scenario::Scenario;
+use crate::scenario::{ObservationGroups, Scenario};
 use crate::sumo::{Command, Snapshot, VehicleState};
 
 /// Vehicles on rails, and a check on every command.
@@ -325,6 +325,33 @@ fn features_are_named_once_and_covered_by_their_groups() {
         assert_eq!(names.len(), task.spec.observation.len());
     }
     assert_eq!(task(4, |_| {}).spec.state, task(48, |_| {}).spec.state, "the state does not grow with the agents");
+}
+
+/// `both` shows what `nearest` shows and then what `conflict` shows, whatever happens; none depends on the number of agents.
+#[test]
+fn observation_groups_show_the_same_traffic() {
+    for agents in [4, 8, 48] {
+        let of = |groups| task(agents, |scenario| scenario.observation.groups = groups);
+        let tasks = [ObservationGroups::Nearest, ObservationGroups::Conflict, ObservationGroups::Both].map(of);
+        let widths = tasks.each_ref().map(|task| task.spec.observation.len());
+        assert_eq!(widths, [32, 66, 90]);
+        let ego = tasks[0].spec.observation.groups[0].width;
+        let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
+        for step in 0..150 {
+            let actions: Vec<f32> = (0..agents).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
+            for (world, rails) in &mut worlds {
+                exchange(world, rails, &actions);
+            }
+            let frames = worlds.each_ref().map(|(world, _)| world.frame());
+            for i in 0..agents as usize {
+                let of = |k: usize| &frames[k].observation[i * widths[k]..(i + 1) * widths[k]];
+                let (nearest, conflict, both) = (of(0), of(1), of(2));
+                assert_eq!(&both[..widths[0]], nearest, "step {step}, agent {i}");
+                assert_eq!(&both[..ego], &conflict[..ego], "step {step}, agent {i}");
+                assert_eq!(&both[widths[0]..], &conflict[ego..], "step {step}, agent {i}");
+            }
+        }
+    }
 }
 
 #[test]
