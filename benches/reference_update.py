@@ -1,7 +1,8 @@
 """One PPO update of IWoL or MAPPO in plain PyTorch: the same networks, losses and batch as `iwol bench update`.
 
 Written the way a PyTorch user would (modules, torch.optim.Adam, clip_grad_norm_), from the paper's equations and the released
-code's layout (DongsuLeeTech/IWoL, marlbenchmark/on-policy). `iwol bench update --reference PYTHON` runs it in turn with the
+code's layout (DongsuLeeTech/IWoL, marlbenchmark/on-policy). One thing it does not do, as code in this style does not: leave agents
+who are gone out of the message path. `iwol bench update --reference PYTHON` runs it in turn with the
 Rust program and compares; PYTHON is one that has torch, e.g. of a virtual environment.
 
 Prints the milliseconds of each update as a JSON list.
@@ -138,9 +139,11 @@ class Critic(nn.Module):
             self.messages = Messages(a.observation, a.hidden, a.message, a.rounds, a.heads)
             self.value = orthogonal(nn.Linear(a.hidden + a.message, 1), 1.0)
 
-    def forward(self, obs, state, physical, noise):
+    def forward(self, obs, state, physical, noise, use=None):
+        """Values of all agents, or for MAPPO of those in use alone."""
         if self.algorithm == "mappo":
-            return self.value(self.encoder(torch.cat([obs, state], -1))).squeeze(-1), None
+            x = torch.cat([obs, state], -1)
+            return self.value(self.encoder(x if use is None else x[use])).squeeze(-1), None
         m, f = self.messages(obs, physical, noise)
         return self.value(torch.cat([m, f], -1)).squeeze(-1), m
 
@@ -165,27 +168,29 @@ def update(a, actor, critic, optimisers, data):
         advantage = advantage.view(rows, a.agents)
         chosen = data["active"] > 0
         advantage = (advantage - advantage[chosen].mean()) / (advantage[chosen].std() + 1e-5)
-    count = max(1, rows * a.agents // a.minibatch)
+    count = -(-rows * a.agents // a.minibatch)
     for _ in range(a.epochs):
         for index in torch.randperm(rows).chunk(count):
             use = data["active"][index] > 0
             obs, state = data["obs"][index], data["state"][index]
             comm = data["comm"][index]
-            value, message = critic(obs, state, comm, data["noise"][index])
-            value, old, target = value[use], values[index][use], returns[index][use]
+            value, message = critic(obs, state, comm, data["noise"][index], use)
+            value = value if message is None else value[use]
+            old, target = values[index][use], returns[index][use]
             clipped = old + (value - old).clamp(-0.2, 0.2)
             value_loss = torch.max(huber(target - value), huber(target - clipped)).mean()
 
             truth = state[use]
+            some = max(1, int(len(truth) * a.decoded))  # the rows are shuffled
             if a.algorithm == "ex-iwol":
                 m, f = actor.messages(obs, comm, data["policy_noise"][index])
-                features, extra = torch.cat([m[use], f[use]], -1), 0.05 * F.mse_loss(actor.world(m[use]).tanh(), truth)
+                features, extra = torch.cat([m[use], f[use]], -1), 0.05 * F.mse_loss(actor.world(m[use][:some]).tanh(), truth[:some])
             else:
                 features, extra = actor.encoder(obs[use]), 0.0
             if a.algorithm == "im-iwol":
                 z = actor.latent(features)
-                extra = 0.05 * F.mse_loss(actor.world(z).tanh(), truth)
-                extra = extra + 0.05 * F.mse_loss(actor.interaction(z), message[use].detach())
+                extra = 0.05 * F.mse_loss(actor.world(z[:some]).tanh(), truth[:some])
+                extra = extra + 0.05 * F.mse_loss(actor.interaction(z[:some]), message[use][:some].detach())
                 features = torch.cat([z, features], -1)
             policy = torch.distributions.Normal(actor.mean(features), actor.log_std.exp())
             log_prob = policy.log_prob(data["action"][index][use]).sum(-1)
@@ -204,10 +209,11 @@ def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--algorithm", choices=["mappo", "im-iwol", "ex-iwol"], default="im-iwol")
     for name, default in dict(
-        agents=8, envs=16, steps=128, observation=66, state=83, hidden=128, message=64, rounds=2, heads=4, latent=32, epochs=5,
+        agents=8, envs=16, steps=128, observation=66, state=83, hidden=128, message=64, rounds=1, heads=4, latent=32, epochs=5,
         minibatch=2048, repeat=3, threads=2,
     ).items():
         p.add_argument(f"--{name}", type=int, default=default)
+    p.add_argument("--decoded", type=float, default=0.25, help="share of the samples that teach the decoders")
     p.add_argument("--profile", action="store_true", help="print where the time goes instead")
     a = p.parse_args()
     torch.set_num_threads(a.threads)

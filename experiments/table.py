@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-# Quantile 0.975 of Student's t with 1, 2, ... degrees of freedom.
+# Quantile 0.975 of Student's t with 1, 2, ... degrees of freedom; the normal distribution's beyond.
 T = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262]
 
 
@@ -17,7 +17,7 @@ def interval(values, digits=1):
     n, mean = len(values), sum(values) / len(values)
     if n == 1:
         return f"{mean:.{digits}f}"
-    half = T[n - 2] * math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1) / n)
+    half = (T[n - 2] if n - 2 < len(T) else 1.96) * math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1) / n)
     return f"{mean:.{digits}f} ± {half:.{digits}f}"
 
 

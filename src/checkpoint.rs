@@ -128,6 +128,9 @@ impl Checkpoint {
         let episodes: Vec<(u64, bool)> =
             serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
         let counters = [progress.iteration, progress.step, progress.next_validation, progress.validated];
+        if progress.annealing_since.is_some_and(|since| since > progress.step) {
+            return Err(damaged("its annealing began in its future".to_owned()));
+        }
         if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
             return Err(damaged("a counter in it is out of range".to_owned()));
         }

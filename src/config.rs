@@ -69,9 +69,9 @@ pub struct Train {
     pub stop_validations: u32,
     /// Annealing (of noise and learning rate) begins once this share of agents succeeds in a validation; 0, or when it never
     /// happens: so that it is over when the run is. Training episodes would tell too early: agents that only succeed thanks
-    /// to their noise do not yet know how.
+    /// to their noise do not yet know how. A run that has lost success when annealing is over explores again.
     pub anneal_success: f64,
-    /// Environment steps that annealing takes.
+    /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
 }
 

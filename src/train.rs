@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace};
+use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
@@ -252,35 +252,42 @@ impl Trainer {
         Ok(losses)
     }
 
-    /// Where the schedules stand. Annealing begins when a validation succeeds, or else so late that it is over when the run
-    /// is. In its first half the noise goes down, in the second the learning rate.
-    fn pace(&mut self) -> Pace {
+    /// Where the schedules stand. Annealing begins when a validation succeeds, and again if success was lost when it is over,
+    /// or else so late that it is over when the run is. In its first half the noise goes down, in the second the learning rate.
+    fn pace(&self) -> Pace {
         let step = self.progress.step;
-        let (train, noise, ppo) = (&self.config.train, &self.config.exploration, &self.config.ppo);
-        if self.progress.annealing_since.is_none() && step + train.anneal_steps >= self.config.steps {
-            self.progress.annealing_since = Some(step);
-        }
+        let (noise, ppo) = (&self.config.exploration, &self.config.ppo);
         let ramp = |from: u64, to: u64, length: u64| ((to - from) as f64 / length.max(1) as f64).min(1.0);
         let explored = |at: u64| {
             noise.log_std_start + (noise.log_std_explore - noise.log_std_start) * ramp(0, at, noise.explore_steps)
         };
         // A step of the same size changes a policy with less noise by more.
-        let follow = if ppo.learning_rate_follows_noise { 1.0 } else { 0.0 };
+        let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
+        let follow = if follows { 1.0 } else { 0.0 };
         let rate = |log_std: f64| ppo.learning_rate * (follow * log_std).exp();
-        let Some(since) = self.progress.annealing_since else {
+        let (since, length) = self.annealing();
+        let Some(since) = since.filter(|&since| since <= step) else {
             return Pace { learning_rate: rate(explored(step)), log_std: explored(step) };
         };
-        let share = ramp(since, step, train.anneal_steps);
+        let share = ramp(since, step, length);
         let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
         let (from, to) = (explored(since), noise.log_std_end.min(explored(since)));
         let log_std = from + (to - from) * quiet;
         Pace { learning_rate: rate(log_std) * (1.0 - (1.0 - ppo.learning_rate_end) * slow), log_std }
     }
 
+    /// The step at which annealing begins, if that is known, and how many it takes: at most half of the run.
+    fn annealing(&self) -> (Option<u64>, u64) {
+        let length = self.config.train.anneal_steps.min(self.config.steps / 2);
+        let latest = self.config.steps - length;
+        let known = self.progress.annealing_since.or((self.progress.step >= latest).then_some(latest));
+        (known, length)
+    }
+
     /// Whether annealing is over.
     fn annealed(&self) -> bool {
-        let Progress { step, annealing_since, .. } = self.progress;
-        annealing_since.is_some_and(|since| step >= since + self.config.train.anneal_steps)
+        let (since, length) = self.annealing();
+        since.is_some_and(|since| self.progress.step >= since + length)
     }
 
     fn collect(&mut self, seed: Seed) -> Result<(), Error> {
@@ -437,8 +444,13 @@ impl Trainer {
         let solved = train.stop_success > 0.0 && success >= train.stop_success;
         self.progress.solved = if solved { self.progress.solved.saturating_add(1) } else { 0 };
         self.progress.validated = self.progress.step;
-        if train.anneal_success > 0.0 && success >= train.anneal_success {
-            self.progress.annealing_since.get_or_insert(self.progress.step);
+        if train.anneal_success > 0.0 {
+            if success >= train.anneal_success {
+                self.progress.annealing_since.get_or_insert(self.progress.step);
+            } else if self.annealed() {
+                // Lost on the way: back to exploring, which found it before.
+                self.progress.annealing_since = None;
+            }
         }
         // The next multiple of the interval.
         self.progress.next_validation = (self.progress.step / train.validate_every + 1) * train.validate_every;

@@ -132,6 +132,8 @@ pub(super) struct Shard {
     pub(super) first: Tensor,
     /// Active samples among the `L · C · N`.
     samples: Tensor,
+    /// Agents N.
+    agents: i64,
     /// Share of the minibatch's active samples that are here.
     pub(super) weight: f64,
 }
@@ -161,6 +163,7 @@ pub(super) fn minibatches(
             .collect();
         Shard {
             length: length as i64,
+            agents: agents as i64,
             first: indices(&rows[..chunks.len()]),
             rows: indices(&rows),
             weight: samples.len() as f64,
@@ -190,10 +193,17 @@ impl Shard {
         self.pick(&self.take(tensor))
     }
 
-    /// How many of the active samples make up `share` of them, at least one.
-    pub(super) fn some(&self, share: f64) -> i64 {
-        let count = self.samples.size()[0];
-        ((count as f64 * share).ceil() as i64).clamp(1, count)
+    /// About `share` of `x: [B, ..]`, which has a row for each active sample: a random part, as the chunks are shuffled.
+    pub(super) fn part(&self, x: &Tensor, share: f64) -> Tensor {
+        let some = |count: i64| ((count as f64 * share).ceil() as i64).clamp(1, count);
+        if self.length == 1 {
+            return x.narrow(0, 0, some(x.size()[0]));
+        }
+        // Whole chunks, so that every step of one has its turn.
+        let chunks = self.first.size()[0];
+        let chunk = self.samples.floor_divide_scalar(self.agents).remainder(chunks);
+        let chosen = chunk.lt(some(chunks)).nonzero().squeeze_dim(-1);
+        if chosen.numel() == 0 { x.shallow_clone() } else { x.index_select(0, &chosen) }
     }
 
     /// Places of the active samples among those of a packing of this shard's rows.

@@ -23,6 +23,8 @@ pub(super) trait Networks: Sized + Send {
     const NAME: &'static str;
     /// Whether the policy samples a communication graph.
     const SAMPLES_GRAPH: bool = false;
+    /// Whether the value samples one.
+    const VALUE_SAMPLES_GRAPH: bool = false;
     /// Parts of the actor that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
@@ -242,14 +244,18 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let recurrent = self.copies[0].memory() > 0;
         let length = if recurrent { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
-        batch.value_graph = graph_noise(rollout, self.device, seed.child("graph"));
+        if N::VALUE_SAMPLES_GRAPH {
+            batch.value_graph = graph_noise(rollout, self.device, seed.child("graph"));
+        }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, &ppo);
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
                 let noise = |of: &str| graph_noise(rollout, self.device, seed.child(of).index(epoch as u64));
-                batch.value_graph = noise("resampled");
+                if N::VALUE_SAMPLES_GRAPH {
+                    batch.value_graph = noise("resampled");
+                }
                 if N::SAMPLES_GRAPH {
                     batch.policy_graph = noise("resampled policy");
                 }

@@ -28,13 +28,14 @@ pub(super) struct ExIwol {
 impl ExIwol {
     /// The message path at one decision.
     fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
-        self.trunk.forward(&input.observation, &input.memory, &input.keep(), 1, &input.comm, graph)
+        self.trunk.forward(&input.observation, &input.memory, &input.keep(), 1, &input.comm, graph, false)
     }
 }
 
 impl Networks for ExIwol {
     const NAME: &'static str = "ex-iwol";
     const SAMPLES_GRAPH: bool = true;
+    const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
     fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
@@ -88,7 +89,7 @@ impl Networks for ExIwol {
         let m = messages.message.index_select(0, &positions);
         let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
-        let some = |x: &Tensor| x.narrow(0, 0, shard.some(iwol.decoded));
+        let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let truth = shard.active(self.target.of(&batch.observation, &batch.state));
         let world = self.world.loss(&some(&m), &some(&truth));
 

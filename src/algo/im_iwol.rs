@@ -86,6 +86,7 @@ impl ImIwol {
 
 impl Networks for ImIwol {
     const NAME: &'static str = "im-iwol";
+    const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
     fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
@@ -141,7 +142,7 @@ impl Networks for ImIwol {
         let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let (z, input) = self.policy_input(&f);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
-        let some = |x: &Tensor| x.narrow(0, 0, shard.some(iwol.decoded));
+        let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let truth = shard.active(self.target.of(&batch.observation, &batch.state));
         let world = self.world.loss(&some(&z), &some(&truth));
         let interaction = self.interaction.loss(&some(&z), &some(&messages.detach()));

@@ -54,6 +54,9 @@ impl MessageTrunk {
     /// The message path on rows `[L · C]` of all N agents: `observation [L · C, N, O]`, `memory [C, N, M]` before the
     /// first step, `keep [L · C, N]`, `comm` and `noise` `[L · C, N, N]` (no noise: the most likely graph).
     ///
+    /// Whom nobody can hear need not be computed, which is left out where `pack` says so; one decision computes everyone, so
+    /// that its rounding does not depend on who is there in other environments.
+    ///
     /// Every message between agents passes through here: this is where bandwidth, loss or attacks act.
     pub(super) fn forward(
         &self,
@@ -63,13 +66,14 @@ impl MessageTrunk {
         length: i64,
         comm: &Tensor,
         noise: Option<&Tensor>,
+        pack: bool,
     ) -> Messages {
         let (rows, agents, features) = observation.size3().expect("observations are [rows, N, O]");
-        // Whom nobody can hear need not be computed; where cut edges leak, that is everyone.
-        let packing = if self.leaks {
-            Packing::full(rows, agents)
-        } else {
+        // Where cut edges leak, everyone is heard.
+        let packing = if pack && !self.leaks {
             Packing::of(&comm.diagonal(0, 1, 2))
+        } else {
+            Packing::full(rows, agents)
         };
         let (embedding, memories) = if self.encoder.memory() == 0 {
             let (f, _) = self.encoder.forward(&packing.pack(observation).unsqueeze(0), memory, keep);
@@ -96,6 +100,7 @@ impl MessageTrunk {
             shard.length,
             &shard.take(&batch.comm),
             Some(&shard.take(noise)),
+            true,
         )
     }
 }
@@ -132,7 +137,7 @@ impl MessageCritic {
     /// not kept outside training.
     pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
         let messages = |keep: &Tensor| {
-            let messages = self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None);
+            let messages = self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None, false);
             messages.packing.unpack(&messages.message)
         };
         (self.trunk.memory() == 0).then(|| messages(&input.keep()))
@@ -149,14 +154,14 @@ impl MessageCritic {
         };
         let whole = (&batch.observation, &batch.keep, &batch.comm, &batch.value_graph);
         if self.trunk.memory() > 0 {
-            let messages = self.trunk.forward(whole.0, memory, whole.1, length, whole.2, Some(whole.3));
+            let messages = self.trunk.forward(whole.0, memory, whole.1, length, whole.2, Some(whole.3), true);
             return (rows(&messages), messages.memory);
         }
         let (count, agents, _) = batch.observation.size3().expect("observations are [rows, N, O]");
         let part = |from: i64, count: i64| {
             let cut = |t: &Tensor| t.narrow(0, from, count);
             let messages = self.trunk.forward(
-                &cut(whole.0), memory, &cut(whole.1), 1, &cut(whole.2), Some(&cut(whole.3)),
+                &cut(whole.0), memory, &cut(whole.1), 1, &cut(whole.2), Some(&cut(whole.3)), true,
             );
             rows(&messages)
         };

@@ -82,7 +82,7 @@ pub struct Ppo {
     pub minibatch: usize,
     /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
     /// As many as there are cores is fastest. Another number gives other roundings, and lets decoders learn from other
-    /// samples, so that it is a setting, and not found out from the machine.
+    /// samples, so that it is a setting, and not found out from the machine. A graphics processor does everything at once.
     pub shards: usize,
     /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use; 0: the last
     /// weights are used.

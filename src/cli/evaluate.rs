@@ -42,6 +42,9 @@ pub(super) struct Args {
     /// Seed of the evaluation's episodes
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Where the networks are computed, whatever they were trained on
+    #[arg(long, value_name = "cpu|cuda", default_value = "cpu")]
+    device: String,
     /// How SUMO is spoken to; results do not depend on it
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
@@ -87,6 +90,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if let Some(agents) = args.agents {
         layers.flags.push(("agents", Value::Integer(agents.into())));
     }
+    layers.flags.push(("device", Value::String(args.device.clone())));
     if let Some(backend) = &args.backend {
         layers.flags.push(("simulation.backend", Value::String(backend.clone())));
     }

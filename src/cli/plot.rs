@@ -46,6 +46,14 @@ const MEASURES: [Measure; 3] = [
     ("validation/window_reward", 1.0, "Throughput", "reward per agent in 1000 steps", None),
 ];
 
+/// Runs that differ in their seed alone.
+struct Group {
+    label: String,
+    settings: toml::Table,
+    folder: PathBuf,
+    runs: Vec<Curves>,
+}
+
 /// A run's curves: `(x, y)` for each of [`MEASURES`], and success of the training episodes.
 struct Curves {
     measures: Vec<Vec<(f64, f64)>>,
@@ -67,25 +75,36 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             references: Vec::new(),
         })
         .collect();
-    let mut groups: Vec<(String, Vec<Curves>)> = Vec::new();
-    for run in &args.runs {
-        let (name, curves) = (label(run), read(run, args.x)?);
-        match groups.iter_mut().find(|group| group.0 == name) {
-            Some(group) => group.1.push(curves),
-            None => groups.push((name, vec![curves])),
+    let mut groups: Vec<Group> = Vec::new();
+    for run in args.runs.iter().collect::<std::collections::BTreeSet<_>>() {
+        let (label, settings) = identity(run);
+        let curves = read(run, args.x)?;
+        match groups.iter_mut().find(|group| group.settings == settings) {
+            Some(group) => group.runs.push(curves),
+            None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![curves] }),
         }
     }
-    for (name, runs) in &groups {
-        let name = if runs.len() == 1 { name.clone() } else { format!("{name} ({} seeds)", runs.len()) };
+    for i in 0..groups.len() {
+        // What the label does not tell apart, the folder does.
+        if groups.iter().filter(|group| group.label == groups[i].label).count() > 1 {
+            let folder = groups[i].folder.display().to_string();
+            groups[i].label = format!("{} {folder}", groups[i].label);
+        }
+    }
+    for group in &groups {
+        let name = match group.runs.len() {
+            1 => group.label.clone(),
+            seeds => format!("{} ({seeds} seeds)", group.label),
+        };
         for panel in &mut panels {
             let measure = MEASURES.iter().position(|m| m.2 == panel.title).expect("a panel shows a measure");
-            let curves: Vec<&[(f64, f64)]> = runs.iter().map(|run| &run.measures[measure][..]).collect();
-            panel.series.push(mean_curve(name.clone(), &curves, args.x, panel.y_range));
+            let curves = group.runs.iter().map(|run| &run.measures[measure][..]).filter(|curve| !curve.is_empty());
+            panel.series.push(mean_curve(name.clone(), &curves.collect::<Vec<_>>(), args.x, panel.y_range));
         }
     }
     if alone {
-        let exploring = groups[0].1[0].exploring.clone();
-        panels[0].series.push(Series { label: format!("{}, exploring", groups[0].0), points: exploring, band: None });
+        let exploring = groups[0].runs[0].exploring.clone();
+        panels[0].series.push(Series { label: format!("{}, exploring", groups[0].label), points: exploring, band: None });
     }
     if let Some(path) = &args.reference {
         for (policy, metrics) in references(path)? {
@@ -99,7 +118,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
     }
     let out = args.out.clone().unwrap_or_else(|| args.runs[0].join("learning_curve.png"));
-    let title = if alone { format!("Learning curve of {}", groups[0].0) } else { "Learning curves".to_owned() };
+    let title = if alone { format!("Learning curve of {}", groups[0].label) } else { "Learning curves".to_owned() };
     figure(&out, &title, &panels, (700 * panels.len() as u32, 640))?;
     println!("{}", out.display());
     Ok(Verdict::Good)
@@ -149,18 +168,25 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
     Series { label, points, band: Some(band) }
 }
 
-/// What the run's own settings call it: the algorithm, and how others are seen where that is not the usual way.
-fn label(run: &Path) -> String {
-    let settings = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
-    let table: toml::Table = toml::from_str(&settings).unwrap_or_default();
-    let Some(algorithm) = table.get("algorithm").and_then(toml::Value::as_str) else {
-        return run.display().to_string();
+/// What the run's own settings call it (the algorithm, and how others are seen where that is not the usual way), and those
+/// settings of which learning is made, without the seed.
+fn identity(run: &Path) -> (String, toml::Table) {
+    let text = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
+    let mut settings: toml::Table = toml::from_str(&text).unwrap_or_default();
+    let Some(algorithm) = settings.get("algorithm").and_then(toml::Value::as_str).map(str::to_owned) else {
+        settings.insert("folder".to_owned(), run.display().to_string().into());
+        return (run.display().to_string(), settings);
     };
-    match table.get("env").and_then(|env| env.get("observation")).and_then(toml::Value::as_str) {
-        Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),
-        _ => algorithm.to_owned(),
+    for key in ["seed", "device", "simulation", "scenario"] {
+        settings.remove(key);
     }
+    let label = match settings.get("env").and_then(|env| env.get("observation")).and_then(toml::Value::as_str) {
+        Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),
+        _ => algorithm,
+    };
+    (label, settings)
 }
+
 /// Policies that need no training, with their metrics.
 fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;

@@ -89,7 +89,7 @@ impl Args {
 }
 
 /// What somebody needs to know who finds the folder in a year.
-fn write_meta(dir: &RunDir, worlds: &str) -> anyhow::Result<()> {
+fn write_meta(dir: &RunDir, config: &Config, worlds: &str) -> anyhow::Result<()> {
     let sumo = sumo::find_sumo()?;
     let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let meta = serde_json::json!({
@@ -99,7 +99,8 @@ fn write_meta(dir: &RunDir, worlds: &str) -> anyhow::Result<()> {
         "sumo": sumo::sumo_version(&sumo)?,
         "worlds": worlds,
         "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-        "torch_threads": tch::get_num_threads(),
+        "shards": config.ppo.shards,
+        "device": String::from(config.device),
     });
     std::fs::create_dir_all(dir.path())
         .with_context(|| format!("cannot make the run folder `{}`", dir.path().display()))?;
@@ -126,6 +127,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if !args.resume && dir.last().exists() {
         bail!("`{}` already holds a run; add --resume to go on with it, or choose another --out", dir.path().display());
     }
+    if !args.resume && dir.best().exists() {
+        bail!("`{}` holds a policy; start from it with --init-from, and choose another --out", dir.path().display());
+    }
+    if args.resume && args.init_from.is_some() {
+        bail!("--resume goes on with a run's own weights; leave --init-from out");
+    }
     let stop = super::stop_flag()?;
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
@@ -148,7 +155,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     );
     let worlds = config.hosting().describe(config.train.envs);
     eprintln!("{worlds}");
-    write_meta(&dir, &worlds)?;
+    write_meta(&dir, &config, &worlds)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(
         ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")

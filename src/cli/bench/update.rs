@@ -5,7 +5,8 @@ use std::process::Command as Program;
 use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
-use iwol_sumo::algo::{self, Algorithm, Pace};
+use iwol_sumo::algo::settings::{Iwol, Network};
+use iwol_sumo::algo::{self, Algorithm, ComputeDevice, Pace, Settings};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
 use iwol_sumo::rng::{self, Seed};
@@ -178,8 +179,27 @@ fn reference(python: &PathBuf, name: &str, config: &Config, task: &Task) -> anyh
         ("threads", config.ppo.shards as i64),
         ("repeat", 1),
     ];
+    // What the other program cannot do would be compared with something else.
+    let usual = Settings {
+        network: Network { hidden: config.network.hidden, ..Network::default() },
+        iwol: Iwol {
+            rounds: config.iwol.rounds,
+            heads: config.iwol.heads,
+            latent: config.iwol.latent,
+            message: config.iwol.message,
+            decoded: config.iwol.decoded,
+            ..Iwol::default()
+        },
+        ..config.settings()
+    };
+    ensure!(
+        usual == config.settings() && config.device == ComputeDevice::Cpu,
+        "the reference knows network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave the \
+         other settings at their defaults"
+    );
     let mut program = Program::new(python);
     program.args(["-c", REFERENCE, "--algorithm", name]);
+    program.args(["--decoded", &config.iwol.decoded.to_string()]);
     program.args(sizes.iter().flat_map(|(key, value)| [format!("--{key}"), value.to_string()]));
     let output = program.output().with_context(|| format!("cannot run `{}`", python.display()))?;
     let (text, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));

@@ -1,0 +1,109 @@
+//! The life of a policy, as users lead it: train, export, evaluate at other sizes, start again from it, draw.
+
+use std::fs;
+use std::path::Path;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+const SMALL: [&str; 9] = [
+    "train.envs=2",
+    "train.segment=32",
+    "train.validate_every=64",
+    "train.validation_episodes=1",
+    "network.hidden=8",
+    "iwol.message=8",
+    "iwol.latent=4",
+    "ppo.minibatch=64",
+    "env.horizon=40",
+];
+
+fn iwol(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("iwol").expect("the program is built");
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(args).env("NO_COLOR", "1");
+    command
+}
+
+fn train(out: &Path, more: &[&str]) -> Command {
+    let out = out.display().to_string();
+    let mut args = vec!["train", "--scenario", "scenarios/intersection.xml", "--steps", "128", "--out", &out];
+    args.extend(SMALL.iter().flat_map(|set| ["--set", set]));
+    args.extend(more);
+    iwol(&args)
+}
+
+fn text(command: &mut Command) -> String {
+    let output = command.output().expect("it ran");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+fn refused(command: &mut Command) -> String {
+    let output = command.output().expect("it ran");
+    assert_eq!(output.status.code(), Some(2));
+    String::from_utf8(output.stderr).expect("text")
+}
+
+#[test]
+fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let name = |name: &str| at(name).display().to_string();
+    for (algorithm, known) in [("mappo", 0), ("ex-iwol", 1), ("im-iwol", 2)] {
+        let run = format!("{algorithm}_0");
+        text(&mut train(&at(&run), &["--algorithm", algorithm, "--agents", "4"]));
+        let small = name(&format!("{algorithm}_small"));
+        assert_eq!(text(&mut iwol(&["export", &name(&run), "--out", &small])).trim(), small);
+        let size = |folder: &str| {
+            let path = Path::new(folder).join("checkpoints/best.safetensors");
+            fs::metadata(path).expect("a checkpoint").len()
+        };
+        assert!(size(&small) < size(&name(&run)) / 2);
+
+        // The copy drives as the run does, and any number of vehicles.
+        let evaluate = |run: &str, agents: &str| -> Value {
+            let args = ["evaluate", run, "--episodes", "2", "--agents", agents, "--json"];
+            serde_json::from_str(&text(&mut iwol(&args))).expect("JSON")
+        };
+        assert_eq!(evaluate(&name(&run), "4"), evaluate(&small, "4"));
+        let wide = evaluate(&small, "16");
+        let reconstruction = wide["metrics"]["reconstruction"].as_array().expect("a list");
+        assert_eq!(reconstruction.len(), known, "{algorithm}");
+        assert!(reconstruction.iter().all(|k| k["error"].as_f64().is_some_and(|e| e > 0.0)), "{wide}");
+
+        // Training starts from it with more vehicles; its metrics say what the latent knows.
+        let next = format!("{algorithm}_next");
+        text(&mut train(&at(&next), &["--algorithm", algorithm, "--agents", "5", "--init-from", &small]));
+        let metrics = fs::read_to_string(at(&next).join("metrics.jsonl")).expect("metrics");
+        assert_eq!(metrics.contains("validation/world_explained"), known > 0);
+        assert_eq!(metrics.contains("validation/interaction_explained"), known > 1);
+
+        let refusals = [
+            (refused(&mut train(Path::new(&small), &["--algorithm", algorithm])), "holds a policy; start from it"),
+            (refused(&mut iwol(&["export", &name(&run), "--out", &small])), "already holds a checkpoint"),
+            (refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--init-from", &small])), "leave --init-from out"),
+            (
+                refused(&mut train(
+                    &at("x"),
+                    &["--algorithm", algorithm, "--init-from", &small, "--set", "env.observation=nearest"],
+                )),
+                "do not fit this run's networks and observations",
+            ),
+            (refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])), "there is no device cuda:99"),
+        ];
+        for (found, expected) in refusals {
+            assert!(found.contains(expected), "{found}");
+        }
+    }
+
+    // Two seeds are one curve; another observation is another.
+    text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));
+    let nearest = ["--algorithm", "mappo", "--agents", "4", "--set", "env.observation=nearest"];
+    text(&mut train(&at("nearest"), &nearest));
+    for axis in ["steps", "time"] {
+        let picture = name(&format!("{axis}.png"));
+        let runs = [name("mappo_0"), name("mappo_1"), name("nearest")];
+        text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
+        assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
+    }
+}
