@@ -327,7 +327,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 60] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 61] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -367,6 +367,7 @@ impl Config {
             (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
+            (&["ppo.advantage_floor"], share(p.advantage_floor), "0 to 1"),
             (&["ppo.clip"], finite_positive(p.clip), "above 0"),
             (&["ppo.huber_delta"], finite_positive(p.huber_delta), "above 0"),
             (&["ppo.entropy"], p.entropy.is_finite(), "a finite number"),

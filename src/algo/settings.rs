@@ -91,6 +91,10 @@ pub struct Ppo {
     pub gamma: f64,
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
+    /// Advantages are divided by their standard deviation in a rollout, but at least by this share of the returns': in a
+    /// rollout without a crash the differences are small, and making them as large as those of a crash lets policies drift.
+    /// 0: by their own alone (released code).
+    pub advantage_floor: f64,
     /// ε of the clipped ratio and of the clipped value.
     pub clip: f64,
     /// Where the Huber loss of the (normalised) value turns linear.
@@ -115,6 +119,7 @@ impl Default for Ppo {
             average: 0.9,
             gamma: 0.99,
             gae_lambda: 0.95,
+            advantage_floor: 0.1,
             clip: 0.2,
             huber_delta: 10.0,
             entropy: 0.0,
