@@ -69,7 +69,7 @@ pub struct Train {
     pub stop_validations: u32,
     /// Annealing (of noise and learning rate) begins once this share of agents succeeds in a validation; 0, or when it never
     /// happens: so that it is over when the run is. Training episodes would tell too early: agents that only succeed thanks
-    /// to their noise do not yet know how. A run that has lost success when annealing is over explores again.
+    /// to their noise do not yet know how. A run that is not good enough to stop when annealing is over explores again.
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
@@ -84,7 +84,7 @@ impl Default for Train {
             validation_episodes: 64,
             stop_success: 0.99,
             stop_validations: 2,
-            anneal_success: 0.99,
+            anneal_success: 0.97,
             anneal_steps: 120_000,
         }
     }
@@ -327,7 +327,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 61] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 60] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -367,7 +367,6 @@ impl Config {
             (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
-            (&["ppo.advantage_floor"], share(p.advantage_floor), "0 to 1"),
             (&["ppo.clip"], finite_positive(p.clip), "above 0"),
             (&["ppo.huber_delta"], finite_positive(p.huber_delta), "above 0"),
             (&["ppo.entropy"], p.entropy.is_finite(), "a finite number"),

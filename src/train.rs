@@ -252,7 +252,7 @@ impl Trainer {
         Ok(losses)
     }
 
-    /// Where the schedules stand. Annealing begins when a validation succeeds, and again if success was lost when it is over,
+    /// Where the schedules stand. Annealing begins when a validation succeeds, and again if the result does not satisfy when it is over,
     /// or else so late that it is over when the run is. In its first half the noise goes down, in the second the learning rate.
     fn pace(&self) -> Pace {
         let step = self.progress.step;
@@ -447,8 +447,9 @@ impl Trainer {
         if train.anneal_success > 0.0 {
             if success >= train.anneal_success {
                 self.progress.annealing_since.get_or_insert(self.progress.step);
-            } else if self.annealed() {
-                // Lost on the way: back to exploring, which found it before.
+            }
+            if self.annealed() && success < train.stop_success {
+                // Not good enough, or lost on the way: back to exploring.
                 self.progress.annealing_since = None;
             }
         }

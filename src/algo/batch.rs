@@ -77,8 +77,7 @@ impl Batch {
         let (mut advantage, returns) = rollout.advantages(&values, ppo.gamma, ppo.gae_lambda);
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
-        let floor = ppo.advantage_floor * norm.mean_std().1;
-        ppo::normalize_advantages(&mut advantage, &rollout.active[..count], floor);
+        ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
         let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
         (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();

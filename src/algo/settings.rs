@@ -91,10 +91,6 @@ pub struct Ppo {
     pub gamma: f64,
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
-    /// Advantages are divided by their standard deviation in a rollout, but at least by this share of the returns': in a
-    /// rollout without a crash the differences are small, and making them as large as those of a crash lets policies drift.
-    /// 0: by their own alone (released code).
-    pub advantage_floor: f64,
     /// ε of the clipped ratio and of the clipped value.
     pub clip: f64,
     /// Where the Huber loss of the (normalised) value turns linear.
@@ -119,7 +115,6 @@ impl Default for Ppo {
             average: 0.9,
             gamma: 0.99,
             gae_lambda: 0.95,
-            advantage_floor: 0.1,
             clip: 0.2,
             huber_delta: 10.0,
             entropy: 0.0,
@@ -153,9 +148,9 @@ impl Default for Exploration {
         Self {
             mode: NoiseMode::Schedule,
             log_std_start: 0.0,
-            log_std_explore: -0.9,
-            log_std_end: -1.7,
-            explore_steps: 150_000,
+            log_std_explore: -1.7,
+            log_std_end: -2.0,
+            explore_steps: 250_000,
             mean_bias: 0.5,
         }
     }
