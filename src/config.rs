@@ -327,7 +327,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 60] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 61] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -375,6 +375,7 @@ impl Config {
             (&["exploration.log_std_start"], (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
             (&["exploration.log_std_explore"], (-20.0..=5.0).contains(&x.log_std_explore), "-20 to 5"),
             (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
+            (&["exploration.spread"], (0.0..=10.0).contains(&x.spread), "0 to 10"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),

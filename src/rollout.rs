@@ -50,6 +50,8 @@ pub struct Rollout {
     pub action: Vec<f32>,
     /// `[T, E, N]`
     pub log_prob: Vec<f32>,
+    /// Added to the logarithm of the actions' standard deviation, `[E]`.
+    pub quiet: Vec<f32>,
     /// `[T, E, N]`
     pub reward: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory ended for good.
@@ -73,6 +75,7 @@ impl Rollout {
             graph_noise: vec![0.0; if sizes.graph_noise { closed * sizes.agents } else { 0 }],
             action: vec![0.0; rows * sizes.actions],
             log_prob: vec![0.0; rows],
+            quiet: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
             terminated: vec![0.0; rows],
             truncated: vec![0.0; rows],

@@ -205,8 +205,12 @@ impl Trainer {
                 (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
             }
         };
+        let mut rollout = Rollout::new(sizes);
+        for (e, quiet) in rollout.quiet.iter_mut().enumerate() {
+            *quiet = -(config.exploration.spread * e as f64 / (worlds - 1).max(1) as f64) as f32;
+        }
         Ok(Self {
-            rollout: Rollout::new(sizes),
+            rollout,
             memory: Tensor::from_slice(&memory).view(shape),
             config,
             scenario,
@@ -294,6 +298,7 @@ impl Trainer {
         let s = self.rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
+        let quiet = Tensor::from_slice(&self.rollout.quiet);
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             let decision = timed(&mut self.timers.act, || {
@@ -314,7 +319,7 @@ impl Trainer {
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
-                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph })
+                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut self.rollout.action, t);

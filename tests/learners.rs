@@ -51,7 +51,8 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
     let open = Tensor::full([e, n, n], 1e4, (Kind::Float, Device::Cpu));
     let input = observation(learner, x.copy(), comm.copy());
-    let decision = learner.act(&input, &ActMode::Sample { action: &zero, graph: &open });
+    let quiet = Tensor::zeros([e], (Kind::Float, Device::Cpu));
+    let decision = learner.act(&input, &ActMode::Sample { action: &zero, graph: &open, quiet: &quiet });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
 
@@ -381,8 +382,9 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
-            let decision = learner
-                .act(&input, &ActMode::Sample { action: &Tensor::from_slice(&eps).view([32, 2, 1]), graph: &graph });
+            let action = Tensor::from_slice(&eps).view([32, 2, 1]);
+            let quiet = Tensor::zeros([32], (Kind::Float, Device::Cpu));
+            let decision = learner.act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet });
             let actions = Vec::<f32>::try_from(decision.action.reshape([-1])).expect("actions");
             let log_probs = Vec::<f32>::try_from(decision.log_prob.reshape([-1])).expect("log-probabilities");
             let rewards: Vec<f32> = (0..e * n)

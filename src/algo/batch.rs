@@ -32,6 +32,8 @@ pub(super) struct Batch {
     pub(super) action: Tensor,
     /// `[T · E, N]`
     pub(super) log_prob: Tensor,
+    /// Added to the logarithm of the standard deviation, `[T · E, N]`.
+    pub(super) quiet: Tensor,
     /// Normalised, `[T · E, N]`.
     pub(super) advantage: Tensor,
     /// In units of the reward, `[T · E, N]`.
@@ -63,6 +65,9 @@ impl Batch {
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
             log_prob: tensor(&rollout.log_prob, &[rows, n]),
+            quiet: tensor(&rollout.quiet, &[1, s.envs as i64, 1])
+                .expand([s.steps as i64, -1, n], false)
+                .reshape([rows, n]),
             advantage: empty(),
             returns: empty(),
             value: empty(),
@@ -114,6 +119,7 @@ impl Batch {
             value_graph: change(&self.value_graph),
             action: change(&self.action),
             log_prob: change(&self.log_prob),
+            quiet: change(&self.quiet),
             advantage: change(&self.advantage),
             returns: change(&self.returns),
             value: change(&self.value),

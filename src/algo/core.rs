@@ -223,9 +223,9 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             let input = input.map(there);
             let decision = match mode {
                 ActMode::Deterministic => self.copies[0].act(&input, mode),
-                ActMode::Sample { action, graph } => {
-                    let (action, graph) = (there(action), there(graph));
-                    self.copies[0].act(&input, &ActMode::Sample { action: &action, graph: &graph })
+                ActMode::Sample { action, graph, quiet } => {
+                    let (action, graph, quiet) = (there(action), there(graph), there(quiet));
+                    self.copies[0].act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
                 }
             };
             decision.map(|tensor| tensor.to_device(Device::Cpu))

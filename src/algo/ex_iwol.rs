@@ -70,7 +70,7 @@ impl Networks for ExIwol {
         };
         let messages = self.exchange(input, graph);
         let read = messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
-        let (action, log_prob) = self.head.sample(&read, mode.action_noise());
+        let (action, log_prob) = self.head.sample(&read, mode);
         let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
         Decision { action, log_prob, memory }
     }

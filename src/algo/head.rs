@@ -3,7 +3,7 @@
 use tch::{Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard};
-use super::ppo;
+use super::{ActMode, ppo};
 use super::settings::{Exploration, NoiseMode, Ppo};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
@@ -38,12 +38,15 @@ impl GaussianHead {
         (self.mean.forward(x), log_std)
     }
 
-    /// Action `[.., A]` and its log-probability `[..]`.
-    pub(super) fn sample(&self, x: &Tensor, noise: Option<&Tensor>) -> (Tensor, Tensor) {
+    /// Actions `[E, N, A]` and their log-probabilities `[E, N]`.
+    pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
-        let action = match noise {
-            Some(noise) => &mean + log_std.exp() * noise,
-            None => mean.shallow_clone(),
+        let (action, log_std) = match mode {
+            ActMode::Sample { action: noise, quiet, .. } => {
+                let log_std = log_std + quiet.view([-1, 1, 1]);
+                (&mean + log_std.exp() * *noise, log_std)
+            }
+            ActMode::Deterministic => (mean.shallow_clone(), log_std),
         };
         let log_prob = gaussian_log_prob(&mean, &log_std, &action);
         (action, log_prob)
@@ -67,11 +70,14 @@ pub(super) struct PolicyTerms {
 impl PolicyTerms {
     pub(super) fn new(batch: &Batch, shard: &Shard, head: &GaussianHead, input: &Tensor, ppo: &Ppo) -> Self {
         let (mean, log_std) = head.forward(input);
+        let quiet = shard.active(&batch.quiet);
+        let log_std = log_std + quiet.unsqueeze(-1);
         let log_prob = gaussian_log_prob(&mean, &log_std, &shard.active(&batch.action));
         let old = shard.active(&batch.log_prob);
         let advantage = shard.active(&batch.advantage);
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &log_prob.ones_like().detach(), ppo.clip);
-        let entropy = gaussian_entropy(&log_std);
+        // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &quiet.exp(), ppo.clip);
+        let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
             let ratio = difference.exp();

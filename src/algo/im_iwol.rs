@@ -126,7 +126,7 @@ impl Networks for ImIwol {
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (f, memory) = encode_locally(&self.encoder, input);
-        let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode.action_noise());
+        let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode);
         Decision { action, log_prob, memory }
     }
 

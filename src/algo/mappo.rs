@@ -49,7 +49,7 @@ impl Networks for Mappo {
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (f, memory) = encode_locally(&self.encoder, input);
-        let (action, log_prob) = self.head.sample(&f, mode.action_noise());
+        let (action, log_prob) = self.head.sample(&f, mode);
         Decision { action, log_prob, memory }
     }
 

@@ -60,17 +60,9 @@ pub enum ActMode<'a> {
         action: &'a Tensor,
         /// Standard logistic, `[E, N, N]`; empty for policies without a graph.
         graph: &'a Tensor,
+        /// Added to the logarithm of the standard deviation, `[E]`: how much quieter each environment is.
+        quiet: &'a Tensor,
     },
-}
-
-impl ActMode<'_> {
-    /// Noise of the actions, if any.
-    fn action_noise(&self) -> Option<&Tensor> {
-        match self {
-            Self::Deterministic => None,
-            Self::Sample { action, .. } => Some(action),
-        }
-    }
 }
 
 /// What a policy decided.

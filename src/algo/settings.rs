@@ -139,6 +139,10 @@ pub struct Exploration {
     pub log_std_end: f64,
     /// Environment steps over which it falls linearly from the first to the second.
     pub explore_steps: u64,
+    /// The worlds of a rollout differ in their noise: from the one above down to one whose logarithm is smaller by this, in
+    /// equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
+    /// apart who goes first.
+    pub spread: f64,
     /// Action mean of an untrained policy: above zero, agents move at once.
     pub mean_bias: f64,
 }
@@ -151,6 +155,7 @@ impl Default for Exploration {
             log_std_explore: -1.7,
             log_std_end: -2.0,
             explore_steps: 250_000,
+            spread: 1.2,
             mean_bias: 0.5,
         }
     }
