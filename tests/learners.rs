@@ -283,6 +283,43 @@ fn shards_share_one_set_of_weights() {
     });
 }
 
+/// An update that changes nothing sees the actions exactly as probable as they were when they were chosen: with each
+/// environment's noise, graph and memory.
+#[test]
+fn an_update_sees_the_policy_that_acted() {
+    each(|name, encoder| {
+        let mut learner = loud(name, &spec(4), &small(encoder));
+        let mut rollout = random_rollout(&*learner, 4, 3);
+        let s = rollout.sizes;
+        let (e, n) = (s.envs as i64, s.agents as i64);
+        rollout.quiet = vec![0.0, -0.7, -1.4];
+        let quiet = Tensor::from_slice(&rollout.quiet);
+        let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
+        for t in 0..s.steps {
+            let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
+            let input = Observation {
+                observation: part(&rollout.observation, s.observation),
+                comm: part(&rollout.comm, s.agents),
+                start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+                memory: memory.shallow_clone(),
+            };
+            let graph = if s.graph_noise { part(&rollout.graph_noise, s.agents) } else { Tensor::zeros([0], (Kind::Float, Device::Cpu)) };
+            let eps = noise(50 + t as u64, &[e, n, 1]);
+            let decision = learner.act(&input, &ActMode::Sample { action: &eps, graph: &graph, quiet: &quiet });
+            let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
+            let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
+            rollout.memory[cells].copy_from_slice(&numbers(&memory));
+            rollout.action[cell.clone()].copy_from_slice(&numbers(&decision.action));
+            rollout.log_prob[cell].copy_from_slice(&numbers(&decision.log_prob));
+            memory = decision.memory;
+        }
+        let losses = learner.update(&rollout, &STILL, Seed::new(4)).expect("finite");
+        let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
+        assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
+        assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
+    });
+}
+
 #[test]
 fn averaged_weights_follow_and_can_be_exchanged() {
     each(|name, encoder| {

@@ -30,7 +30,7 @@ pub(super) struct Args {
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
-    /// Environment steps (of one world each)
+    /// Environment steps (of one world each), at most
     #[arg(long)]
     steps: Option<u64>,
     /// Start from the weights of a run folder or checkpoint, of any number of vehicles
