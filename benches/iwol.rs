@@ -126,7 +126,8 @@ fn act(c: &mut Criterion) {
     let task = task(8);
     let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
     for name in algo::NAMES {
-        let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
+        let learner =
+            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
         let input = Observation {
             observation: zeros(&[worlds, agents, task.spec.observation.len() as i64]),
             comm: zeros(&[worlds, agents, agents]) + 1.0,
@@ -146,7 +147,8 @@ fn update(c: &mut Criterion) {
     group.sample_size(10);
     let pace = Pace { learning_rate: 0.0, log_std: 0.0 };
     for name in algo::NAMES {
-        let mut learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
+        let mut learner =
+            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
         let sizes = Sizes {
             steps: 16,
             envs: 16,

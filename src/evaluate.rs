@@ -265,7 +265,8 @@ impl Sums {
             let (found, truth) = (found.to_kind(Kind::Double), truth.to_kind(Kind::Double));
             let sum = |x: Tensor| (x * &weight).sum_dim_intlist(&[0_i64, 1][..], false, Kind::Double);
             // Per dimension: squared errors, the truth, its squares.
-            let sums = Tensor::stack(&[sum((found - &truth).square()), sum(truth.shallow_clone()), sum(truth.square())], 0);
+            let sums =
+                Tensor::stack(&[sum((found - &truth).square()), sum(truth.shallow_clone()), sum(truth.square())], 0);
             match self.0.iter_mut().find(|entry| entry.0 == name) {
                 Some(entry) => {
                     entry.1 += count;

@@ -159,7 +159,8 @@ impl Trainer {
         let seed = Seed::new(config.seed);
         let task = Arc::new(Task::new(&scenario, config.agents)?);
         let device = config.device.find()?;
-        let mut learner = algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
+        let mut learner =
+            algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,

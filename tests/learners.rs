@@ -228,7 +228,8 @@ fn without_a_learning_rate_nothing_moves() {
 fn the_dead_do_not_teach() {
     each(|name, encoder| {
         let run = |rubbish: f32| {
-            let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+            let mut learner =
+                algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
             let mut rollout = random_rollout(&*learner, 4, 3);
             let s = rollout.sizes;
             for at in 0..(s.steps + 1) * s.envs * s.agents {
@@ -303,7 +304,11 @@ fn an_update_sees_the_policy_that_acted() {
                 start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
                 memory: memory.shallow_clone(),
             };
-            let graph = if s.graph_noise { part(&rollout.graph_noise, s.agents) } else { Tensor::zeros([0], (Kind::Float, Device::Cpu)) };
+            let graph = if s.graph_noise {
+                part(&rollout.graph_noise, s.agents)
+            } else {
+                Tensor::zeros([0], (Kind::Float, Device::Cpu))
+            };
             let eps = noise(50 + t as u64, &[e, n, 1]);
             let decision = learner.act(&input, &ActMode::Sample { action: &eps, graph: &graph, quiet: &quiet });
             let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");

@@ -81,7 +81,10 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         let refusals = [
             (refused(&mut train(Path::new(&small), &["--algorithm", algorithm])), "holds a policy; start from it"),
             (refused(&mut iwol(&["export", &name(&run), "--out", &small])), "already holds a checkpoint"),
-            (refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--init-from", &small])), "leave --init-from out"),
+            (
+                refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--init-from", &small])),
+                "leave --init-from out",
+            ),
             (
                 refused(&mut train(
                     &at("x"),
@@ -89,7 +92,10 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                 )),
                 "do not fit this run's networks and observations",
             ),
-            (refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])), "there is no device cuda:99"),
+            (
+                refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])),
+                "there is no device cuda:99",
+            ),
         ];
         for (found, expected) in refusals {
             assert!(found.contains(expected), "{found}");

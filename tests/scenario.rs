@@ -9,8 +9,8 @@ use std::{
 
 use iwol_sumo::{
     scenario::{
-        AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
-        SpawnRow, Termination, Vehicle,
+        AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward,
+        Route, Scenario, SpawnRow, Termination, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
 };

@@ -157,8 +157,7 @@ pub(super) fn minibatches(
     let agents = rollout.sizes.agents;
     let mut chunks = rollout.chunks(length);
     rng::shuffle(&mut seed.rng(), &mut chunks);
-    let count =
-        (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
+    let count = (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
     let per_batch = chunks.len().div_ceil(count).max(1);
     let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
     let shard = |chunks: &[(usize, usize)]| {

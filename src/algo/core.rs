@@ -138,14 +138,14 @@ impl<N: Networks> ActorCritic<N> {
         let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
         let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].value_memory());
         let carried = self.critic_memory.take();
-        let carried =
-            carried.unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
+        let carried = carried.unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
         let share = (envs as usize).div_ceil(self.copies.len()) as i64;
         let parts: Vec<_> = (0..envs)
             .step_by(share as usize)
             .map(|first| {
                 let count = share.min(envs - first);
-                let memory = carried.view([envs, agents, width]).narrow(0, first, count).reshape([count * agents, width]);
+                let memory =
+                    carried.view([envs, agents, width]).narrow(0, first, count).reshape([count * agents, width]);
                 (count, batch.of_envs(envs, first, count), memory)
             })
             .collect();
@@ -164,14 +164,20 @@ impl<N: Networks> ActorCritic<N> {
         let joined = |tensors: Vec<&Tensor>, dim: i64| Tensor::cat(&tensors, dim);
         if width > 0 {
             let memories = || parts.iter().filter_map(|(_, memory)| memory.as_ref());
-            batch.value_memory = joined(memories().map(|m| &m.0).collect(), 1).view([(steps + 1) * envs, agents, width]);
+            batch.value_memory =
+                joined(memories().map(|m| &m.0).collect(), 1).view([(steps + 1) * envs, agents, width]);
             self.critic_memory = Some(joined(memories().map(|m| &m.1).collect(), 0).view([envs * agents, width]));
         }
         joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
     }
 
     /// One gradient step on a minibatch; gives what to report.
-    fn step(&mut self, batch: &Batch, shards: Vec<Shard>, learning_rate: f64) -> Result<Vec<(&'static str, f64)>, Error> {
+    fn step(
+        &mut self,
+        batch: &Batch,
+        shards: Vec<Shard>,
+        learning_rate: f64,
+    ) -> Result<Vec<(&'static str, f64)>, Error> {
         // The reference updates the normalisation in every evaluation of the loss.
         let returns: Vec<Tensor> = shards.iter().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));

@@ -10,7 +10,7 @@ use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
 use super::head::{GaussianHead, PolicyTerms};
 use super::im_iwol::Decoder;
-use super::message::{MessageCritic, MessageTrunk, Messages};
+use super::message::{MessageCritic, MessageTrunk, Messages, Scene};
 use super::settings::WorldTarget;
 use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
@@ -28,7 +28,7 @@ pub(super) struct ExIwol {
 impl ExIwol {
     /// The message path at one decision.
     fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
-        self.trunk.forward(&input.observation, &input.memory, &input.keep(), 1, &input.comm, graph, false)
+        self.trunk.forward(&Scene::of(input, &input.keep(), graph))
     }
 }
 

@@ -3,8 +3,8 @@
 use tch::{Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard};
-use super::{ActMode, ppo};
 use super::settings::{Exploration, NoiseMode, Ppo};
+use super::{ActMode, ppo};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
 /// Mean and standard deviation of the actions.

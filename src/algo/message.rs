@@ -3,8 +3,8 @@
 
 use tch::Tensor;
 
-use super::batch::{Batch, Shard};
 use super::Observation;
+use super::batch::{Batch, Shard};
 use super::encoder::Encoder;
 use super::settings::{Iwol, Network};
 use crate::env::Features;
@@ -19,6 +19,34 @@ pub(super) struct MessageTrunk {
     physical_mask: bool,
     /// Whether agents who are gone still influence others, as in the released code.
     leaks: bool,
+}
+
+/// What the message path needs to know of rows `[L · C]` of all N agents.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    /// `[L · C, N, O]`
+    pub(super) observation: &'a Tensor,
+    /// Before the first step, `[C, N, M]`.
+    pub(super) memory: &'a Tensor,
+    /// `[L · C, N]`
+    pub(super) keep: &'a Tensor,
+    /// `[L · C, N, N]`
+    pub(super) comm: &'a Tensor,
+    /// Of the graph, `[L · C, N, N]`; without it, the most likely one.
+    pub(super) noise: Option<&'a Tensor>,
+    /// Steps L.
+    pub(super) length: i64,
+    /// Whether to leave out those whom nobody can hear. One decision computes everyone, so that its rounding does not depend
+    /// on who is there in other environments.
+    pub(super) pack: bool,
+}
+
+impl<'a> Scene<'a> {
+    /// One decision, with everyone.
+    pub(super) fn of(input: &'a Observation, keep: &'a Tensor, noise: Option<&'a Tensor>) -> Self {
+        let Observation { observation, comm, memory, .. } = input;
+        Self { observation, memory, keep, comm, noise, length: 1, pack: false }
+    }
 }
 
 /// Result of the message path for the P agents who are there.
@@ -51,30 +79,13 @@ impl MessageTrunk {
         self.encoder.memory()
     }
 
-    /// The message path on rows `[L · C]` of all N agents: `observation [L · C, N, O]`, `memory [C, N, M]` before the
-    /// first step, `keep [L · C, N]`, `comm` and `noise` `[L · C, N, N]` (no noise: the most likely graph).
-    ///
-    /// Whom nobody can hear need not be computed, which is left out where `pack` says so; one decision computes everyone, so
-    /// that its rounding does not depend on who is there in other environments.
-    ///
-    /// Every message between agents passes through here: this is where bandwidth, loss or attacks act.
-    pub(super) fn forward(
-        &self,
-        observation: &Tensor,
-        memory: &Tensor,
-        keep: &Tensor,
-        length: i64,
-        comm: &Tensor,
-        noise: Option<&Tensor>,
-        pack: bool,
-    ) -> Messages {
+    /// The message path. Every message between agents passes through here: this is where bandwidth, loss or attacks act.
+    pub(super) fn forward(&self, scene: &Scene<'_>) -> Messages {
+        let Scene { observation, memory, keep, comm, noise, length, pack } = *scene;
         let (rows, agents, features) = observation.size3().expect("observations are [rows, N, O]");
         // Where cut edges leak, everyone is heard.
-        let packing = if pack && !self.leaks {
-            Packing::of(&comm.diagonal(0, 1, 2))
-        } else {
-            Packing::full(rows, agents)
-        };
+        let packing =
+            if pack && !self.leaks { Packing::of(&comm.diagonal(0, 1, 2)) } else { Packing::full(rows, agents) };
         let (embedding, memories) = if self.encoder.memory() == 0 {
             let (f, _) = self.encoder.forward(&packing.pack(observation).unsqueeze(0), memory, keep);
             (f.squeeze_dim(0), None)
@@ -93,15 +104,15 @@ impl MessageTrunk {
 
     /// As [`MessageTrunk::forward`], on the rows of a shard; `memory` is the trunk's own, for all rows.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard, memory: &Tensor, noise: &Tensor) -> Messages {
-        self.forward(
-            &shard.take(&batch.observation),
-            &memory.index_select(0, &shard.first),
-            &shard.take(&batch.keep),
-            shard.length,
-            &shard.take(&batch.comm),
-            Some(&shard.take(noise)),
-            true,
-        )
+        self.forward(&Scene {
+            observation: &shard.take(&batch.observation),
+            memory: &memory.index_select(0, &shard.first),
+            keep: &shard.take(&batch.keep),
+            comm: &shard.take(&batch.comm),
+            noise: Some(&shard.take(noise)),
+            length: shard.length,
+            pack: true,
+        })
     }
 }
 
@@ -137,7 +148,7 @@ impl MessageCritic {
     /// not kept outside training.
     pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
         let messages = |keep: &Tensor| {
-            let messages = self.trunk.forward(&input.observation, &input.memory, keep, 1, &input.comm, None, false);
+            let messages = self.trunk.forward(&Scene::of(input, keep, None));
             messages.packing.unpack(&messages.message)
         };
         (self.trunk.memory() == 0).then(|| messages(&input.keep()))
@@ -149,21 +160,27 @@ impl MessageCritic {
 
     /// Values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory after each step.
     pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        let rows = |messages: &Messages| {
-            messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1)
+        let rows = |messages: &Messages| messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1);
+        let whole = Scene {
+            observation: &batch.observation,
+            memory,
+            keep: &batch.keep,
+            comm: &batch.comm,
+            noise: Some(&batch.value_graph),
+            length,
+            pack: true,
         };
-        let whole = (&batch.observation, &batch.keep, &batch.comm, &batch.value_graph);
         if self.trunk.memory() > 0 {
-            let messages = self.trunk.forward(whole.0, memory, whole.1, length, whole.2, Some(whole.3), true);
+            let messages = self.trunk.forward(&whole);
             return (rows(&messages), messages.memory);
         }
         let (count, agents, _) = batch.observation.size3().expect("observations are [rows, N, O]");
         let part = |from: i64, count: i64| {
             let cut = |t: &Tensor| t.narrow(0, from, count);
-            let messages = self.trunk.forward(
-                &cut(whole.0), memory, &cut(whole.1), 1, &cut(whole.2), Some(&cut(whole.3)), true,
-            );
-            rows(&messages)
+            let (observation, keep, comm) = (&cut(whole.observation), &cut(whole.keep), &cut(whole.comm));
+            let noise = &cut(&batch.value_graph);
+            let scene = Scene { observation, keep, comm, noise: Some(noise), length: 1, ..whole };
+            rows(&self.trunk.forward(&scene))
         };
         // Parts bound the peak of memory; they change nothing else.
         let size = (4096 / agents).max(1);

@@ -104,7 +104,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if alone {
         let exploring = groups[0].runs[0].exploring.clone();
-        panels[0].series.push(Series { label: format!("{}, exploring", groups[0].label), points: exploring, band: None });
+        panels[0].series.push(Series {
+            label: format!("{}, exploring", groups[0].label),
+            points: exploring,
+            band: None,
+        });
     }
     if let Some(path) = &args.reference {
         for (policy, metrics) in references(path)? {

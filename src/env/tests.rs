@@ -334,7 +334,7 @@ fn observation_groups_show_the_same_traffic() {
         let of = |groups| task(agents, |scenario| scenario.observation.groups = groups);
         let tasks = [ObservationGroups::Nearest, ObservationGroups::Conflict, ObservationGroups::Both].map(of);
         let widths = tasks.each_ref().map(|task| task.spec.observation.len());
-        assert_eq!(widths, [32, 66, 90]);
+        assert_eq!(widths, [32, 67, 91]);
         let ego = tasks[0].spec.observation.groups[0].width;
         let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
         for step in 0..150 {

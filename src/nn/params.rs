@@ -243,7 +243,9 @@ mod tests {
         assert_eq!(values(&params), values(&other));
         let x = Tensor::ones([1, 5], (Kind::Float, Device::Cpu));
         assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0, "layers see the shared weights");
-        assert!(named_views(&flat, &params).iter().zip(params.named()).all(|(v, p)| v.0 == p.0 && v.1.size() == p.1.size()));
+        assert!(
+            named_views(&flat, &params).iter().zip(params.named()).all(|(v, p)| v.0 == p.0 && v.1.size() == p.1.size())
+        );
     }
 
     #[test]

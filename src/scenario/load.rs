@@ -8,8 +8,8 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
-    SpawnRow, Termination, Vehicle, check,
+    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
+    Scenario, SpawnRow, Termination, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
