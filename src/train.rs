@@ -308,6 +308,11 @@ impl Trainer {
                 let cell = self.rollout.at(t, s.agents);
                 let graph = if s.graph_noise {
                     rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
+                    // Quiet worlds are as close to the most likely graph as to the mean action.
+                    for (e, quiet) in self.rollout.quiet.iter().enumerate() {
+                        let of_world = self.rollout.cell(t, e, s.agents);
+                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= quiet.exp());
+                    }
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, n])
                 } else {
                     Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))

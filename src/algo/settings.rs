@@ -139,8 +139,8 @@ pub struct Exploration {
     pub log_std_end: f64,
     /// Environment steps over which it falls linearly from the first to the second.
     pub explore_steps: u64,
-    /// The worlds of a rollout differ in their noise: from the one above down to one whose logarithm is smaller by this, in
-    /// equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
+    /// The worlds of a rollout differ in their noise (of actions, and of sampled communication graphs): from the one above down
+    /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
     /// Action mean of an untrained policy: above zero, agents move at once.
