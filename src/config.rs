@@ -16,6 +16,9 @@ use crate::scenario::{self, ObservationGroups, Scenario};
 use crate::suggest::nearest;
 use crate::sumo::{Choice, Hosting};
 
+/// What is trained when nothing names a method.
+const DEFAULT_ALGORITHM: &str = "im-iwol";
+
 /// Everything that defines a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -228,18 +231,18 @@ impl Config {
             Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
-        // The scenario decides the defaults of `[env]` and of the number of agents, so it is looked up first.
-        let flag = layers.flags.iter().find(|(key, _)| *key == "scenario").and_then(|(_, v)| v.as_str());
-        let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix("scenario="));
-        let file =
-            parsed.get_ref().iter().find(|(key, _)| key.get_ref() == "scenario").and_then(|(_, v)| match v.get_ref() {
-                DeValue::String(s) => Some(&**s),
-                _ => None,
-            });
-        let path = flag.or(set).or(file).ok_or(Error::NoScenario)?;
-        let mut scenario = Scenario::load(Path::new(path))?;
+        // The scenario decides the defaults of `[env]` and of the number of agents, the method those of learning, so they are
+        // looked up first.
+        let first = |key: &str| {
+            let flag = layers.flags.iter().find(|(own, _)| *own == key).and_then(|(_, v)| v.as_str());
+            let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix(key)?.strip_prefix('='));
+            let file = parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
+            let file = file.and_then(|(_, v)| if let DeValue::String(s) = v.get_ref() { Some(&**s) } else { None });
+            flag.or(set).or(file).map(str::to_owned)
+        };
+        let mut scenario = Scenario::load(Path::new(&first("scenario").ok_or(Error::NoScenario)?))?;
 
-        let mut table = Self::defaults(&scenario);
+        let mut table = Self::defaults(&scenario, first("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM));
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
         for set in &layers.sets {
@@ -298,10 +301,11 @@ impl Config {
         toml::to_string_pretty(self).expect("a configuration is plain data")
     }
 
-    fn defaults(scenario: &Scenario) -> Table {
+    fn defaults(scenario: &Scenario, algorithm: &str) -> Table {
+        let algo::Settings { network, ppo, exploration, iwol } = algo::Settings::of(algorithm);
         let config = Self {
             scenario: scenario.path.clone(),
-            algorithm: "im-iwol".to_owned(),
+            algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
             steps: 500_000,
@@ -309,10 +313,10 @@ impl Config {
             init_from: PathBuf::new(),
             train: Train::default(),
             simulation: Simulation::default(),
-            network: settings::Network::default(),
-            ppo: settings::Ppo::default(),
-            exploration: settings::Exploration::default(),
-            iwol: settings::Iwol::default(),
+            network,
+            ppo,
+            exploration,
+            iwol,
             env: Env::of(scenario),
         };
         Table::try_from(config).expect("a configuration is plain data")
@@ -601,6 +605,17 @@ mod tests {
             resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
         assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
         assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
+    }
+
+    #[test]
+    fn a_method_brings_its_defaults() {
+        let rate = |text: &str, sets: &[&str]| resolve(text, sets).unwrap().ppo.learning_rate;
+        let common = settings::Ppo::default().learning_rate;
+        let own = algo::Settings::of("ex-iwol").ppo.learning_rate;
+        assert_ne!(own, common);
+        assert_eq!((rate("", &[]), rate("algorithm = \"ex-iwol\"", &[])), (common, own));
+        assert_eq!(rate("algorithm = \"ex-iwol\"", &["algorithm=im-iwol"]), common);
+        assert_eq!(rate("algorithm = \"ex-iwol\"\n[ppo]\nlearning_rate = 0.5", &[]), 0.5);
     }
 
     #[test]

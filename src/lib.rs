@@ -7,7 +7,8 @@
 //! - [`scenario`]: what a task is, as data
 //! - [`mod@env`]: the multi-agent environments
 //! - [`nn`], [`rollout`], [`algo`]: the learners
-//! - [`config`], [`train`], [`evaluate`], [`checkpoint`], [`record`], [`plot`]: running them
+//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`]: running them
+//! - [`stats`]: intervals and aggregates over seeds
 
 pub mod algo;
 pub mod checkpoint;
@@ -17,12 +18,14 @@ pub mod evaluate;
 pub mod nn;
 pub mod plot;
 pub mod record;
+pub mod report;
 pub mod rng;
 pub mod rollout;
 pub mod scenario;
 pub mod stats;
 pub mod suggest;
 pub mod sumo;
+pub mod sweep;
 pub mod train;
 
 /// The examples of the README.

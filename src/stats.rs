@@ -5,6 +5,8 @@
 //! rates in `0..=1` get Wilson's score interval, which stays inside `0..=1` and does not collapse to a point when
 //! every episode succeeds or none does. A leaf: imports nothing of this crate.
 
+pub mod aggregate;
+
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// The 97.5 % quantile of the standard normal distribution: half the width, in standard errors, of a 95 % interval.

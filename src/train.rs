@@ -3,6 +3,7 @@
 //! All randomness comes from the seed tree by iteration number, and a checkpoint is taken between iterations with the
 //! worlds' action histories, so that stopping and resuming changes nothing.
 
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -64,6 +65,30 @@ impl RunDir {
     /// The checkpoint with the best validation.
     pub fn best(&self) -> PathBuf {
         self.0.join("checkpoints/best.safetensors")
+    }
+
+    /// Makes the folder and claims it for this process until the result is dropped, or the process is gone.
+    ///
+    /// # Errors
+    /// [`Error::Locked`] when another process trains there.
+    pub fn lock(&self) -> Result<File, Error> {
+        std::fs::create_dir_all(&self.0).map_err(|source| Error::Folder { path: self.0.clone(), source })?;
+        let failed = |source| Error::Folder { path: self.0.clone(), source };
+        let file = File::options().create(true).append(true).open(self.lock_file()).map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => Ok(file),
+            Err(TryLockError::WouldBlock) => Err(Error::Locked { path: self.0.clone() }),
+            Err(TryLockError::Error(source)) => Err(failed(source)),
+        }
+    }
+
+    /// Whether a process trains there.
+    pub fn is_locked(&self) -> bool {
+        File::open(self.lock_file()).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+    }
+
+    fn lock_file(&self) -> PathBuf {
+        self.0.join(".lock")
     }
 
     /// The checkpoint that `path` stands for: a file for itself, a run folder for its best one, or else its last.
@@ -300,6 +325,9 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
         let quiet = Tensor::from_slice(&self.rollout.quiet);
+        // An imposed schedule is for all noise there is.
+        let imposed = self.config.exploration.mode == NoiseMode::Schedule;
+        let schedule = if imposed { self.pace().log_std as f32 } else { 0.0 };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             let decision = timed(&mut self.timers.act, || {
@@ -311,7 +339,7 @@ impl Trainer {
                     // Quiet worlds are as close to the most likely graph as to the mean action.
                     for (e, quiet) in self.rollout.quiet.iter().enumerate() {
                         let of_world = self.rollout.cell(t, e, s.agents);
-                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= quiet.exp());
+                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= (quiet + schedule).exp());
                     }
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, n])
                 } else {
@@ -675,6 +703,12 @@ pub enum Error {
         path: PathBuf,
         /// Why.
         source: std::io::Error,
+    },
+    /// Two processes cannot train in one folder.
+    #[error("another process is training in `{}`; wait for it, or choose another folder", path.display())]
+    Locked {
+        /// The folder.
+        path: PathBuf,
     },
     /// A checkpoint is of a run with other settings, which would not go on as it went.
     #[error("the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml")]

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, and the ones that each may name.
-const ALLOWED: [(&str, &[&str]); 17] = [
+const ALLOWED: [(&str, &[&str]); 19] = [
     ("rng", &[]),
     ("stats", &[]),
     ("suggest", &[]),
@@ -21,6 +21,8 @@ const ALLOWED: [(&str, &[&str]); 17] = [
     ("checkpoint", &["env", "record"]),
     ("evaluate", &["algo", "env", "rng", "stats", "sumo"]),
     ("train", &["algo", "checkpoint", "config", "env", "evaluate", "record", "rng", "rollout", "scenario"]),
+    ("sweep", &["config", "record", "train"]),
+    ("report", &["plot", "record", "stats", "sweep"]),
     ("cli", &[]),
     ("main", &[]),
 ];

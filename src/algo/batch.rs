@@ -222,11 +222,11 @@ impl Shard {
     }
 }
 
-/// Standard logistic noise for the graphs of all rows, `[(T + 1) · E, N, N]`.
-pub(super) fn graph_noise(rollout: &Rollout, device: Device, seed: Seed) -> Tensor {
+/// Logistic noise of this scale for the graphs of all rows, `[(T + 1) · E, N, N]`.
+pub(super) fn graph_noise(rollout: &Rollout, scale: f64, device: Device, seed: Seed) -> Tensor {
     let s = rollout.sizes;
     let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
     let shape = [((s.steps + 1) * s.envs) as i64, s.agents as i64, s.agents as i64];
-    Tensor::from_slice(&noise).view(shape).to_device(device)
+    (Tensor::from_slice(&noise).view(shape) * scale).to_device(device)
 }

@@ -10,7 +10,7 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
-use super::settings::{GraphNoise, Settings};
+use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{ActMode, Algorithm, Decision, Error, Losses, Observation, Pace, Reconstruction};
 use crate::env::EnvSpec;
 use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
@@ -250,15 +250,18 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let recurrent = self.copies[0].memory() > 0;
         let length = if recurrent { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
+        // Values that are noisier than the actions would drown what is left to learn.
+        let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
+        let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, self.device, seed.child("graph"));
+            batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, &ppo);
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
-                let noise = |of: &str| graph_noise(rollout, self.device, seed.child(of).index(epoch as u64));
+                let noise = |of: &str| graph_noise(rollout, scale, self.device, seed.child(of).index(epoch as u64));
                 if N::VALUE_SAMPLES_GRAPH {
                     batch.value_graph = noise("resampled");
                 }

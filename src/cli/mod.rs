@@ -5,6 +5,8 @@ mod doctor;
 mod evaluate;
 mod export;
 mod plot;
+mod report;
+mod sweep;
 mod train;
 
 use std::io::IsTerminal as _;
@@ -24,6 +26,9 @@ struct Cli {
     /// Say more (-v: information, -vv: details)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
+    /// Stop, as if asked to, when the process that started this one is gone
+    #[arg(long, global = true, hide = true)]
+    die_with_parent: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -34,6 +39,10 @@ enum Verb {
     Evaluate(evaluate::Args),
     /// Copy a policy into a small folder of its own, which `evaluate` and `train --init-from` take
     Export(export::Args),
+    /// Train and evaluate a grid of settings and seeds
+    Sweep(sweep::Args),
+    /// Turn a sweep's results into tables and figures
+    Report(report::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
     /// Measure speed
@@ -65,12 +74,18 @@ pub fn main() -> ExitCode {
         .with_target(false)
         .without_time()
         .init();
+    if cli.die_with_parent {
+        // Only Linux can; elsewhere children of a killed sweep finish what they do.
+        let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
+    }
     // Learners work on shards in parallel; threads of libtorch's own would only get into their way.
     tch::set_num_threads(1);
     let result = match &cli.verb {
         Verb::Train(args) => train::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Export(args) => export::run(args),
+        Verb::Sweep(args) => sweep::run(args),
+        Verb::Report(args) => report::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),

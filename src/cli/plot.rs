@@ -71,6 +71,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             x_label: if args.x == Axis::Steps { "environment steps" } else { "minutes of training" }.to_owned(),
             y_label: measure.3.to_owned(),
             y_range: measure.4,
+            categories: Vec::new(),
             series: Vec::new(),
             references: Vec::new(),
         })
@@ -104,11 +105,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if alone {
         let exploring = groups[0].runs[0].exploring.clone();
-        panels[0].series.push(Series {
-            label: format!("{}, exploring", groups[0].label),
-            points: exploring,
-            band: None,
-        });
+        panels[0].series.push(Series::curve(format!("{}, exploring", groups[0].label), exploring, None));
     }
     if let Some(path) = &args.reference {
         for (policy, metrics) in references(path)? {
@@ -148,7 +145,7 @@ fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
 /// The mean over runs, each of which keeps its last value where it ended before the others.
 fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64, f64)>) -> Series {
     if let [only] = runs {
-        return Series { label, points: only.to_vec(), band: None };
+        return Series::curve(label, only.to_vec(), None);
     }
     let mut places: Vec<f64> = runs.iter().flat_map(|run| run.iter().map(|point| point.0)).collect();
     places.sort_by(f64::total_cmp);
@@ -169,7 +166,7 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
         points.push((place, estimate.mean));
         band.push((place, estimate.low.max(low), estimate.high.min(high)));
     }
-    Series { label, points, band: Some(band) }
+    Series::curve(label, points, Some(band))
 }
 
 /// What the run's own settings call it (the algorithm, and how others are seen where that is not the usual way), and those

@@ -102,8 +102,6 @@ fn write_meta(dir: &RunDir, config: &Config, worlds: &str) -> anyhow::Result<()>
         "shards": config.ppo.shards,
         "device": String::from(config.device),
     });
-    std::fs::create_dir_all(dir.path())
-        .with_context(|| format!("cannot make the run folder `{}`", dir.path().display()))?;
     Ok(record::write_atomic(&dir.meta(), format!("{meta:#}\n").as_bytes())?)
 }
 
@@ -133,6 +131,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.resume && args.init_from.is_some() {
         bail!("--resume goes on with a run's own weights; leave --init-from out");
     }
+    let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;

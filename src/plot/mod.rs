@@ -1,4 +1,4 @@
-//! Learning curves as PNG pictures.
+//! Curves, and points with intervals, as PNG pictures.
 //!
 //! A figure is a row of panels that share one legend below them; a label has the same colour in every panel.
 //! Horizontal reference lines (policies that need no training) are named at the right margin, so that no text lies on
@@ -28,6 +28,27 @@ pub struct Series {
     /// `(x, low, high)` in order of `x`: shaded behind the line, for example a 95 % interval. Entries with a NaN or
     /// infinity (the interval of a single value) are left out.
     pub band: Option<Vec<(f64, f64, f64)>>,
+    /// How it is drawn.
+    pub style: Style,
+}
+
+impl Series {
+    /// A curve with a shaded band.
+    pub fn curve(label: String, points: Vec<(f64, f64)>, band: Option<Vec<(f64, f64, f64)>>) -> Self {
+        Self { label, points, band, style: Style::Curve }
+    }
+}
+
+/// How a series is drawn.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Style {
+    /// A line; the band is shaded.
+    #[default]
+    Curve,
+    /// A line through points, each of which has its interval as a whisker: for a few places along the x axis.
+    Whiskers,
+    /// A dashed line in the colour of the series with this label: values to compare it with.
+    Beside(String),
 }
 
 /// One pair of axes.
@@ -42,6 +63,8 @@ pub struct Panel {
     /// Ends of the y axis, bottom first; chosen from the data if `None` or not a proper range. What lies outside is
     /// drawn at the edge.
     pub y_range: Option<(f64, f64)>,
+    /// Names of the places 0, 1, … along the x axis; empty: it is a scale of numbers.
+    pub categories: Vec<String>,
     /// The curves.
     pub series: Vec<Series>,
     /// Horizontal dashed lines: name and y. One outside `y_range` is not drawn.
@@ -146,7 +169,7 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     let count = panels.len().max(1) as i32;
     for (number, panel) in (0..count).zip(panels) {
         let area = Area { left: width * number / count, right: width * (number + 1) / count, top, bottom };
-        draw_panel(canvas, area, panel, &labels)?;
+        draw_panel(canvas, area, panel, &|label| color_of(label, panels, &labels))?;
     }
     canvas.present()
 }
@@ -182,13 +205,55 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
         let mut x = (width - used) / 2;
         let middle = y + ROW / 2;
         for (index, text, entry) in row {
-            line(canvas, (x, middle), (x + SWATCH, middle), px(3), PALETTE[index % PALETTE.len()])?;
+            let color = color_of(labels[*index], panels, labels);
+            if is_dashed(labels[*index], panels) {
+                dashed(canvas, (x, middle), (x + SWATCH, middle), color)?;
+            } else {
+                line(canvas, (x, middle), (x + SWATCH, middle), px(3), color)?;
+            }
             write(canvas, text, TEXT, INK, Place::RightOf, (x + SWATCH + GAP, middle))?;
             x += entry + BETWEEN;
         }
         y += ROW;
     }
     Ok(top)
+}
+
+fn series_called<'a>(label: &'a str, panels: &'a [Panel]) -> impl Iterator<Item = &'a Series> {
+    panels.iter().flat_map(|panel| &panel.series).filter(move |series| series.label == label)
+}
+
+fn is_dashed(label: &str, panels: &[Panel]) -> bool {
+    series_called(label, panels).any(|series| matches!(series.style, Style::Beside(_)))
+}
+
+/// The colour of a label: that of the one it is beside, or else the next of the palette, of which dashed ones use none up.
+fn color_of(label: &str, panels: &[Panel], labels: &[&str]) -> RGBColor {
+    let beside = series_called(label, panels).find_map(|series| match &series.style {
+        Style::Beside(other) => labels.iter().find(|known| **known == other.as_str()),
+        _ => None,
+    });
+    let own = beside.copied().unwrap_or(label);
+    let solid: Vec<&&str> = labels.iter().filter(|known| **known == own || !is_dashed(known, panels)).collect();
+    PALETTE[solid.iter().position(|known| **known == own).unwrap_or(0) % PALETTE.len()]
+}
+
+/// A dashed line as wide as a curve.
+fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), color: RGBColor) -> Drawn {
+    const DASH: f64 = px(9) as f64;
+    const GAP: f64 = px(6) as f64;
+    let (dx, dy) = (f64::from(to.0 - from.0), f64::from(to.1 - from.1));
+    let length = dx.hypot(dy).max(1.0);
+    let at = |way: f64| {
+        let share = (way / length).min(1.0);
+        (from.0 + (dx * share).round() as i32, from.1 + (dy * share).round() as i32)
+    };
+    let mut way = 0.0;
+    while way < length {
+        line(canvas, at(way), at(way + DASH), LINE_WIDTH, color)?;
+        way += DASH + GAP;
+    }
+    Ok(())
 }
 
 /// A rectangle in drawn pixels.
@@ -200,8 +265,11 @@ struct Area {
     bottom: i32,
 }
 
-fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Drawn {
-    let (x_axis, y_axis) = (Axis::new(x_range(panel), 5), Axis::new(y_range(panel), 6));
+fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -> RGBColor) -> Drawn {
+    let (mut x_axis, y_axis) = (Axis::new(x_range(panel), 5), Axis::new(y_range(panel), 6));
+    if !panel.categories.is_empty() {
+        x_axis.ticks = (0..panel.categories.len()).map(|k| k as f64).collect();
+    }
     let wrap_at = (area.right - area.left) / 5;
     let references: Vec<(f64, Vec<String>)> = (panel.references.iter())
         .filter(|(_, y)| y_axis.range.start <= *y && *y <= y_axis.range.end)
@@ -230,12 +298,17 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
         write(canvas, label, TICK, INK, Place::LeftOf, (plot.left - px(9), y))?;
     }
 
-    let color = |label: &str| PALETTE[labels.iter().position(|&l| l == label).unwrap_or(0) % PALETTE.len()];
     for series in &panel.series {
         let band = series.band.iter().flatten();
         let usable_band =
             band.map(|&(x, low, high)| (usable(x) && usable(low) && usable(high)).then_some((x, low, high)));
         for run in runs(usable_band) {
+            if series.style == Style::Whiskers {
+                for &(x, low, high) in &run {
+                    whisker(canvas, at(x, low), at(x, high), color(&series.label))?;
+                }
+                continue;
+            }
             let upper = run.iter().map(|&(x, _, high)| at(x, high));
             let lower = run.iter().rev().map(|&(x, low, _)| at(x, low));
             canvas.draw(&Polygon::new(upper.chain(lower).collect::<Vec<_>>(), color(&series.label).mix(0.2)))?;
@@ -257,7 +330,11 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
             let radius = if dotted { px(7) / 2 } else { LINE_WIDTH / 2 };
             // Piece by piece with round joints: the library's own joints of sharp turns shoot far beyond the data.
             for pair in run.windows(2).filter(|pair| pair[0] != pair[1]) {
-                line(canvas, pair[0], pair[1], LINE_WIDTH, color)?;
+                if matches!(series.style, Style::Beside(_)) {
+                    dashed(canvas, pair[0], pair[1], color)?;
+                } else {
+                    line(canvas, pair[0], pair[1], LINE_WIDTH, color)?;
+                }
             }
             for point in run {
                 canvas.draw(&Circle::new(point, radius, color.filled()))?;
@@ -274,13 +351,24 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, labels: &[&str]) -> Dr
     for &tick in &x_axis.ticks {
         let x = at(tick, 0.0).0;
         line(canvas, (x, plot.bottom), (x, plot.bottom + px(5)), px(1), INK)?;
-        write(canvas, &x_axis.label(tick), TICK, INK, Place::Centred, (x, plot.bottom + px(9 + TICK / 2)))?;
+        let label = panel.categories.get(tick as usize).cloned().unwrap_or_else(|| x_axis.label(tick));
+        write(canvas, &label, TICK, INK, Place::Centred, (x, plot.bottom + px(9 + TICK / 2)))?;
     }
     let below_ticks = plot.bottom + px(TICK + 14 + TEXT / 2);
     write(canvas, &panel.x_label, TEXT, INK, Place::Centred, (middle, below_ticks))?;
     let beside = (area.left + px(12 + TEXT / 2), i32::midpoint(plot.top, plot.bottom));
     write(canvas, &panel.y_label, TEXT, INK, Place::Upwards, beside)?;
     draw_reference_labels(canvas, plot, references.into_iter().map(|(y, lines)| (at(0.0, y).1, lines)).collect())
+}
+
+/// An interval with its two ends.
+fn whisker(canvas: &Canvas, low: (i32, i32), high: (i32, i32), color: RGBColor) -> Drawn {
+    const HALF: i32 = px(5);
+    line(canvas, low, high, px(3) / 2, color)?;
+    for (x, y) in [low, high] {
+        line(canvas, (x - HALF, y), (x + HALF, y), px(3) / 2, color)?;
+    }
+    Ok(())
 }
 
 /// Width of a curve, drawn pixels.
@@ -336,6 +424,9 @@ fn wrapped(canvas: &Canvas, label: &str, width: i32) -> Vec<String> {
 }
 
 fn x_range(panel: &Panel) -> Range<f64> {
+    if !panel.categories.is_empty() {
+        return -0.5..panel.categories.len() as f64 - 0.5;
+    }
     let points = panel.series.iter().flat_map(|s| s.points.iter().filter(|p| usable(p.1)).map(|p| p.0));
     let bands =
         panel.series.iter().flat_map(|s| s.band.iter().flatten().filter(|b| usable(b.1) && usable(b.2)).map(|b| b.0));
@@ -367,7 +458,8 @@ mod tests {
             x_label: "steps".into(),
             y_label: "reward".into(),
             y_range: None,
-            series: vec![Series { label: "a".into(), points, band }],
+            categories: Vec::new(),
+            series: vec![Series::curve("a".into(), points, band)],
             references: vec![("full throttle".into(), 0.5)],
         }
     }
@@ -420,6 +512,24 @@ mod tests {
             drawn(std::slice::from_ref(panel), (280, 280));
         }
         drawn(&[], (280, 280));
+    }
+
+    #[test]
+    fn dashed_series_have_the_colour_of_their_partner() {
+        let mut panel = panel(vec![(0.0, 1.0)], None);
+        let series = |label: &str, style| Series { style, ..Series::curve(label.to_owned(), vec![(0.0, 1.0)], None) };
+        panel.series = vec![
+            series("a", Style::Whiskers),
+            series("paper a", Style::Beside("a".to_owned())),
+            series("b", Style::Curve),
+            series("of nobody", Style::Beside("c".to_owned())),
+        ];
+        panel.categories = vec!["4".to_owned(), "8".to_owned()];
+        let (panels, labels) = ([panel], ["a", "paper a", "b", "of nobody"]);
+        let colors = labels.map(|label| color_of(label, &panels, &labels));
+        assert_eq!(colors[..3], [PALETTE[0], PALETTE[0], PALETTE[1]]);
+        assert!(!PALETTE[..2].contains(&colors[3]));
+        drawn(&panels, (400, 300));
     }
 
     #[test]

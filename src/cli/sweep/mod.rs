@@ -1,0 +1,101 @@
+//! `iwol sweep`
+
+mod progress;
+mod slurm;
+mod work;
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use anyhow::bail;
+use iwol_sumo::sweep::{Cell, State, Sweep};
+
+use self::progress::{table, time_left};
+use super::Verdict;
+
+/// Trains and evaluates every cell of a grid, each in a process and a folder of its own. Cells that are finished are skipped,
+/// those that were cut off go on: after a kill, the same command again.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Sweep file, e.g. experiments/scalability.toml
+    file: PathBuf,
+    /// Cells at a time [default: 1; each uses all cores while it learns]
+    #[arg(long, short, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: u16,
+    /// Only every n-th cell, beginning with the i-th: a part of the grid for each of n machines
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    shard: Option<(usize, usize)>,
+    /// Only the cell with this number, as `--dry-run` shows it
+    #[arg(long, value_name = "NUMBER", conflicts_with = "shard")]
+    cell: Option<usize>,
+    /// Show the cells, how far they are and how long the rest will take; run nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Run cells again that failed
+    #[arg(long)]
+    retry: bool,
+    /// Submit the cells that are not finished to Slurm, as a job array
+    #[arg(long, conflicts_with_all = ["shard", "cell", "dry_run"])]
+    slurm: bool,
+    /// An option for Slurm's sbatch, e.g. --slurm-option time=04:00:00; may be repeated
+    #[arg(long, value_name = "KEY=VALUE", requires = "slurm")]
+    slurm_option: Vec<String>,
+    /// Folder of run folders; the sweep's own below it is called like the file
+    #[arg(long, short, value_name = "DIR", default_value = "runs")]
+    out: PathBuf,
+}
+
+fn parse_shard(text: &str) -> Result<(usize, usize), String> {
+    let parsed = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+    match parsed {
+        Some((i, n)) if 1 <= i && i <= n => Ok((i, n)),
+        _ => Err("write it as i/n with 1 <= i <= n, e.g. 2/4".to_owned()),
+    }
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let sweep = Sweep::load(&args.file, &args.out)?;
+    let mine = |number: usize| match (args.shard, args.cell) {
+        (Some((i, n)), _) => number % n == i - 1,
+        (_, Some(only)) => number == only,
+        _ => true,
+    };
+    let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(|(number, _)| mine(*number)).collect();
+    if cells.is_empty() {
+        bail!("there is no such cell; the sweep has cells 0 to {}", sweep.cells.len() - 1);
+    }
+    for (_, cell) in &cells {
+        cell.check()?;
+        if args.retry {
+            cell.retry()?;
+        }
+    }
+    if args.dry_run {
+        print!("{}", table(&sweep, &cells));
+        return Ok(Verdict::Good);
+    }
+    if args.slurm {
+        return slurm::submit(args, &sweep);
+    }
+    let stop = super::stop_flag()?;
+    work::run(&sweep, &cells, usize::from(args.jobs), &stop)?;
+    print!("{}", table(&sweep, &cells));
+    let states = || cells.iter().map(|(_, cell)| cell.state(&sweep.evaluations));
+    let failed: Vec<_> = cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
+    for ((_, cell), state) in &failed {
+        if let State::Failed(lines) = state {
+            eprintln!("\n{} failed; all that it said is in {}\n{lines}", cell.id, cell.log().display());
+        }
+    }
+    if !failed.is_empty() {
+        eprintln!("\n{} of {} cells failed; run them again with --retry", failed.len(), cells.len());
+    }
+    if stop.load(Ordering::Relaxed) {
+        eprintln!("stopped; the same command goes on");
+        return Ok(Verdict::Interrupted);
+    }
+    if failed.is_empty() {
+        eprintln!("report: iwol report {}", args.file.display());
+    }
+    Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
+}

@@ -1,0 +1,78 @@
+//! A job array for Slurm: the engine that clusters have. What is computed is what `iwol sweep --cell` computes.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context as _, bail};
+use iwol_sumo::record::write_atomic;
+use iwol_sumo::sweep::{Cell, State, Sweep};
+
+use super::Args;
+use crate::cli::Verdict;
+
+/// Writes the script and hands it to `sbatch`.
+pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
+    let open = |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
+    let numbers: Vec<usize> = (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
+    if numbers.is_empty() {
+        eprintln!("nothing to submit: all cells are finished or failed (--retry runs the failed ones again)");
+        return Ok(Verdict::Good);
+    }
+    for option in &args.slurm_option {
+        let known = option.split_once('=').is_some_and(|(key, _)| !matches!(key, "array" | "job-name" | "output"));
+        if !known {
+            bail!("--slurm-option {option}: write it as key=value; array, job-name and output are the sweep's own");
+        }
+    }
+    let folder = args.out.join(&sweep.name);
+    std::fs::create_dir_all(folder.join("slurm")).with_context(|| format!("cannot make `{}`", folder.display()))?;
+    let path = folder.join("slurm.sh");
+    write_atomic(&path, script(args, sweep, &numbers)?.as_bytes())?;
+    let output = Command::new("sbatch")
+        .arg("--parsable")
+        .arg(&path)
+        .output()
+        .context("cannot run sbatch, which submits jobs to Slurm: run this where Slurm's client is installed")?;
+    if !output.status.success() {
+        bail!("sbatch refused `{}`: {}", path.display(), String::from_utf8_lossy(&output.stderr).trim());
+    }
+    let job = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    eprintln!("{} cells submitted with {}", numbers.len(), path.display());
+    eprintln!("watch them with: squeue --job {job}; iwol sweep {} --dry-run", args.file.display());
+    println!("{job}");
+    Ok(Verdict::Good)
+}
+
+/// The script: a task per cell, of which Slurm runs at most `--jobs` at a time if more than one was asked for.
+fn script(args: &Args, sweep: &Sweep, numbers: &[usize]) -> anyhow::Result<String> {
+    let here = std::env::current_dir().context("cannot tell the current folder")?;
+    let program = std::env::current_exe().context("cannot find this program's file")?;
+    let quoted = |path: &Path| -> anyhow::Result<String> {
+        let text = path.to_str().filter(|text| !text.contains(['\'', '\n'])).with_context(|| {
+            format!("the path {} cannot be written into a script", path.display())
+        })?;
+        Ok(format!("'{text}'"))
+    };
+    let mut text = String::from("#!/bin/sh\n");
+    let list = numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
+    let throttle = if args.jobs > 1 { format!("%{}", args.jobs) } else { String::new() };
+    let logs = here.join(&args.out).join(&sweep.name).join("slurm/%A_%a.log");
+    let _ = writeln!(text, "#SBATCH --job-name=iwol-{}", sweep.name);
+    let _ = writeln!(text, "#SBATCH --array={list}{throttle}");
+    let _ = writeln!(text, "#SBATCH --output={}", logs.display());
+    // A task that has to go gets its time to write a checkpoint; queued again, it goes on.
+    let _ = writeln!(text, "#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n#SBATCH --open-mode=append");
+    for option in &args.slurm_option {
+        let _ = writeln!(text, "#SBATCH --{option}");
+    }
+    let _ = writeln!(text, "cd {}", quoted(&here)?);
+    let _ = writeln!(
+        text,
+        "exec {} sweep {} --out {} --cell \"$SLURM_ARRAY_TASK_ID\"",
+        quoted(&program)?,
+        quoted(&args.file)?,
+        quoted(&args.out)?
+    );
+    Ok(text)
+}

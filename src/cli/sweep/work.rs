@@ -1,0 +1,191 @@
+//! Running cells: some at a time, each a child process that ends with this one.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::IsTerminal as _;
+use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use iwol_sumo::sweep::{Cell, Job, State, Sweep};
+use iwol_sumo::train::human_duration;
+
+use super::time_left;
+
+/// How often children are looked after.
+const TICK: Duration = Duration::from_millis(100);
+/// How long a cell waits for another process to leave its folder: one of a sweep that was killed, which still writes its
+/// checkpoint.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Runs what is not finished of `cells`, `jobs` at a time, until all is done or `stop` is raised. A cell that fails leaves its
+/// mark and does not disturb the others.
+pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &AtomicBool) -> anyhow::Result<()> {
+    let open = cells.iter().filter(|(_, cell)| {
+        !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_))
+    });
+    let queue: Mutex<VecDeque<&Cell>> = Mutex::new(open.map(|(_, cell)| *cell).collect());
+    let count = queue.lock().expect("no worker panics").len();
+    eprintln!("{count} of {} cells to do, {jobs} at a time", cells.len());
+    let screen = Screen::new(count, jobs);
+    let next = || queue.lock().expect("no worker panics").pop_front();
+    let worker = |number: usize| -> anyhow::Result<()> {
+        while let Some(cell) = next() {
+            if stop.load(Ordering::Relaxed) {
+                break;
+            }
+            let begin = Instant::now();
+            let end = finish(sweep, cell, stop, &mut |what| screen.show(number, cell, what))?;
+            screen.done(number, cell, end, begin.elapsed(), time_left(sweep, cells), jobs);
+        }
+        Ok(())
+    };
+    let results: Vec<anyhow::Result<()>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..jobs.min(count)).map(|k| scope.spawn({
+            let worker = &worker;
+            move || worker(k)
+        })).collect();
+        threads.into_iter().map(|thread| thread.join().expect("no worker panics")).collect()
+    });
+    screen.clear();
+    results.into_iter().collect()
+}
+
+/// How work on a cell ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    Finished,
+    Failed,
+    Stopped,
+}
+
+/// Does all that is left to do in a cell.
+fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&str)) -> anyhow::Result<End> {
+    while let Some(job) = cell.next(&sweep.evaluations)? {
+        show(&job.what);
+        let since = Instant::now();
+        while cell.run().is_locked() && !stop.load(Ordering::Relaxed) {
+            if since.elapsed() > PATIENCE {
+                cell.mark_failed("another process works in this folder and does not come to its end")?;
+                return Ok(End::Failed);
+            }
+            std::thread::sleep(TICK);
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Ok(End::Stopped);
+        }
+        match wait(&mut start(cell, &job)?, stop, || show(&job.what))? {
+            Some(0) if job.what == "train" => cell.mark_trained()?,
+            Some(0) => {}
+            _ if stop.load(Ordering::Relaxed) => return Ok(End::Stopped),
+            code => {
+                let how = code.map_or_else(|| "was killed".to_owned(), |code| format!("ended with code {code}"));
+                cell.mark_failed(&format!("iwol {} {how}", job.arguments.join(" ")))?;
+                return Ok(End::Failed);
+            }
+        }
+    }
+    Ok(End::Finished)
+}
+
+fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
+    use std::os::unix::process::CommandExt as _;
+    let log = cell.log();
+    let open = || File::options().create(true).append(true).open(&log);
+    let log = open().with_context(|| format!("cannot write `{}`", log.display()))?;
+    let program = std::env::current_exe().context("cannot find this program's file")?;
+    let mut command = Command::new(program);
+    command.arg("--die-with-parent").args(&job.arguments);
+    // In a group of its own, so that Ctrl-C reaches this program alone, which passes on one signal: two would be an order to
+    // leave everything and go.
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).process_group(0);
+    command.spawn().context("cannot start a process of this program")
+}
+
+/// Waits for a child; its exit code, `None` when a signal ended it. When `stop` is raised, the child is asked to stop, and
+/// given the time to write its checkpoint.
+fn wait(child: &mut Child, stop: &AtomicBool, mut show: impl FnMut()) -> anyhow::Result<Option<i32>> {
+    let mut asked = false;
+    loop {
+        if let Some(status) = child.try_wait().context("cannot wait for a child process")? {
+            return Ok(status.code());
+        }
+        if stop.load(Ordering::Relaxed) && !asked {
+            asked = true;
+            let pid = rustix::process::Pid::from_child(child);
+            // A child that is gone needs no signal.
+            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        }
+        show();
+        std::thread::sleep(TICK);
+    }
+}
+
+/// What is shown while cells run: bars on a terminal, else a line at each beginning and end.
+struct Screen {
+    bars: Vec<ProgressBar>,
+    all: ProgressBar,
+    terminal: bool,
+    /// What each worker said last.
+    last: Mutex<Vec<String>>,
+}
+
+impl Screen {
+    fn new(cells: usize, jobs: usize) -> Self {
+        let group = MultiProgress::new();
+        let style = |template: &str| ProgressStyle::with_template(template).expect("a valid template");
+        let bar = |_| {
+            let bar = group.add(ProgressBar::new(1));
+            bar.set_style(style("{bar:20} {human_pos:>9}/{human_len} steps  {msg}"));
+            bar
+        };
+        let bars = (0..jobs.min(cells)).map(bar).collect();
+        let all = group.add(ProgressBar::new(cells as u64));
+        all.set_style(style("{bar:20} {pos}/{len} cells  {elapsed}  {msg}"));
+        let terminal = std::io::stderr().is_terminal();
+        Self { bars, all, terminal, last: Mutex::new(vec![String::new(); jobs]) }
+    }
+
+    /// What worker `number` does now.
+    fn show(&self, number: usize, cell: &Cell, what: &str) {
+        let said = format!("{}: {what}", cell.id);
+        let mut last = self.last.lock().expect("no worker panics");
+        let new = last[number] != said;
+        if self.terminal {
+            let bar = &self.bars[number];
+            bar.set_length(cell.config.steps);
+            bar.set_position(cell.steps());
+            if new {
+                bar.set_message(said.clone());
+            }
+        } else if new {
+            eprintln!("{said}");
+        }
+        last[number] = said;
+    }
+
+    fn done(&self, number: usize, cell: &Cell, end: End, took: Duration, left: Option<Duration>, jobs: usize) {
+        let end = match end {
+            End::Finished => "finished",
+            End::Failed => "FAILED",
+            End::Stopped => return,
+        };
+        self.all.inc(1);
+        let left = left.map_or_else(String::new, |left| format!(", about {} left", human_duration(left / jobs as u32)));
+        let line = format!("{} {end} in {}{left}", cell.id, human_duration(took));
+        if self.terminal {
+            self.bars[number].println(line);
+            self.all.set_message(left.trim_start_matches(", ").to_owned());
+        } else {
+            eprintln!("{line} ({} of {})", self.all.position(), self.all.length().unwrap_or(0));
+        }
+    }
+
+    fn clear(&self) {
+        self.bars.iter().for_each(ProgressBar::finish_and_clear);
+        self.all.finish_and_clear();
+    }
+}

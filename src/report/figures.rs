@@ -1,0 +1,152 @@
+//! Figures of a report.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{Block, Error, Line, METRICS, Metric, Row, references, scores};
+use crate::plot::{Panel, Series, Style, figure};
+use crate::record::read_json_lines;
+use crate::stats::aggregate::{performance_profile, sample_efficiency};
+use crate::sweep::Sweep;
+
+/// Width and height of a panel, pixels.
+const PANEL: (u32, u32) = (640, 560);
+
+/// Success, safety and window reward along the axis, each line dodged a little so that no interval hides another; published
+/// values dashed.
+pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(), Error> {
+    let panels: Vec<Panel> = METRICS.iter().map(|metric| panel(sweep, block, metric)).collect();
+    Ok(figure(path, "", &panels, (PANEL.0 * panels.len() as u32, PANEL.1))?)
+}
+
+fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
+    let count = block.series.len();
+    let mut series: Vec<Series> = Vec::new();
+    for (k, line) in block.series.iter().enumerate() {
+        let dodge = (k as f64 - (count as f64 - 1.0) / 2.0) * (0.5 / count as f64).min(0.08);
+        let places = line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
+        let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
+        series.push(Series { label: line.label.clone(), points, band: Some(band), style: Style::Whiskers });
+    }
+    for (reference, points) in references(sweep, block, metric) {
+        let points = points.into_iter().map(|(x, y)| (x as f64, y)).collect();
+        series.push(Series {
+            label: reference.label.clone(),
+            points,
+            band: None,
+            style: Style::Beside(reference.beside.clone()),
+        });
+    }
+    let unit = if metric.factor == 100.0 { "agents (%)" } else { "reward per agent in 1000 steps" };
+    let lowest = series.iter().flat_map(|s| s.points.iter().map(|p| p.1)).fold(f64::INFINITY, f64::min);
+    Panel {
+        title: metric.title.trim_end_matches(" %").to_owned(),
+        x_label: block.x.as_deref().map_or_else(String::new, axis_label),
+        y_label: unit.to_owned(),
+        // Where everything succeeds, differences are in the last percent.
+        y_range: (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0)),
+        categories: if block.x.is_some() { block.categories.clone() } else { vec![String::new()] },
+        series,
+        references: Vec::new(),
+    }
+}
+
+/// A key as an axis says it.
+fn axis_label(key: &str) -> String {
+    match key {
+        "agents" => "vehicles".to_owned(),
+        "env.communication_range" => "communication range (m)".to_owned(),
+        "env.neighbours" => "vehicles seen".to_owned(),
+        _ => key.rsplit('.').next().unwrap_or(key).replace('_', " "),
+    }
+}
+
+/// Performance profiles; `false` where there is too little to draw.
+pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
+    let thresholds: Vec<f64> = (0..=100).map(f64::from).collect();
+    let series: Vec<Series> = (block.series.iter())
+        .filter(|line| line.rows.iter().any(|row| !row.values(&METRICS[0]).is_empty()))
+        .map(|line| {
+            let shares = performance_profile(&scores(line, &METRICS[0]), &thresholds);
+            let points = thresholds.iter().zip(shares).map(|(t, share)| (*t, 100.0 * share)).collect();
+            Series::curve(line.label.clone(), points, None)
+        })
+        .collect();
+    if series.len() < 2 {
+        return Ok(false);
+    }
+    let panel = Panel {
+        title: "Performance profile".to_owned(),
+        x_label: "success τ (%)".to_owned(),
+        y_label: "runs above τ (%)".to_owned(),
+        y_range: Some((0.0, 100.0)),
+        categories: Vec::new(),
+        series,
+        references: Vec::new(),
+    };
+    figure(path, "", &[panel], (760, 520))?;
+    Ok(true)
+}
+
+/// Validation success against steps: a panel per place of an axis that training knows, else a single one; `false` where there
+/// is no curve.
+pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
+    let trained = block.x.as_deref().is_some_and(|x| !block.evaluate.grid.contains_key(x));
+    let places: Vec<usize> = if trained { (0..block.categories.len()).collect() } else { vec![0] };
+    let mut panels = Vec::new();
+    for place in places {
+        let mut series = Vec::new();
+        for line in &block.series {
+            let curves = curves(line, place)?;
+            if !curves.is_empty() {
+                series.push(mean_curve(line.label.clone(), &curves));
+            }
+        }
+        let title = match (&block.x, trained) {
+            (Some(x), true) => format!("{} {}", block.categories[place], axis_label(x)),
+            _ => String::new(),
+        };
+        panels.push(Panel {
+            title,
+            x_label: "environment steps".to_owned(),
+            y_label: "validation success (%)".to_owned(),
+            y_range: Some((0.0, 100.0)),
+            categories: Vec::new(),
+            series,
+            references: Vec::new(),
+        });
+    }
+    panels.retain(|panel| !panel.series.is_empty());
+    // More do not fit side by side.
+    panels.truncate(6);
+    if panels.is_empty() {
+        return Ok(false);
+    }
+    let width = (560 * panels.len() as u32).min(4000).max(700);
+    figure(path, "", &panels, (width, 520))?;
+    Ok(true)
+}
+
+fn curves(line: &Line<'_>, place: usize) -> Result<Vec<Vec<(f64, f64)>>, Error> {
+    let row: &Row<'_> = &line.rows[place];
+    let mut curves = Vec::new();
+    for (cell, _) in row.runs.iter().filter(|(_, found)| found.is_some()) {
+        let lines: Vec<Value> = read_json_lines(&cell.run().metrics())?;
+        let point = |line: &Value| Some((line["step"].as_f64()?, 100.0 * line["validation/success"].as_f64()?));
+        curves.push(lines.iter().filter_map(point).collect::<Vec<_>>());
+    }
+    curves.retain(|curve| !curve.is_empty());
+    Ok(curves)
+}
+
+fn mean_curve(label: String, runs: &[Vec<(f64, f64)>]) -> Series {
+    let mut steps: Vec<f64> = runs.iter().flatten().map(|point| point.0).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.dedup();
+    let curve = sample_efficiency(runs, &steps);
+    let points = curve.iter().map(|(step, e)| (*step, e.mean)).collect();
+    let band = curve.iter().map(|(step, e)| (*step, e.low.max(0.0), e.high.min(100.0)));
+    let band = (runs.len() > 1).then(|| band.collect());
+    Series::curve(label, points, band)
+}

@@ -1,0 +1,341 @@
+//! The report of a sweep: tables, figures and data for other programs, made from the files of its cells alone.
+//!
+//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. Aggregates over several places of the
+//! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see [`crate::stats::aggregate`].
+
+mod document;
+mod figures;
+mod tables;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::record::{self, read_json_lines, write_atomic};
+use crate::stats::Estimate;
+use crate::sweep::{self, Cell, Evaluate, Reference, Sweep, plain};
+use crate::{plot, stats};
+
+/// A metric that is shown: key in the JSON of `iwol evaluate`, heading, factor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Metric {
+    /// Key.
+    pub key: &'static str,
+    /// Heading, with the unit.
+    pub title: &'static str,
+    /// By which the value is multiplied.
+    pub factor: f64,
+}
+
+/// What is tabulated and drawn of each evaluation.
+pub const METRICS: [Metric; 3] = [
+    Metric { key: "success", title: "success %", factor: 100.0 },
+    Metric { key: "safety", title: "safety %", factor: 100.0 },
+    Metric { key: "window_reward", title: "window reward", factor: 1.0 },
+];
+
+/// One evaluation of all cells.
+#[derive(Debug)]
+struct Block<'a> {
+    evaluate: &'a Evaluate,
+    /// The key along the horizontal axis, if there is one.
+    x: Option<String>,
+    /// Its values.
+    categories: Vec<String>,
+    /// One per combination of what else varies, in the sweep's order.
+    series: Vec<Line<'a>>,
+}
+
+/// Results that belong together in a figure.
+#[derive(Debug)]
+struct Line<'a> {
+    label: String,
+    /// One per category.
+    rows: Vec<Row<'a>>,
+}
+
+/// The seeds of one place in a figure.
+#[derive(Debug, Default)]
+struct Row<'a> {
+    /// Cells that belong here, and what was found if they are that far.
+    runs: Vec<(&'a Cell, Option<Value>)>,
+}
+
+impl Row<'_> {
+    /// A metric of each finished run, times its factor.
+    fn values(&self, metric: &Metric) -> Vec<f64> {
+        let value = |found: &Value| found["metrics"][metric.key]["mean"].as_f64().map(|v| v * metric.factor);
+        self.runs.iter().filter_map(|(_, found)| value(found.as_ref()?)).collect()
+    }
+
+    /// Mean and interval over seeds; of a single seed the interval over its episodes. Rates stay in their range.
+    fn estimate(&self, metric: &Metric) -> Option<Estimate> {
+        let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
+        if let [only] = finished[..] {
+            let end = |key: &str| only["metrics"][metric.key][key].as_f64().map(|v| v * metric.factor);
+            let mean = end("mean")?;
+            return Some(Estimate { mean, low: end("low").unwrap_or(mean), high: end("high").unwrap_or(mean) });
+        }
+        let e = Estimate::t(&self.values(metric))?;
+        let (low, high) = if metric.factor == 100.0 { (0.0, 100.0) } else { (f64::NEG_INFINITY, f64::INFINITY) };
+        Some(Estimate { mean: e.mean, low: e.low.max(low), high: e.high.min(high) })
+    }
+}
+
+/// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures, `summary.json` (every run's metrics) and
+/// `marl_eval.json` (the layout of InstaDeep's marl-eval). Gives what was written.
+///
+/// # Errors
+/// When no cell is evaluated yet, or a file cannot be read or written.
+pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, Error> {
+    let blocks: Vec<Block<'_>> =
+        sweep.evaluations.iter().map(|evaluate| block(sweep, evaluate)).collect::<Result<_, _>>()?;
+    let found = |block: &Block<'_>| block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some());
+    if !blocks.iter().any(found) {
+        return Err(Error::Nothing { name: sweep.name.clone() });
+    }
+    std::fs::create_dir_all(out)
+        .map_err(|source| record::Error::Io { action: "create", path: out.to_owned(), source })?;
+    let mut written = Vec::new();
+    let mut document = document::Document::new(&sweep.title);
+    tables::introduce(&mut document, sweep, command);
+    for block in blocks.iter().filter(|block| found(block)) {
+        document.heading(2, &heading(sweep, block));
+        let file = out.join(format!("{}.png", block.evaluate.name));
+        figures::results(&file, sweep, block)?;
+        document.figure(&file, &format!("{}: success, safety and window reward", heading(sweep, block)));
+        written.push(file);
+        tables::results(&mut document, sweep, block);
+        if block.categories.len() > 1 && block.series.len() > 1 {
+            tables::aggregates(&mut document, block);
+            let file = out.join(format!("{}_profile.png", block.evaluate.name));
+            if figures::profile(&file, block)? {
+                document.figure(&file, "Performance profile: share of runs above each success rate");
+                written.push(file);
+            }
+        }
+    }
+    let file = out.join("learning_curves.png");
+    if figures::learning_curves(&file, &blocks[0])? {
+        document.heading(2, "Learning curves");
+        document.figure(&file, "Success in validation against environment steps, mean over seeds");
+        written.push(file);
+    }
+    tables::training(&mut document, sweep);
+    let mut save = |name: &str, bytes: &[u8]| -> Result<(), Error> {
+        let path = out.join(name);
+        write_atomic(&path, bytes)?;
+        written.push(path);
+        Ok(())
+    };
+    save("report.md", document.markdown().as_bytes())?;
+    save("report.html", document.html()?.as_bytes())?;
+    save("summary.json", format!("{:#}\n", summary(sweep, &blocks, command)).as_bytes())?;
+    save("marl_eval.json", format!("{}\n", marl_eval(&blocks[0])?).as_bytes())?;
+    Ok(written)
+}
+
+fn heading(sweep: &Sweep, block: &Block<'_>) -> String {
+    match &block.evaluate.title {
+        none if none.is_empty() && sweep.evaluations.len() == 1 => "Results".to_owned(),
+        none if none.is_empty() => block.evaluate.name.clone(),
+        title => title.clone(),
+    }
+}
+
+/// Sorts the results of one evaluation into lines and places.
+fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Error> {
+    let varying: Vec<&str> = (sweep.keys.iter())
+        .filter(|(key, count)| key != "seed" && (*count > 1 || key == "algorithm"))
+        .map(|(key, _)| key.as_str())
+        .chain(evaluate.grid.keys().map(String::as_str))
+        .collect();
+    let x = evaluate.x.clone().or_else(|| {
+        let own: Vec<&String> = evaluate.grid.keys().collect();
+        let many = || varying.iter().filter(|key| **key != "algorithm");
+        match own[..] {
+            [only] => Some(only.clone()),
+            _ if varying.contains(&"agents") => Some("agents".to_owned()),
+            _ => many().next().map(|key| (*key).to_owned()),
+        }
+    });
+    if let Some(x) = evaluate.x.as_ref().filter(|x| !varying.contains(&x.as_str())) {
+        return Err(Error::Axis { evaluate: evaluate.name.clone(), key: x.clone() });
+    }
+    let (mut categories, mut series): (Vec<String>, Vec<(String, BTreeMap<usize, Row<'a>>)>) = Default::default();
+    for cell in &sweep.cells {
+        for combination in evaluate.combinations() {
+            let value = |key: &str| {
+                let own = combination.iter().find(|(own, _)| own == key).map(|(_, value)| value);
+                own.or_else(|| cell.value(key)).map(plain)
+            };
+            let place = x.as_deref().and_then(value).unwrap_or_default();
+            let parts = varying.iter().filter(|key| Some(**key) != x.as_deref());
+            let label: Vec<String> = parts
+                .filter_map(|key| {
+                    let value = value(key)?;
+                    let short = key.rsplit('.').next().unwrap_or(key);
+                    Some(if *key == "algorithm" { value } else { format!("{short} {value}") })
+                })
+                .collect();
+            let label = if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
+            let category = position(&mut categories, place);
+            let known = series.iter().position(|(own, _)| *own == label);
+            let line = known.unwrap_or_else(|| {
+                series.push((label, BTreeMap::new()));
+                series.len() - 1
+            });
+            let found = read_result(&cell.result(evaluate, &combination))?;
+            series[line].1.entry(category).or_default().runs.push((cell, found));
+        }
+    }
+    let count = categories.len();
+    let line = |(label, mut rows): (String, BTreeMap<usize, Row<'a>>)| Line {
+        label,
+        rows: (0..count).map(|k| rows.remove(&k).unwrap_or_default()).collect(),
+    };
+    Ok(Block { evaluate, x, categories, series: series.into_iter().map(line).collect() })
+}
+
+fn position(known: &mut Vec<String>, value: String) -> usize {
+    known.iter().position(|own| *own == value).unwrap_or_else(|| {
+        known.push(value);
+        known.len() - 1
+    })
+}
+
+fn read_result(path: &Path) -> Result<Option<Value>, Error> {
+    match std::fs::read(path) {
+        Ok(bytes) => Ok(Some(
+            serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path: path.to_owned(), source })?,
+        )),
+        Err(source) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(record::Error::Io { action: "read", path: path.to_owned(), source }.into()),
+    }
+}
+
+/// Published values that belong to this evaluation and metric, as `(reference, [(category, value)])`.
+fn references<'a>(
+    sweep: &'a Sweep,
+    block: &'a Block<'_>,
+    metric: &'a Metric,
+) -> impl Iterator<Item = (&'a Reference, Vec<(usize, f64)>)> {
+    let first = sweep.evaluations.first().map(|e| e.name.as_str());
+    let name = block.evaluate.name.as_str();
+    sweep.references.iter().filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name)).map(
+        move |r| {
+            let place = |x: f64| block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x));
+            let points = r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
+            (r, points.collect())
+        },
+    )
+}
+
+/// Every run's metrics, with what it is.
+fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
+    let mut rows = Vec::new();
+    for block in blocks {
+        for line in &block.series {
+            for (category, row) in block.categories.iter().zip(&line.rows) {
+                for (cell, found) in row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?))) {
+                    let trained = cell.trained();
+                    rows.push(json!({
+                        "evaluation": block.evaluate.name, "series": line.label, "x": block.x, "at": category,
+                        "cell": cell.id, "algorithm": cell.config.algorithm, "agents": cell.config.agents,
+                        "seed": cell.config.seed, "episodes": found["episodes"],
+                        "training_steps": trained.as_ref().map(|t| t.steps),
+                        "training_seconds": trained.map(|t| t.seconds), "metrics": found["metrics"],
+                    }));
+                }
+            }
+        }
+    }
+    json!({ "sweep": sweep.name, "command": command, "rows": rows })
+}
+
+/// The layout of marl-eval: environment, task, algorithm, run, then steps with their values, and the final values.
+fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
+    let mut tree = json!({});
+    for line in &block.series {
+        for (category, row) in block.categories.iter().zip(&line.rows) {
+            for (cell, found) in row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?))) {
+                let environment = cell.config.scenario.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                let task = match &block.x {
+                    Some(x) => format!("{x}={category}"),
+                    None => "all".to_owned(),
+                };
+                let mut run = json!({});
+                let lines: Vec<Value> = read_json_lines(&cell.run().metrics())?;
+                for (k, line) in lines.iter().filter(|line| line["validation/success"].is_number()).enumerate() {
+                    run[format!("step_{k}")] = json!({
+                        "step_count": line["step"], "elapsed_time": line["time/total_s"],
+                        "success": [line["validation/success"]], "safety": [line["validation/safety"]],
+                        "window_reward": [line["validation/window_reward"]],
+                    });
+                }
+                let finals = METRICS.iter().map(|m| (m.key, json!([found["metrics"][m.key]["mean"]])));
+                run["absolute_metrics"] = finals.map(|(key, value)| (key.to_owned(), value)).collect();
+                tree[&environment][&task][&line.label][format!("seed_{}", cell.config.seed)] = run;
+            }
+        }
+    }
+    Ok(tree)
+}
+
+/// Per category the seeds' scores: the strata of the bootstrap.
+fn scores(line: &Line<'_>, metric: &Metric) -> Vec<Vec<f64>> {
+    line.rows.iter().map(|row| row.values(metric)).collect()
+}
+
+/// Whether resampling seeds says something: every place has at least two.
+fn resamples(line: &Line<'_>) -> bool {
+    line.rows.iter().all(|row| row.values(&METRICS[0]).len() > 1)
+}
+
+/// The interval of an aggregate over seeds and places.
+fn aggregate(line: &Line<'_>, metric: &Metric, of: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
+    let scores = scores(line, metric);
+    if resamples(line) {
+        return stats::aggregate::bootstrap(&scores, of);
+    }
+    let mean = of(&scores);
+    mean.is_finite().then_some(Estimate { mean, low: f64::NEG_INFINITY, high: f64::INFINITY })
+}
+
+/// What can go wrong in a report.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Nothing is evaluated yet.
+    #[error("the sweep `{name}` has no result yet; run it first: iwol sweep FILE")]
+    Nothing {
+        /// The sweep.
+        name: String,
+    },
+    /// The axis is none of the keys that vary.
+    #[error("[[evaluate]] `{evaluate}`: x = \"{key}\" is no key of a grid that has several values")]
+    Axis {
+        /// The evaluation.
+        evaluate: String,
+        /// The key.
+        key: String,
+    },
+    /// A result is not what `iwol evaluate` wrote.
+    #[error("`{}` is damaged; delete it, and run the sweep again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason.
+        source: serde_json::Error,
+    },
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    Record(#[from] record::Error),
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Plot(#[from] plot::Error),
+    /// The sweep is not valid.
+    #[error(transparent)]
+    Sweep(#[from] sweep::Error),
+}

@@ -1,0 +1,140 @@
+//! Tables of a report.
+
+use super::document::Document;
+use super::{Block, METRICS, Metric, Row, aggregate, references, resamples, scores};
+use crate::stats::Estimate;
+use crate::stats::aggregate::{
+    bootstrap, bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
+};
+use crate::sweep::{State, Sweep};
+
+/// How the numbers came about, and what is missing.
+pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
+    document.code(command);
+    let states: Vec<State> = sweep.cells.iter().map(|cell| cell.state(&sweep.evaluations)).collect();
+    let finished = states.iter().filter(|state| **state == State::Finished).count();
+    let mut text = format!("{finished} of {} runs are finished", states.len());
+    let failed = states.iter().filter(|state| matches!(state, State::Failed(_))).count();
+    if failed > 0 {
+        text += &format!(", {failed} failed");
+    }
+    text += ". The unit is the seed: ± is the 95 % t-interval over trained runs (of a single run, brackets hold the interval \
+             over its episodes). Deterministic policies, episodes that training and validation did not see.";
+    document.text(text);
+}
+
+/// A table per metric, a line per series, a column per place; published values below; then every row in detail.
+pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
+    let axis = block.x.as_deref().map_or("", |x| x.rsplit('.').next().unwrap_or(x)).replace('_', " ");
+    for metric in &METRICS {
+        let header = |title: &str| [&[title.to_owned()], &block.categories[..]].concat();
+        let title = if axis.is_empty() { metric.title.to_owned() } else { format!("{} at {axis}", metric.title) };
+        let mut rows: Vec<Vec<String>> = Vec::new();
+        for line in &block.series {
+            let cells = line.rows.iter().map(|row| cell(row, metric));
+            rows.push(std::iter::once(line.label.clone()).chain(cells).collect());
+        }
+        for (reference, points) in references(sweep, block, metric) {
+            let at = |place: usize| points.iter().find(|p| p.0 == place).map_or("–".to_owned(), |p| format!("{:.1}", p.1));
+            let cells = (0..block.categories.len()).map(at);
+            rows.push(std::iter::once(reference.label.clone()).chain(cells).collect());
+        }
+        document.table(header(&title), rows);
+    }
+}
+
+/// Mean ± half width over seeds; mean and brackets for one.
+fn cell(row: &Row<'_>, metric: &Metric) -> String {
+    let Some(e) = row.estimate(metric) else { return "–".to_owned() };
+    let values = row.values(metric);
+    if values.len() == 1 {
+        return format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
+    }
+    let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
+    let partial = if values.len() < row.runs.len() { format!(" ({} of {})", values.len(), row.runs.len()) } else { String::new() };
+    format!("{:.1} ± {half:.1}{partial}", e.mean)
+}
+
+/// Aggregates over all places, and how likely one line beats another.
+pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
+    let success = &METRICS[0];
+    let lines: Vec<_> = block.series.iter().filter(|line| scores(line, success).iter().all(|s| !s.is_empty())).collect();
+    if lines.is_empty() {
+        return;
+    }
+    document.heading(3, "Success over all of them");
+    document.text(
+        "Aggregates over all runs and places as in rliable: interquartile mean (IQM), median and mean of the places' means, \
+         optimality gap to 100 %. Brackets: 95 % stratified bootstrap with the seeds as the unit; with fewer than about five \
+         seeds they are too narrow, and without a second seed there are none.",
+    );
+    let show = |e: Option<Estimate>| match e {
+        Some(e) if e.low.is_finite() => format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high),
+        Some(e) => format!("{:.1}", e.mean),
+        None => "–".to_owned(),
+    };
+    let header = ["", "IQM", "median", "mean", "optimality gap", "worst run"].map(str::to_owned).to_vec();
+    let rows = lines.iter().map(|line| {
+        let worst = scores(line, success).into_iter().flatten().fold(f64::INFINITY, f64::min);
+        vec![
+            line.label.clone(),
+            show(aggregate(line, success, interquartile_mean)),
+            show(aggregate(line, success, median)),
+            show(aggregate(line, success, task_mean)),
+            show(aggregate(line, success, |scores| optimality_gap(scores, 100.0))),
+            format!("{worst:.1}"),
+        ]
+    });
+    document.table(header, rows.collect());
+    if lines.len() < 2 || !lines.iter().all(|line| resamples(line)) {
+        return;
+    }
+    let header = std::iter::once("probability that the line beats the column".to_owned());
+    let header = header.chain(lines.iter().map(|line| line.label.clone())).collect();
+    let rows = lines.iter().map(|line| {
+        let versus = |other: &&&super::Line<'_>| {
+            if std::ptr::eq(*line, **other) {
+                return "–".to_owned();
+            }
+            let (x, y) = (scores(line, success), scores(other, success));
+            let e = bootstrap_pair(&x, &y, probability_of_improvement);
+            e.map_or_else(|| "–".to_owned(), |e| format!("{:.2} [{:.2}, {:.2}]", e.mean, e.low, e.high))
+        };
+        std::iter::once(line.label.clone()).chain(lines.iter().map(|other| versus(&other))).collect()
+    });
+    document.table(header, rows.collect());
+}
+
+/// What training took, per cell without its seed.
+pub(super) fn training(document: &mut Document, sweep: &Sweep) {
+    let mut groups: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+    for cell in &sweep.cells {
+        let Some(trained) = cell.trained() else { continue };
+        let name = cell.id.rsplit_once("/seed_").map_or(cell.id.as_str(), |(name, _)| name).to_owned();
+        let entry = (trained.steps as f64, trained.seconds);
+        match groups.iter_mut().find(|group| group.0 == name) {
+            Some(group) => group.1.push(entry),
+            None => groups.push((name, vec![entry])),
+        }
+    }
+    if groups.is_empty() {
+        return;
+    }
+    document.heading(2, "Training");
+    let header = ["runs", "seeds", "steps", "minutes", "steps/s"].map(str::to_owned).to_vec();
+    let rows = groups.into_iter().map(|(name, runs)| {
+        let column = |of: fn(&(f64, f64)) -> f64| runs.iter().map(of).collect::<Vec<_>>();
+        let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
+        let minutes = column(|run| run.1 / 60.0);
+        let spread = if runs.len() > 1 { bootstrap(&[minutes.clone()], task_mean) } else { None };
+        let minutes = mean(minutes);
+        vec![
+            name,
+            runs.len().to_string(),
+            format!("{:.0}", mean(column(|run| run.0))),
+            spread.map_or_else(|| format!("{minutes:.1}"), |e| format!("{minutes:.1} [{:.1}, {:.1}]", e.low, e.high)),
+            format!("{:.0}", mean(column(|run| run.0 / run.1.max(1e-9)))),
+        ]
+    });
+    document.table(header, rows.collect());
+}

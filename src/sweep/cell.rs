@@ -1,0 +1,245 @@
+//! One cell of a sweep: a run, its evaluations, and how far both are, from the files in its folder.
+
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::{Error, Evaluate, Which, label, plain};
+use crate::config::Config;
+use crate::record::{self, write_atomic};
+use crate::train::RunDir;
+
+/// One run of the grid.
+#[derive(Debug, Clone)]
+pub struct Cell {
+    /// Name: its folder below the sweep's.
+    pub id: String,
+    /// Where it runs.
+    pub folder: PathBuf,
+    /// Keys and values of the grid.
+    pub values: Vec<(String, Value)>,
+    /// Everything, resolved.
+    pub config: Config,
+}
+
+/// How far a cell is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum State {
+    /// Nothing is there.
+    New,
+    /// Training was cut off after so many steps.
+    Partial(u64),
+    /// Trained; so many evaluations are missing.
+    Trained(usize),
+    /// All is there.
+    Finished,
+    /// It failed; the last lines that it said.
+    Failed(String),
+}
+
+/// A command of a cell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// Arguments of this program.
+    pub arguments: Vec<String>,
+    /// What it does, for people.
+    pub what: String,
+}
+
+/// Left in the folder of a run that is trained to its end.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Trained {
+    /// Steps that were done.
+    pub steps: u64,
+    /// Seconds of rollouts and updates.
+    pub seconds: f64,
+}
+
+impl Cell {
+    /// The run folder.
+    pub fn run(&self) -> RunDir {
+        RunDir::new(&self.folder)
+    }
+
+    /// A value of the grid.
+    pub fn value(&self, key: &str) -> Option<&Value> {
+        self.values.iter().find(|(own, _)| own == key).map(|(_, value)| value)
+    }
+
+    /// Everything that the cell's processes said.
+    pub fn log(&self) -> PathBuf {
+        self.folder.join("sweep.log")
+    }
+
+    fn trained_mark(&self) -> PathBuf {
+        self.folder.join("trained.json")
+    }
+
+    fn failed_mark(&self) -> PathBuf {
+        self.folder.join("failed.txt")
+    }
+
+    /// Where the result of an evaluation is.
+    pub fn result(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> PathBuf {
+        let name = match label(combination) {
+            none if none.is_empty() => evaluate.name.clone(),
+            label => format!("{}_{label}", evaluate.name),
+        };
+        self.folder.join("evaluations").join(format!("{name}.json"))
+    }
+
+    /// Steps and seconds of training, once it is over.
+    pub fn trained(&self) -> Option<Trained> {
+        serde_json::from_slice(&std::fs::read(self.trained_mark()).ok()?).ok()
+    }
+
+    /// How far it is.
+    pub fn state(&self, evaluations: &[Evaluate]) -> State {
+        if let Ok(text) = std::fs::read_to_string(self.failed_mark()) {
+            return State::Failed(text);
+        }
+        if self.trained().is_some() {
+            let missing = self.missing(evaluations).count();
+            return if missing == 0 { State::Finished } else { State::Trained(missing) };
+        }
+        match self.steps() {
+            0 => State::New,
+            steps => State::Partial(steps),
+        }
+    }
+
+    /// Steps of training that are recorded.
+    pub fn steps(&self) -> u64 {
+        last_line(&self.run().metrics()).and_then(|line| line["step"].as_u64()).unwrap_or(0)
+    }
+
+    /// Seconds of training that are recorded.
+    pub fn seconds(&self) -> f64 {
+        last_line(&self.run().metrics()).and_then(|line| line["time/total_s"].as_f64()).unwrap_or(0.0)
+    }
+
+    fn missing<'a>(
+        &'a self,
+        evaluations: &'a [Evaluate],
+    ) -> impl Iterator<Item = (&'a Evaluate, Vec<(String, Value)>)> {
+        let all = evaluations.iter().flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
+        all.filter(|(evaluate, combination)| !self.result(evaluate, combination).exists())
+    }
+
+    /// Refuses a folder whose run has other settings than this cell (but for those that change no result).
+    ///
+    /// # Errors
+    /// [`Error::Changed`].
+    pub fn check(&self) -> Result<(), Error> {
+        let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
+        let table = |text: &str| {
+            let mut table: Table = toml::from_str(text).unwrap_or_default();
+            table.remove("simulation");
+            table.remove("device");
+            let mut flat = std::collections::BTreeMap::new();
+            super::flatten(&table, "", &mut flat);
+            flat
+        };
+        let (was, is) = (table(&text), table(&self.config.to_toml()));
+        let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));
+        differs.map_or(Ok(()), |key| {
+            let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
+            Err(Error::Changed {
+                folder: self.folder.clone(),
+                key: key.clone(),
+                was: show(was.get(key)),
+                is: show(is.get(key)),
+            })
+        })
+    }
+
+    /// The next thing to do; `None` when all is done. A failure is forgotten by [`Cell::retry`] alone.
+    ///
+    /// # Errors
+    /// When the folder cannot be written, or holds another run.
+    pub fn next(&self, evaluations: &[Evaluate]) -> Result<Option<Job>, Error> {
+        self.check()?;
+        let folder = self.folder.display().to_string();
+        if self.trained().is_none() {
+            let resumed = self.run().last().exists();
+            let mut arguments = vec!["train".to_owned(), "--out".to_owned(), folder.clone()];
+            if resumed {
+                arguments.push("--resume".to_owned());
+            } else {
+                let evaluations = self.folder.join("evaluations");
+                std::fs::create_dir_all(&evaluations).map_err(|source| record::Error::Io {
+                    action: "create",
+                    path: evaluations.clone(),
+                    source,
+                })?;
+                write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
+                arguments.extend(["--config".to_owned(), self.run().config().display().to_string()]);
+            }
+            return Ok(Some(Job { arguments, what: "train".to_owned() }));
+        }
+        Ok(self.missing(evaluations).next().map(|(evaluate, combination)| {
+            let checkpoint = match evaluate.checkpoint {
+                Which::Last => self.run().last(),
+                Which::Best => self.run().best(),
+            };
+            let mut arguments = vec!["evaluate".to_owned(), checkpoint.display().to_string()];
+            arguments.extend(["--episodes".to_owned(), evaluate.episodes.to_string()]);
+            for (key, value) in &combination {
+                arguments.extend(["--set".to_owned(), format!("{key}={value}")]);
+            }
+            let out = self.result(evaluate, &combination).display().to_string();
+            arguments.extend(["--out".to_owned(), out]);
+            let what = format!("evaluate {} {}", evaluate.name, label(&combination));
+            Job { arguments, what: what.trim_end().to_owned() }
+        }))
+    }
+
+    /// Notes that training ended by itself.
+    ///
+    /// # Errors
+    /// When the note cannot be written.
+    pub fn mark_trained(&self) -> Result<(), Error> {
+        let trained = Trained { steps: self.steps(), seconds: self.seconds() };
+        let text = serde_json::to_string(&trained).expect("two numbers");
+        Ok(write_atomic(&self.trained_mark(), text.as_bytes())?)
+    }
+
+    /// Notes a failure with the last lines of the log.
+    ///
+    /// # Errors
+    /// When the note cannot be written.
+    pub fn mark_failed(&self, why: &str) -> Result<String, Error> {
+        let log = std::fs::read_to_string(self.log()).unwrap_or_default();
+        let lines: Vec<&str> = log.lines().filter(|line| !line.trim().is_empty()).collect();
+        let last = lines[lines.len().saturating_sub(6)..].join("\n");
+        let text = format!("{why}\n{last}");
+        write_atomic(&self.failed_mark(), text.as_bytes())?;
+        Ok(text)
+    }
+
+    /// Forgets a failure.
+    ///
+    /// # Errors
+    /// When the note cannot be removed.
+    pub fn retry(&self) -> Result<(), Error> {
+        let path = self.failed_mark();
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                Err(record::Error::Io { action: "remove", path, source }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The last whole line of a file of JSON lines, without reading all of it.
+fn last_line(path: &Path) -> Option<serde_json::Value> {
+    let mut file = std::fs::File::open(path).ok()?;
+    let length = file.metadata().ok()?.len();
+    file.seek(SeekFrom::Start(length.saturating_sub(8192))).ok()?;
+    let mut tail = Vec::new();
+    file.read_to_end(&mut tail).ok()?;
+    String::from_utf8_lossy(&tail).lines().rev().find_map(|line| serde_json::from_str(line).ok())
+}

@@ -1,0 +1,439 @@
+//! Sweeps: a grid of settings, each combination a training run in a folder of its own, evaluated in one or more ways.
+//!
+//! ```toml
+//! title = "Success against the number of vehicles"
+//! [settings]                              # of every run, as in `--config`
+//! scenario = "scenarios/intersection.xml"
+//! [grid]                                  # every combination is a cell
+//! algorithm = ["im-iwol", "mappo"]
+//! agents = [4, 8]
+//! seed = [0, 1, 2]
+//! [[rule]]                                # settings of the cells that match
+//! when = { agents = [32, 48] }
+//! set = { "train.envs" = 8 }
+//! [[evaluate]]                            # what is played with each policy, for each combination of its own grid
+//! name = "range"
+//! episodes = 200
+//! grid = { "env.communication_range" = [100.0, 10.0] }
+//! ```
+//!
+//! What is done and what is not follows from the files in the cells' folders alone, so that a sweep can be cut off at any
+//! moment, divided over machines, and gone on with.
+
+mod cell;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+pub use cell::{Cell, Job, State};
+
+use crate::config::{self, Config, Document, Layers};
+
+/// A sweep file.
+#[derive(Debug, Clone)]
+pub struct Sweep {
+    /// Name: that of the file, without its extension.
+    pub name: String,
+    /// What the report is called.
+    pub title: String,
+    /// Keys of the grid, in the file's order, with how many values each has.
+    pub keys: Vec<(String, usize)>,
+    /// The cells; seeds vary slowest, so that a sweep that is cut off has whole rows.
+    pub cells: Vec<Cell>,
+    /// What is played with each policy.
+    pub evaluations: Vec<Evaluate>,
+    /// Published values to compare with.
+    pub references: Vec<Reference>,
+}
+
+/// One way of playing with the policy of each cell.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Evaluate {
+    /// Name, in file names and headings.
+    #[serde(default = "Evaluate::default_name")]
+    pub name: String,
+    /// Heading in the report.
+    #[serde(default)]
+    pub title: String,
+    /// Episodes, the same for all.
+    #[serde(default = "Evaluate::default_episodes")]
+    pub episodes: u64,
+    /// Which weights: the last ones, or those with the best validation.
+    #[serde(default)]
+    pub checkpoint: Which,
+    /// Settings of the task and of the policy that differ from training's: each combination is an evaluation.
+    #[serde(default)]
+    pub grid: Table,
+    /// The key along the horizontal axis [default: the only key of this grid, or `agents`].
+    #[serde(default)]
+    pub x: Option<String>,
+}
+
+impl Evaluate {
+    fn default_name() -> String {
+        "evaluation".to_owned()
+    }
+
+    fn default_episodes() -> u64 {
+        200
+    }
+
+    /// Combinations of this grid, each a list of keys and values; one empty combination without a grid.
+    pub fn combinations(&self) -> Vec<Vec<(String, Value)>> {
+        combinations(&self.grid)
+    }
+}
+
+/// Which checkpoint is evaluated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Which {
+    /// At the end of training.
+    #[default]
+    Last,
+    /// With the best validation.
+    Best,
+}
+
+/// Values that somebody published: drawn and tabulated beside ours.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Name in legend and table.
+    pub label: String,
+    /// Our series that they are to be compared with, and whose colour they get.
+    #[serde(default)]
+    pub beside: String,
+    /// Metric, as in the JSON of `iwol evaluate`.
+    pub metric: String,
+    /// Values along the horizontal axis.
+    pub x: Vec<f64>,
+    /// The published values there, in the metric's unit (rates from 0 to 1).
+    pub y: Vec<f64>,
+    /// Name of the evaluation to which they belong [default: the first].
+    #[serde(default)]
+    pub evaluate: Option<String>,
+}
+
+/// The file as it is written.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    title: String,
+    settings: Table,
+    grid: Table,
+    #[serde(default)]
+    rule: Vec<Rule>,
+    #[serde(default)]
+    evaluate: Vec<Evaluate>,
+    #[serde(default)]
+    reference: Vec<Reference>,
+}
+
+/// Settings of the cells that match.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rule {
+    when: Table,
+    set: Table,
+}
+
+impl Sweep {
+    /// Reads a sweep file and resolves every cell; run folders are below `out`.
+    ///
+    /// # Errors
+    /// [`Error`], naming file, cell and key.
+    pub fn load(path: &Path, out: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Self::parse(&text, &path.display().to_string(), &name, out)
+    }
+
+    /// As [`Sweep::load`], from text that messages call `file`.
+    ///
+    /// # Errors
+    /// See [`Sweep::load`].
+    pub fn parse(text: &str, file: &str, name: &str, out: &Path) -> Result<Self, Error> {
+        let parsed: File = toml::from_str(text)
+            .map_err(|e| Error::Syntax { file: file.to_owned(), message: e.to_string().trim_end().to_owned() })?;
+        let wrong = |message: String| Error::Content { file: file.to_owned(), message };
+        for (key, value) in &parsed.grid {
+            if value.as_array().is_none_or(Vec::is_empty) {
+                return Err(wrong(format!("[grid] {key}: give a list of values, e.g. {key} = [{value}]")));
+            }
+        }
+        let mut evaluations = parsed.evaluate;
+        if evaluations.is_empty() {
+            evaluations.push(toml::from_str("").expect("everything has a default"));
+        }
+        for (i, evaluate) in evaluations.iter().enumerate() {
+            if evaluations[..i].iter().any(|other| other.name == evaluate.name) {
+                return Err(wrong(format!("two evaluations are called `{}`; give each a name", evaluate.name)));
+            }
+            if evaluate.name.is_empty() || evaluate.name.contains(['/', ' ']) || evaluate.episodes == 0 {
+                return Err(wrong(format!(
+                    "[[evaluate]] `{}`: the name is part of a file name, and episodes are 1 or more",
+                    evaluate.name
+                )));
+            }
+            if let Some((key, _)) = evaluate.grid.iter().find(|(_, v)| v.as_array().is_none_or(Vec::is_empty)) {
+                return Err(wrong(format!("[[evaluate]] `{}`, grid: give a list of values for {key}", evaluate.name)));
+            }
+        }
+        for reference in &parsed.reference {
+            if reference.x.len() != reference.y.len() {
+                return Err(wrong(format!("[[reference]] `{}`: x and y differ in length", reference.label)));
+            }
+        }
+        let mut cells = Vec::new();
+        for values in combinations(&parsed.grid) {
+            let settings = settings_of(&parsed.settings, &parsed.rule, &values);
+            let id = cell_id(&values);
+            let place = format!("{file}, cell {id}");
+            let layers = Layers {
+                document: Document {
+                    name: place.clone(),
+                    text: toml::to_string(&settings).expect("a table of settings is TOML"),
+                },
+                ..Layers::default()
+            };
+            let (config, _) = Config::resolve(&layers).map_err(|source| Error::Cell { place, source })?;
+            cells.push(Cell { folder: out.join(name).join(&id), id, values, config });
+        }
+        cells.sort_by_key(|cell| cell.config.seed);
+        for (i, cell) in cells.iter().enumerate() {
+            if cells[..i].iter().any(|other| other.id == cell.id) {
+                return Err(wrong(format!("[grid]: two cells are called {}", cell.id)));
+            }
+        }
+        let count = |value: &Value| value.as_array().map_or(1, Vec::len);
+        Ok(Self {
+            name: name.to_owned(),
+            title: if parsed.title.is_empty() { name.to_owned() } else { parsed.title },
+            keys: parsed.grid.iter().map(|(key, value)| (key.clone(), count(value))).collect(),
+            cells,
+            evaluations,
+            references: parsed.reference,
+        })
+    }
+}
+
+/// All combinations of a grid's values; the last key varies fastest.
+fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
+    let mut all = vec![Vec::new()];
+    for (key, values) in grid {
+        let values = values.as_array().map_or(&[][..], Vec::as_slice);
+        all = all
+            .into_iter()
+            .flat_map(|chosen: Vec<(String, Value)>| {
+                values.iter().map(move |value| [&chosen[..], &[(key.clone(), value.clone())]].concat())
+            })
+            .collect();
+    }
+    all
+}
+
+/// The common settings, those of the rules that match in order, and the cell's own.
+fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)]) -> Table {
+    let mut flat = BTreeMap::new();
+    flatten(common, "", &mut flat);
+    flat.extend(values.iter().cloned());
+    for rule in rules {
+        let matches = |key: &String, wanted: &Value| {
+            let own = flat.get(key);
+            own.is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
+        };
+        if rule.when.iter().all(|(key, wanted)| matches(key, wanted)) {
+            let mut set = BTreeMap::new();
+            flatten(&rule.set, "", &mut set);
+            // What the grid says of a cell is what its name says.
+            set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
+            flat.extend(set);
+        }
+    }
+    let mut nested = Table::new();
+    for (key, value) in flat {
+        let mut here = &mut nested;
+        let mut parts = key.split('.').peekable();
+        while let Some(part) = parts.next() {
+            if parts.peek().is_none() {
+                here.insert(part.to_owned(), value.clone());
+                break;
+            }
+            let inner = here.entry(part.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+            match inner {
+                Value::Table(table) => here = table,
+                // A setting where a table belongs: the configuration says so.
+                _ => break,
+            }
+        }
+    }
+    nested
+}
+
+fn flatten(table: &Table, prefix: &str, out: &mut BTreeMap<String, Value>) {
+    for (key, value) in table {
+        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            Value::Table(inner) => flatten(inner, &name, out),
+            _ => _ = out.insert(name, value.clone()),
+        }
+    }
+}
+
+/// A value as people write it: strings without quotes.
+pub fn plain(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+/// `key=value` pairs with the last part of each key, joined by `_`, fit for a file name; the algorithm by itself.
+fn label(values: &[(String, Value)]) -> String {
+    let safe = |text: String| {
+        text.chars().map(|c| if c.is_alphanumeric() || "-.+=".contains(c) { c } else { '-' }).collect::<String>()
+    };
+    let part = |(key, value): &(String, Value)| {
+        let value = safe(plain(value));
+        if key == "algorithm" { value } else { format!("{}={value}", key.rsplit('.').next().unwrap_or(key)) }
+    };
+    values.iter().map(part).collect::<Vec<_>>().join("_")
+}
+
+/// Folder of a cell below the sweep's: what it is, then its seed.
+fn cell_id(values: &[(String, Value)]) -> String {
+    let (seed, others): (Vec<_>, Vec<_>) = values.iter().cloned().partition(|(key, _)| key == "seed");
+    let parts = [label(&others), label(&seed).replace('=', "_")];
+    let parts: Vec<&str> = parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
+    if parts.is_empty() { "run".to_owned() } else { parts.join("/") }
+}
+
+/// What is wrong with a sweep.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read `{}`", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is not TOML, or has keys that a sweep has not.
+    #[error("{file}: {message}")]
+    Syntax {
+        /// The file.
+        file: String,
+        /// What is wrong, with line and column.
+        message: String,
+    },
+    /// The file makes no sense.
+    #[error("{file}: {message}")]
+    Content {
+        /// The file.
+        file: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// The settings of a cell are not valid.
+    #[error("{place}")]
+    Cell {
+        /// File and cell.
+        place: String,
+        /// What is wrong.
+        source: config::Error,
+    },
+    /// A file of a cell cannot be read or written.
+    #[error(transparent)]
+    Record(#[from] crate::record::Error),
+    /// A cell's folder holds a run with other settings.
+    #[error(
+        "`{}` holds a run with another `{key}`: {was}, and now {is}; move it away, or choose another --out",
+        folder.display()
+    )]
+    Changed {
+        /// The cell's folder.
+        folder: PathBuf,
+        /// The setting.
+        key: String,
+        /// In the folder.
+        was: String,
+        /// In the sweep file.
+        is: String,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = r#"
+        [settings]
+        scenario = "scenarios/intersection.xml"
+        steps = 4096
+        [settings.train]
+        envs = 4
+        [grid]
+        algorithm = ["im-iwol", "mappo"]
+        agents = [4, 8]
+        seed = [0, 1]
+        [[rule]]
+        when = { agents = [8, 16], algorithm = "mappo" }
+        set = { "train.envs" = 2, ppo = { gamma = 0.9 }, agents = 48 }
+        [[evaluate]]
+        name = "range"
+        grid = { "env.communication_range" = [100.0, 10.0] }
+    "#;
+
+    fn parse(text: &str) -> Result<Sweep, Error> {
+        Sweep::parse(text, "s.toml", "s", Path::new("out"))
+    }
+
+    #[test]
+    fn a_grid_becomes_cells_in_the_order_of_seeds() {
+        let sweep = parse(FILE).unwrap();
+        let ids: Vec<&str> = sweep.cells.iter().map(|cell| cell.id.as_str()).collect();
+        assert_eq!(
+            ids[..5],
+            [
+                "im-iwol_agents=4/seed_0",
+                "im-iwol_agents=8/seed_0",
+                "mappo_agents=4/seed_0",
+                "mappo_agents=8/seed_0",
+                "im-iwol_agents=4/seed_1"
+            ]
+        );
+        assert_eq!(ids.len(), 8);
+        assert_eq!(sweep.cells[0].folder, Path::new("out/s/im-iwol_agents=4/seed_0"));
+        assert_eq!(sweep.evaluations[0].combinations().len(), 2);
+    }
+
+    #[test]
+    fn rules_set_what_the_grid_does_not() {
+        let sweep = parse(FILE).unwrap();
+        let of = |id: &str| &sweep.cells.iter().find(|cell| cell.id == id).unwrap().config;
+        let (ruled, free) = (of("mappo_agents=8/seed_1"), of("mappo_agents=4/seed_1"));
+        assert_eq!((ruled.train.envs, ruled.ppo.gamma, ruled.agents), (2, 0.9, 8));
+        assert_eq!((free.train.envs, free.agents), (4, 4));
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let message = |change: (&str, &str)| {
+            let error = parse(&FILE.replace(change.0, change.1)).expect_err("must be refused");
+            let source = std::error::Error::source(&error).map(|e| format!(": {e}")).unwrap_or_default();
+            format!("{error}{source}")
+        };
+        assert!(message(("[grid]", "[gird]")).contains("unknown field `gird`"));
+        assert!(message(("seed = [0, 1]", "seed = 0")).contains("[grid] seed: give a list"), "");
+        let unknown = message(("steps = 4096", "stepz = 4096"));
+        assert!(unknown.contains("did you mean `steps`") && unknown.contains("cell im-iwol_agents=4/seed_0"), "{unknown}");
+        assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
+        assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
+        assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
+    }
+}
