@@ -49,6 +49,8 @@ pub struct Config {
     pub exploration: settings::Exploration,
     /// IWoL.
     pub iwol: settings::Iwol,
+    /// The radio between agents, in evaluation.
+    pub channel: algo::Channel,
     /// The scenario's numbers.
     pub env: Env,
 }
@@ -317,6 +319,7 @@ impl Config {
             ppo,
             exploration,
             iwol,
+            channel: algo::Channel::default(),
             env: Env::of(scenario),
         };
         Table::try_from(config).expect("a configuration is plain data")
@@ -325,13 +328,14 @@ impl Config {
     /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
     fn out_of_range(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
+        let c = &self.channel;
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 61] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 65] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -391,6 +395,10 @@ impl Config {
             (&["iwol.decoded"], i.decoded > 0.0 && share(i.decoded), "above 0, to 1"),
             (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),
             (&["iwol.lambda_interaction"], finite_range(i.lambda_interaction), "0 or more"),
+            (&["channel.bits"], (2..=32).contains(&c.bits), "2 to 32"),
+            (&["channel.loss"], share(c.loss), "0 to 1"),
+            (&["channel.delay"], c.delay <= 100, "0 to 100"),
+            (&["channel.falsified"], share(c.falsified), "0 to 1"),
             (&["env.detection_range"], finite_range(e.detection_range), "0 or more"),
             (&["env.neighbours"], e.neighbours <= 16, "0 to 16"),
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),

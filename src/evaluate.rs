@@ -10,7 +10,7 @@ use rand::RngExt as _;
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Observation, Reconstruction};
+use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Observation, Reconstruction};
 use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -35,8 +35,8 @@ pub enum Policy<'a> {
     Uniform,
     /// SUMO's own driver and right of way.
     Sumo,
-    /// A trained policy's mean actions.
-    Learned(&'a dyn Algorithm),
+    /// A trained policy's mean actions, where messages pass through a channel.
+    Learned(&'a dyn Algorithm, Channel),
 }
 
 /// Names of the policies that need no training, as on the command line.
@@ -291,7 +291,10 @@ impl Sums {
 impl<'a> PolicyDriver<'a> {
     fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
         let (worlds, n) = (WORLDS, task.agents);
-        let memory = if let Policy::Learned(learner) = policy { learner.memory() } else { 0 };
+        let memory = match policy {
+            Policy::Learned(learner, channel) => learner.memory() + channel.memory(learner.message_width()),
+            _ => 0,
+        };
         Self {
             policy,
             task,
@@ -322,12 +325,14 @@ impl<'a> PolicyDriver<'a> {
                     }
                 }
             }
-            Policy::Learned(learner) => {
+            Policy::Learned(learner, channel) => {
                 let n = self.task.agents;
                 let copy = |from: &[f32], to: &mut [f32], e: usize| {
                     to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
                 };
+                let mut sources = [Seed::new(0); WORLDS];
                 for (e, world) in worlds.enumerate() {
+                    sources[e] = self.seed.index(world.episode()).index(u64::from(world.step_count()));
                     let frame: &Frame = world.frame();
                     copy(&frame.observation, &mut self.observation, e);
                     copy(&frame.comm, &mut self.comm, e);
@@ -342,7 +347,12 @@ impl<'a> PolicyDriver<'a> {
                     start: Tensor::from_slice(&self.start),
                     memory: self.memory.shallow_clone(),
                 };
-                let decision = learner.act(&observation, &ActMode::Deterministic);
+                let decision = if channel.is_perfect() {
+                    learner.act(&observation, &ActMode::Deterministic)
+                } else {
+                    let noise = channel_noise(channel, &sources, self.task.agents, learner.message_width());
+                    learner.act_through(&observation, channel, &noise)
+                };
                 if self.decisions.is_multiple_of(LOOK) {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
@@ -355,6 +365,29 @@ impl<'a> PolicyDriver<'a> {
             }
         }
         &self.actions
+    }
+}
+
+/// Randomness of a channel that depends on each world's episode and step alone.
+fn channel_noise(channel: &Channel, sources: &[Seed], agents: usize, width: usize) -> ChannelNoise {
+    let (e, n) = (sources.len() as i64, agents as i64);
+    // Most channels falsify nothing, and need no content to do it with.
+    let width = if channel.falsified > 0.0 { width } else { 1 };
+    let uniform = |what: &str| {
+        let draws = sources.iter().flat_map(|seed| {
+            let mut rng = seed.child(what).rng();
+            std::iter::repeat_with(move || rng.random::<f32>()).take(agents * agents)
+        });
+        Tensor::from_slice(&draws.collect::<Vec<_>>()).view([e, n, n])
+    };
+    let mut content = vec![0.0; sources.len() * agents * agents * width];
+    for (seed, content) in sources.iter().zip(content.chunks_mut(agents * agents * width)) {
+        rng::fill_normal(&mut seed.child("content").rng(), content);
+    }
+    ChannelNoise {
+        lost: uniform("lost"),
+        falsified: uniform("falsified"),
+        content: Tensor::from_slice(&content).view([e, n, n, -1]),
     }
 }
 

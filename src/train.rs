@@ -9,13 +9,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use rand::RngExt as _;
 use serde::Serialize;
 use tch::Tensor;
 
 use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
-use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
+use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
 use crate::evaluate::{Evaluation, Policy, evaluate};
 use crate::record::{self, JsonLines, TensorBoard};
 use crate::rng::{self, Seed};
@@ -330,16 +331,22 @@ impl Trainer {
         let schedule = if imposed { self.pace().log_std as f32 } else { 0.0 };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 rng::fill_normal(&mut rng, &mut noise);
+                let width = s.agents * s.actions;
+                for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
+                    noise.fill(0.0);
+                }
                 let cell = self.rollout.at(t, s.agents);
                 let graph = if s.graph_noise {
                     rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
                     // Quiet worlds are as close to the most likely graph as to the mean action.
-                    for (e, quiet) in self.rollout.quiet.iter().enumerate() {
+                    for (e, late) in late.iter().enumerate() {
                         let of_world = self.rollout.cell(t, e, s.agents);
-                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= (quiet + schedule).exp());
+                        let scale = f32::from(u8::from(!late)) * (self.rollout.quiet[e] + schedule).exp();
+                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
                     }
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, n])
                 } else {
@@ -376,6 +383,13 @@ impl Trainer {
         Ok(())
     }
 
+    /// Whether a world's episode still goes without noise.
+    fn is_late(&self, world: &World) -> bool {
+        let late = self.config.exploration.late_steps;
+        let mut rng = self.seed.child("late").index(world.episode()).rng();
+        late > 0 && rng.random_bool(0.5) && world.step_count() < rng.random_range(0..late)
+    }
+
     /// Deterministic evaluation of the averaged weights on the validation seeds, which are the same in every call.
     ///
     /// # Errors
@@ -384,7 +398,7 @@ impl Trainer {
         self.learner.swap_average();
         let evaluation = evaluate(
             &self.task,
-            &Policy::Learned(&*self.learner),
+            &Policy::Learned(&*self.learner, algo::Channel::default()),
             self.config.train.validation_episodes,
             self.seed.child("validation"),
             // libsumo's one place is taken by the training worlds.

@@ -11,7 +11,7 @@ use tch::{Device, Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
 use super::settings::{GraphNoise, NoiseMode, Settings};
-use super::{ActMode, Algorithm, Decision, Error, Losses, Observation, Pace, Reconstruction};
+use super::{ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Insight, Losses, Observation, Pace, Reconstruction};
 use crate::env::EnvSpec;
 use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
 use crate::rng::Seed;
@@ -42,6 +42,24 @@ pub(super) trait Networks: Sized + Send {
 
     /// Chooses actions.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+
+    /// Width of what agents send at run time; 0 for methods without messages.
+    fn message_width(&self) -> i64 {
+        0
+    }
+
+    /// Deterministic actions where what agents send passes through a channel.
+    fn act_through(&self, input: &Observation, _channel: &Channel, _noise: &ChannelNoise) -> Decision {
+        self.act(input, &ActMode::Deterministic)
+    }
+
+    /// Values (normalised) at one decision, `[E, N]`; `None` where the value has a memory.
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor>;
+
+    /// Who listens to whom at run time, `[E, N, N]`; `None` for methods without messages.
+    fn graph(&self, _input: &Observation) -> Option<Tensor> {
+        None
+    }
 
     /// Values (normalised) of all rows of sequences of `length` steps, `[rows, N]`, and the memory after each step,
     /// `[length, C · N, M]`, if there is one; `memory` is that before the first, `[C · N, M]`.
@@ -236,6 +254,30 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             };
             decision.map(|tensor| tensor.to_device(Device::Cpu))
         })
+    }
+
+    fn message_width(&self) -> usize {
+        self.copies[0].message_width() as usize
+    }
+
+    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
+        let there = |tensor: &Tensor| tensor.to_device(self.device);
+        let noise = ChannelNoise {
+            lost: there(&noise.lost),
+            falsified: there(&noise.falsified),
+            content: there(&noise.content),
+        };
+        let decision = no_grad(|| self.copies[0].act_through(&input.map(there), channel, &noise));
+        decision.map(|tensor| tensor.to_device(Device::Cpu))
+    }
+
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
+        let (input, state) = (input.map(|t| t.to_device(self.device)), state.to_device(self.device));
+        let (value, graph) = no_grad(|| (self.copies[0].value(&input, &state), self.copies[0].graph(&input)));
+        Insight {
+            value: value.map(|value| self.value_norm.denormalize(&value).to_device(Device::Cpu)),
+            graph: graph.map(|graph| graph.to_device(Device::Cpu)),
+        }
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {

@@ -12,7 +12,7 @@ use super::head::{GaussianHead, PolicyTerms};
 use super::im_iwol::Decoder;
 use super::message::{MessageCritic, MessageTrunk, Messages, Scene};
 use super::settings::WorldTarget;
-use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
+use super::{ActMode, Channel, ChannelNoise, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::{Path, ValueNorm};
 
@@ -73,6 +73,25 @@ impl Networks for ExIwol {
         let (action, log_prob) = self.head.sample(&read, mode);
         let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
         Decision { action, log_prob, memory }
+    }
+
+    fn message_width(&self) -> i64 {
+        self.trunk.width()
+    }
+
+    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
+        let (message, embedding, memory) = self.trunk.through(input, channel, noise);
+        let (action, log_prob) =
+            self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
+        Decision { action, log_prob, memory }
+    }
+
+    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
+        self.critic.value(input)
+    }
+
+    fn graph(&self, input: &Observation) -> Option<Tensor> {
+        Some(self.exchange(input, None).graph)
     }
 
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {

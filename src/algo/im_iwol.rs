@@ -136,6 +136,10 @@ impl Networks for ImIwol {
         Decision { action, log_prob, memory }
     }
 
+    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
+        self.critic.value(input)
+    }
+
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         self.critic.values(batch, length, memory)
     }

@@ -53,6 +53,16 @@ impl Networks for Mappo {
         Decision { action, log_prob, memory }
     }
 
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        let (envs, agents, _) = state.size3().expect("states are [E, N, S]");
+        let x = Tensor::cat(&[&input.observation, state], -1).view([1, envs * agents, -1]);
+        let keep = input.keep().reshape([1, envs * agents, 1]);
+        (self.critic.memory() == 0).then(|| {
+            let (f, _) = self.critic.forward(&x, &input.memory.reshape([envs * agents, -1]).narrow(1, 0, 0), &keep);
+            self.value.forward(&f).view([envs, agents])
+        })
+    }
+
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         let x = Tensor::cat(&[&batch.observation, &batch.state], -1);
         let (rows, agents, features) = x.size3().expect("features are [rows, N, O + S]");

@@ -1,12 +1,13 @@
 //! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and rounds of attention over it
 //! (paper: "Graph-attention Communication Protocol"; DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
 
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
-use super::Observation;
 use super::batch::{Batch, Shard};
+use super::channel::{Channel, ChannelNoise, Heard};
 use super::encoder::Encoder;
 use super::settings::{Iwol, Network};
+use super::Observation;
 use crate::env::Features;
 use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 
@@ -16,6 +17,7 @@ pub(super) struct MessageTrunk {
     encoder: Encoder,
     graph: CommGraph,
     transformer: GraphTransformer,
+    hidden: i64,
     physical_mask: bool,
     /// Whether agents who are gone still influence others, as in the released code.
     leaks: bool,
@@ -55,6 +57,8 @@ pub(super) struct Messages {
     pub(super) message: Tensor,
     /// `[P, H]`
     pub(super) embedding: Tensor,
+    /// Who listens to whom, `[L · C, N, N]`.
+    pub(super) graph: Tensor,
     /// Where they belong among `[L · C, N]`.
     pub(super) packing: Packing,
     /// Memory after each step of the encoder, `[L, C · N, M]`.
@@ -70,6 +74,7 @@ impl MessageTrunk {
             encoder: Encoder::new(path.sub("encoder"), features, network),
             graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.slope, iwol.temperature),
             transformer,
+            hidden,
             physical_mask: iwol.physical_mask,
             leaks: !iwol.physical_mask || iwol.mask != MaskMode::Hard,
         }
@@ -79,7 +84,45 @@ impl MessageTrunk {
         self.encoder.memory()
     }
 
-    /// The message path. Every message between agents passes through here: this is where bandwidth, loss or attacks act.
+    /// Width of an embedding, which is what agents send.
+    pub(super) fn width(&self) -> i64 {
+        self.hidden
+    }
+
+    /// One decision where embeddings pass through a channel: messages `[E, N, D]`, own embeddings `[E, N, H]`, memory. Each
+    /// agent computes a graph and messages of its own, from what it heard.
+    pub(super) fn through(
+        &self,
+        input: &Observation,
+        channel: &Channel,
+        noise: &ChannelNoise,
+    ) -> (Tensor, Tensor, Tensor) {
+        let (envs, agents, _) = input.observation.size3().expect("observations are [E, N, O]");
+        let (own, total) = (self.encoder.memory(), input.memory.size()[2]);
+        let memory = input.memory.narrow(2, 0, own);
+        let x = input.observation.view([1, envs * agents, -1]);
+        let keep = input.keep().reshape([1, envs * agents, 1]);
+        let (f, memories) = self.encoder.forward(&x, &memory.reshape([envs * agents, own]), &keep);
+        let f = f.view([envs, agents, -1]);
+        let anyone = if self.physical_mask { input.comm.shallow_clone() } else { input.comm.ones_like() };
+        let past = input.memory.narrow(2, own, total - own);
+        let (Heard { embedding, comm }, past) = channel.send(&f, &anyone, &input.keep(), &past, noise);
+        // A row of agents for each receiver: what it knows of all of them. Of the edges, its own are those it heard through.
+        let rows = envs * agents;
+        let of_receiver = Tensor::eye(agents, (Kind::Bool, f.device())).unsqueeze(-1);
+        let edges = comm.unsqueeze(2).where_self(&of_receiver, &anyone.unsqueeze(1)).view([rows, agents, agents]);
+        let (all, packing) = (embedding.reshape([rows * agents, -1]), Packing::full(rows, agents));
+        let graph = self.graph.forward(&all, &packing, &edges, None);
+        let message = self.transformer.forward(&all, &packing, &graph).view([envs, agents, agents, -1]);
+        let message = message.diagonal(0, 1, 2).transpose(1, 2);
+        let memory = match memories {
+            Some(after) => after.view([envs, agents, own]),
+            None => memory,
+        };
+        (message.contiguous(), f, Tensor::cat(&[&memory, &past], -1))
+    }
+
+    /// The message path, where every message arrives as it was sent.
     pub(super) fn forward(&self, scene: &Scene<'_>) -> Messages {
         let Scene { observation, memory, keep, comm, noise, length, pack } = *scene;
         let (rows, agents, features) = observation.size3().expect("observations are [rows, N, O]");
@@ -99,7 +142,7 @@ impl MessageTrunk {
         let anyone = if self.physical_mask { comm.shallow_clone() } else { comm.ones_like() };
         let graph = self.graph.forward(&embedding, &packing, &anyone, noise);
         let message = self.transformer.forward(&embedding, &packing, &graph);
-        Messages { message, embedding, packing, memory: memories }
+        Messages { message, embedding, graph, packing, memory: memories }
     }
 
     /// As [`MessageTrunk::forward`], on the rows of a shard; `memory` is the trunk's own, for all rows.
@@ -152,6 +195,16 @@ impl MessageCritic {
             messages.packing.unpack(&messages.message)
         };
         (self.trunk.memory() == 0).then(|| messages(&input.keep()))
+    }
+
+    /// Values (normalised) at one decision, over the most likely graph, `[E, N]`; only without memory.
+    pub(super) fn value(&self, input: &Observation) -> Option<Tensor> {
+        let value = || {
+            let keep = input.keep();
+            let messages = self.trunk.forward(&Scene::of(input, &keep, None));
+            messages.packing.unpack(&self.head(&messages).unsqueeze(-1)).squeeze_dim(-1)
+        };
+        (self.trunk.memory() == 0).then(value)
     }
 
     fn head(&self, messages: &Messages) -> Tensor {

@@ -2,6 +2,7 @@
 //! functions, `core` the passes over a rollout; a method that does not fit them implements [`Algorithm`] itself.
 
 mod batch;
+mod channel;
 mod core;
 mod device;
 mod encoder;
@@ -13,6 +14,7 @@ mod message;
 pub mod ppo;
 pub mod settings;
 
+pub use channel::{Channel, ChannelNoise};
 pub use device::{ComputeDevice, NoDevice};
 pub use settings::Settings;
 
@@ -104,6 +106,15 @@ pub struct Reconstruction {
     pub truth: Tensor,
 }
 
+/// What a policy thinks at one decision.
+#[derive(Debug, Default)]
+pub struct Insight {
+    /// Value of each agent's future, in units of the reward, `[E, N]`; `None` where that needs a memory of its own.
+    pub value: Option<Tensor>,
+    /// Who listens to whom at run time, `[E, N, N]`; `None` for methods without messages.
+    pub graph: Option<Tensor>,
+}
+
 /// How fast to learn, and how much to explore afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
@@ -131,6 +142,17 @@ pub trait Algorithm {
 
     /// Chooses actions; no gradients, nothing of the learner changes.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+
+    /// Width of the messages that agents send at run time; 0 for methods without.
+    fn message_width(&self) -> usize;
+
+    /// Deterministic actions where messages pass through `channel`; the observation's memory, and the decision's, are
+    /// [`Channel::memory`] numbers wider than [`Algorithm::memory`]. For methods without messages the same as
+    /// [`Algorithm::act`].
+    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision;
+
+    /// What the policy thinks, given `state [E, N, S]`.
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight;
 
     /// What the latent says about `state [E, N, S]` and about messages; empty for methods without a latent.
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction>;

@@ -163,6 +163,9 @@ pub struct Exploration {
     /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
+    /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
+    /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
+    pub late_steps: u32,
     /// Action mean of an untrained policy: above zero, agents move at once.
     pub mean_bias: f64,
 }
@@ -176,6 +179,7 @@ impl Default for Exploration {
             log_std_end: -2.0,
             explore_steps: 250_000,
             spread: 1.2,
+            late_steps: 0,
             mean_bias: 0.5,
         }
     }

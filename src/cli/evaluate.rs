@@ -108,7 +108,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         None => None,
     };
     if let Some(learner) = &learner {
-        policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner)));
+        policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
     }
 
     let stop = super::stop_flag()?;

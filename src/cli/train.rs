@@ -114,6 +114,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
     let (mut config, mut scenario) = Config::resolve(&layers)?;
+    if !config.channel.is_perfect() {
+        bail!("[channel] is for evaluation; in training messages arrive as they were sent: leave it out");
+    }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))
     }));

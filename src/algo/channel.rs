@@ -1,0 +1,205 @@
+//! The radio between agents in evaluation: few bits, losses, delay and false messages. In training messages arrive as they were
+//! sent.
+//!
+//! What agents send is their embedding f. Each agent computes the rest (who to listen to, and what it makes of what it hears)
+//! from what arrived at it, its own embedding intact. With several rounds it does so for all rounds, as nobody sends again.
+
+use serde::{Deserialize, Serialize};
+use tch::{Kind, Tensor};
+
+/// What happens to messages.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Channel {
+    /// Bits per element, 2 to 32: elements are rounded to 2^bits − 1 even steps between ± the message's largest one, which is
+    /// sent along; 32: as they are.
+    pub bits: u32,
+    /// Probability that a message does not arrive, for each receiver and step by itself.
+    pub loss: f64,
+    /// Steps after which a message arrives; in the first steps of an episode nothing does.
+    pub delay: u32,
+    /// Probability that a message is replaced by normal noise of the same mean and spread, for each receiver and step by
+    /// itself.
+    pub falsified: f64,
+}
+
+impl Default for Channel {
+    fn default() -> Self {
+        Self { bits: 32, loss: 0.0, delay: 0, falsified: 0.0 }
+    }
+}
+
+impl Channel {
+    /// Whether messages arrive as they were sent.
+    pub fn is_perfect(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Numbers that an agent remembers for messages of this width.
+    pub fn memory(&self, width: usize) -> usize {
+        if self.delay == 0 { 0 } else { 1 + self.delay as usize * width }
+    }
+}
+
+/// Randomness of a channel at one decision of E environments with N agents whose messages have width H.
+#[derive(Debug)]
+pub struct ChannelNoise {
+    /// Uniform in 0..1, `[E, N, N]`: a message is lost where it is below the loss.
+    pub lost: Tensor,
+    /// Uniform in 0..1, `[E, N, N]`.
+    pub falsified: Tensor,
+    /// Standard normal, `[E, N, N, H]`; only needed where something is falsified.
+    pub content: Tensor,
+}
+
+/// What arrives: `[E, N, N, H]`, where row `i` is what agent `i` knows of everyone (itself included), and who can be heard at
+/// all, `[E, N, N]`.
+pub(super) struct Heard {
+    pub(super) embedding: Tensor,
+    pub(super) comm: Tensor,
+}
+
+impl Channel {
+    /// Sends the embeddings `f [E, N, H]` to those who can be heard, `comm [E, N, N]`. `past [E, N, 1 + delay · H]` is how long
+    /// ago the episode began, and what was sent since, forgotten where `keep [E, N]` is 0; gives what arrives, and the past of
+    /// the next decision.
+    pub(super) fn send(
+        &self,
+        f: &Tensor,
+        comm: &Tensor,
+        keep: &Tensor,
+        past: &Tensor,
+        noise: &ChannelNoise,
+    ) -> (Heard, Tensor) {
+        let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
+        let sent = self.rounded(f);
+        let (sent, silent, past) = self.delayed(&sent, keep, past);
+        let everyone = |x: &Tensor| x.unsqueeze(1).expand([envs, agents, agents, width], false);
+        let mut arriving = everyone(&sent);
+        if self.falsified > 0.0 {
+            let mean = arriving.mean_dim(-1, true, Kind::Float);
+            let spread = (&arriving - &mean).square().mean_dim(-1, true, Kind::Float).sqrt();
+            let false_ones = noise.falsified.lt(self.falsified).unsqueeze(-1);
+            arriving = (&noise.content * spread + mean).where_self(&false_ones, &arriving);
+        }
+        let own = Tensor::eye(agents, (Kind::Bool, f.device()));
+        let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
+        let cut = noise.lost.lt(self.loss).logical_or(&silent).logical_and(&own.logical_not());
+        (Heard { embedding, comm: comm.masked_fill(&cut, 0.0) }, past)
+    }
+
+    fn rounded(&self, f: &Tensor) -> Tensor {
+        if self.bits >= 32 {
+            return f.shallow_clone();
+        }
+        let steps = f64::from(2_u32.pow(self.bits - 1) - 1).max(1.0);
+        let scale = f.abs().amax([-1], true).clamp_min(1e-12);
+        (f / &scale * steps).round() / steps * scale
+    }
+
+    /// What was sent `delay` decisions ago, where nothing arrives yet (`[E, 1, 1]`), and the past of the next decision.
+    fn delayed(&self, sent: &Tensor, keep: &Tensor, past: &Tensor) -> (Tensor, Tensor, Tensor) {
+        let (envs, agents, width) = sent.size3().expect("messages are [E, N, H]");
+        let delay = i64::from(self.delay);
+        if delay == 0 {
+            let none = Tensor::zeros([envs, 1, 1], (Kind::Bool, sent.device()));
+            return (sent.shallow_clone(), none, past.shallow_clone());
+        }
+        let past = past * keep.unsqueeze(-1);
+        let age = past.narrow(2, 0, 1);
+        let silent = age.narrow(1, 0, 1).lt(delay as f64);
+        // The oldest first.
+        let queue = Tensor::cat(&[&past.narrow(2, 1, delay * width), sent], -1);
+        let next = Tensor::cat(&[&(age + 1.0), &queue.narrow(2, width, delay * width)], -1);
+        (queue.narrow(2, 0, width).view([envs, agents, width]), silent, next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+
+    const CPU: (Kind, Device) = (Kind::Float, Device::Cpu);
+    const N: i64 = 3;
+    const H: i64 = 2;
+
+    fn send(channel: &Channel, f: &Tensor, keep: f64, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
+        channel.send(f, &Tensor::ones([1, N, N], CPU), &Tensor::full([1, N], keep, CPU), past, noise)
+    }
+
+    fn noise(lost: f64, falsified: f64) -> ChannelNoise {
+        ChannelNoise {
+            lost: Tensor::full([1, N, N], lost, CPU),
+            falsified: Tensor::full([1, N, N], falsified, CPU),
+            content: Tensor::full([1, N, N, H], 9.0, CPU),
+        }
+    }
+
+    fn numbers(x: &Tensor) -> Vec<f64> {
+        Vec::try_from(x.reshape([-1]).to_kind(Kind::Double)).expect("numbers")
+    }
+
+    fn embeddings(first: f64) -> Tensor {
+        (Tensor::arange(N * H, CPU) + first).view([1, N, H])
+    }
+
+    #[test]
+    fn a_perfect_channel_changes_nothing() {
+        let f = embeddings(1.0);
+        let (heard, _) = send(&Channel::default(), &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(0.5, 0.5));
+        for i in 0..N {
+            assert_eq!(numbers(&heard.embedding.get(0).get(i)), numbers(&f));
+        }
+        assert_eq!(numbers(&heard.comm), vec![1.0; 9]);
+    }
+
+    #[test]
+    fn lost_messages_are_cut_but_never_ones_own() {
+        let channel = Channel { loss: 0.3, ..Channel::default() };
+        let nothing = Tensor::zeros([1, N, 0], CPU);
+        let (heard, _) = send(&channel, &embeddings(0.0), 0.0, &nothing, &noise(0.29, 1.0));
+        assert_eq!(numbers(&heard.comm), [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        let (heard, _) = send(&channel, &embeddings(0.0), 0.0, &nothing, &noise(0.31, 1.0));
+        assert_eq!(numbers(&heard.comm), vec![1.0; 9]);
+    }
+
+    #[test]
+    fn false_messages_replace_all_but_ones_own() {
+        let channel = Channel { falsified: 0.5, ..Channel::default() };
+        let f = embeddings(0.0);
+        let (heard, _) = send(&channel, &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(1.0, 0.4));
+        for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
+            let same = numbers(&heard.embedding.get(0).get(i).get(j)) == numbers(&f.get(0).get(j));
+            assert_eq!(same, i == j, "{i} hears {j}");
+        }
+    }
+
+    #[test]
+    fn few_bits_leave_few_levels() {
+        let f = Tensor::from_slice(&[-1.0_f32, -0.4, 0.0, 0.3, 0.6, 1.0]).view([1, 1, 6]);
+        let levels = |bits: u32| numbers(&Channel { bits, ..Channel::default() }.rounded(&f));
+        assert_eq!(levels(2), [-1.0, 0.0, 0.0, 0.0, 1.0, 1.0]);
+        let worst = |bits: u32| levels(bits).iter().zip(numbers(&f)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst(8) <= 0.5 / 127.0 + 1e-6 && worst(4) > worst(8) && worst(32) == 0.0);
+    }
+
+    #[test]
+    fn delayed_messages_arrive_in_order_and_not_across_episodes() {
+        let channel = Channel { delay: 2, ..Channel::default() };
+        let mut past = Tensor::full([1, N, channel.memory(H as usize) as i64], 7.0, CPU);
+        for t in 0..6 {
+            // A new episode at the fourth decision.
+            let keep = if t == 0 || t == 3 { 0.0 } else { 1.0 };
+            let (heard, next) = send(&channel, &embeddings(f64::from(t * 100)), keep, &past, &noise(1.0, 1.0));
+            let arrived = t % 3 == 2;
+            assert_eq!(numbers(&heard.comm)[1], f64::from(u8::from(arrived)), "step {t}");
+            if arrived {
+                let of_second = numbers(&heard.embedding.get(0).get(0).get(1));
+                assert_eq!(of_second, numbers(&embeddings(f64::from((t - 2) * 100)).get(0).get(1)), "step {t}");
+            }
+            past = next;
+        }
+    }
+}
