@@ -10,8 +10,9 @@ use rand::RngExt as _;
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Observation, Reconstruction};
-use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions, World};
+use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation, Reconstruction};
+use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions};
+use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
 use crate::sumo::Hosting;
@@ -131,7 +132,8 @@ impl Evaluation {
 
 /// Plays `episodes` episodes of the stream `seed` and as many more as the first window needs.
 ///
-/// `report` is told the number of finished episodes now and then; `stop` ends early with what there is.
+/// `report` is told the number of finished episodes now and then; `stop` ends early with what there is; `recorder` sees
+/// everything.
 ///
 /// # Errors
 /// When SUMO fails twice in a row.
@@ -143,10 +145,11 @@ pub fn evaluate(
     hosting: &Hosting,
     stop: &AtomicBool,
     report: &mut dyn FnMut(u64),
+    recorder: Option<&mut Recorder>,
 ) -> Result<Evaluation, env::Error> {
     let stage = Stage { task, policy, seed, hosting, stop };
-    let mut knowledge = Sums::default();
-    let mut records = stage.play(0..episodes, RETRIES, &mut knowledge, report)?;
+    let mut watch = Watch { knowledge: Sums::default(), recorder };
+    let mut records = stage.play(0..episodes, RETRIES, &mut watch, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -154,11 +157,11 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
-            return Ok(Evaluation { episodes: records, windows, reconstruction: knowledge.finish() });
+            return Ok(Evaluation { episodes: records, windows, reconstruction: watch.knowledge.finish() });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut knowledge, &mut |_| {})?);
+        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut watch, &mut |_| {})?);
     }
 }
 
@@ -178,6 +181,12 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     sums
 }
 
+/// Who looks on.
+struct Watch<'a> {
+    knowledge: Sums,
+    recorder: Option<&'a mut Recorder>,
+}
+
 /// What the episodes of an evaluation have in common.
 struct Stage<'a> {
     task: &'a Arc<Task>,
@@ -193,7 +202,7 @@ impl Stage<'_> {
         &self,
         episodes: Range<u64>,
         retries: u32,
-        knowledge: &mut Sums,
+        watch: &mut Watch<'_>,
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
@@ -212,8 +221,11 @@ impl Stage<'_> {
         let mut env = VecEnv::new(self.task, &options)?;
         let mut driver = PolicyDriver::new(self.policy, self.task, self.seed.child("actions"));
         while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            let actions = driver.act(env.worlds(), knowledge);
-            env.step(actions)?;
+            driver.act(&env, watch);
+            env.step(&driver.actions)?;
+            if let Some(recorder) = &mut watch.recorder {
+                env.worlds().for_each(|world| recorder.reward(world));
+            }
             let finished = env.take_finished();
             if !finished.is_empty() {
                 records.extend(finished);
@@ -227,7 +239,7 @@ impl Stage<'_> {
             if retries == 0 {
                 return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
             }
-            records.extend(self.play(episode..episode + 1, retries - 1, knowledge, &mut |_| {})?);
+            records.extend(self.play(episode..episode + 1, retries - 1, watch, &mut |_| {})?);
         }
         records.sort_by_key(|record| record.episode);
         Ok(records)
@@ -310,7 +322,11 @@ impl<'a> PolicyDriver<'a> {
         }
     }
 
-    fn act<'w>(&mut self, worlds: impl Iterator<Item = &'w World>, knowledge: &mut Sums) -> &[f32] {
+    fn act(&mut self, env: &VecEnv, watch: &mut Watch<'_>) {
+        let worlds = env.worlds();
+        let watched =
+            env.worlds().enumerate().find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
+        let mut thoughts = Thoughts::default();
         let width = self.task.agents * self.task.spec.actions;
         match self.policy {
             Policy::Throttle(throttle) => self.actions.fill(*throttle),
@@ -356,16 +372,30 @@ impl<'a> PolicyDriver<'a> {
                 if self.decisions.is_multiple_of(LOOK) {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
-                    knowledge.add(learner.reconstruct(&observation, &state), &active);
+                    watch.knowledge.add(learner.reconstruct(&observation, &state), &active);
                 }
                 self.decisions += 1;
+                if let Some((world, _)) = watched {
+                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
+                    thoughts = thoughts_of(&learner.inspect(&observation, &state), world as i64);
+                }
                 self.memory = decision.memory;
                 let count = self.actions.len();
                 decision.action.reshape([-1]).copy_data(&mut self.actions, count);
             }
         }
-        &self.actions
+        if let (Some(recorder), Some((e, world))) = (&mut watch.recorder, watched) {
+            recorder.decide(world, &self.actions[e * width..(e + 1) * width], &thoughts);
+        }
     }
+}
+
+fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
+    let numbers = |tensor: &Option<Tensor>| {
+        let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
+        tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
+    };
+    Thoughts { value: numbers(&insight.value), graph: numbers(&insight.graph) }
 }
 
 /// Randomness of a channel that depends on each world's episode and step alone.

@@ -7,7 +7,7 @@
 //! - [`scenario`]: what a task is, as data
 //! - [`mod@env`]: the multi-agent environments
 //! - [`nn`], [`rollout`], [`algo`]: the learners
-//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`]: running them
+//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`], [`replay`]: running them
 //! - [`stats`]: intervals and aggregates over seeds
 
 pub mod algo;
@@ -18,6 +18,7 @@ pub mod evaluate;
 pub mod nn;
 pub mod plot;
 pub mod record;
+pub mod replay;
 pub mod report;
 pub mod rng;
 pub mod rollout;

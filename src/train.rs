@@ -405,6 +405,7 @@ impl Trainer {
             &self.config.hosting().beside(),
             stop,
             &mut |_| {},
+            None,
         );
         self.learner.swap_average();
         Ok(evaluation?)

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, and the ones that each may name.
-const ALLOWED: [(&str, &[&str]); 19] = [
+const ALLOWED: [(&str, &[&str]); 20] = [
     ("rng", &[]),
     ("stats", &[]),
     ("suggest", &[]),
@@ -19,10 +19,11 @@ const ALLOWED: [(&str, &[&str]); 19] = [
     ("plot", &["record"]),
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
-    ("evaluate", &["algo", "env", "rng", "stats", "sumo"]),
+    ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
     ("train", &["algo", "checkpoint", "config", "env", "evaluate", "record", "rng", "rollout", "scenario"]),
     ("sweep", &["config", "record", "train"]),
     ("report", &["plot", "record", "stats", "sweep"]),
+    ("replay", &["env", "record", "sumo"]),
     ("cli", &[]),
     ("main", &[]),
 ];

@@ -11,7 +11,9 @@ use tch::{Device, Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
 use super::settings::{GraphNoise, NoiseMode, Settings};
-use super::{ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Insight, Losses, Observation, Pace, Reconstruction};
+use super::{
+    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Insight, Losses, Observation, Pace, Reconstruction,
+};
 use crate::env::EnvSpec;
 use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
 use crate::rng::Seed;

@@ -81,8 +81,7 @@ impl Networks for ExIwol {
 
     fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
         let (message, embedding, memory) = self.trunk.through(input, channel, noise);
-        let (action, log_prob) =
-            self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
+        let (action, log_prob) = self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
         Decision { action, log_prob, memory }
     }
 

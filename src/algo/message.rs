@@ -3,11 +3,11 @@
 
 use tch::{Kind, Tensor};
 
+use super::Observation;
 use super::batch::{Batch, Shard};
 use super::channel::{Channel, ChannelNoise, Heard};
 use super::encoder::Encoder;
 use super::settings::{Iwol, Network};
-use super::Observation;
 use crate::env::Features;
 use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 

@@ -13,6 +13,7 @@ use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{Knowledge, Metrics, POLICIES, Policy, evaluate};
 use iwol_sumo::record;
+use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::stats::Estimate;
 use iwol_sumo::train::RunDir;
@@ -51,6 +52,12 @@ pub(super) struct Args {
     /// One setting of the task, e.g. --set env.detection_range=20; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Record an episode of the first policy, for `iwol replay`
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Which episode to record, from 0
+    #[arg(long, value_name = "NUMBER", default_value_t = 0, requires = "record")]
+    record_episode: u64,
     /// Print one JSON object (a list for several policies) instead of a table
     #[arg(long)]
     json: bool,
@@ -111,6 +118,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
     }
 
+    if args.record_episode >= args.episodes {
+        bail!("--record-episode {} is not played: there are episodes 0 to {}", args.record_episode, args.episodes - 1);
+    }
     let stop = super::stop_flag()?;
     let mut rows = Vec::new();
     for (name, policy) in &policies {
@@ -120,13 +130,22 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         bar.set_message(name.clone());
         let seed = Seed::new(args.seed).child("evaluation");
-        let evaluation =
-            evaluate(&task, policy, args.episodes, seed, &config.hosting(), &stop, &mut |done| bar.set_position(done))
-                .with_context(|| format!("evaluating {name} stopped"))?;
+        let mut recorder =
+            args.record.as_ref().filter(|_| rows.is_empty()).map(|_| Recorder::new(&task, args.record_episode));
+        let mut show = |done| bar.set_position(done);
+        let hosting = config.hosting();
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, &stop, &mut show, recorder.as_mut())
+            .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
             eprintln!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
             return Ok(Verdict::Interrupted);
+        }
+        if let (Some(recorder), Some(path)) = (recorder, &args.record) {
+            let record = evaluation.episodes.iter().find(|record| record.episode == args.record_episode);
+            let driver = args.run.as_ref().map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
+            let recording = recorder.finish(&task, &driver, args.seed, record)?;
+            recording.context("the episode to record was not played to its end")?.save(path)?;
         }
         let metrics = evaluation.metrics().context("no episode was finished")?;
         rows.push(Row {

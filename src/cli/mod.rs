@@ -5,6 +5,7 @@ mod doctor;
 mod evaluate;
 mod export;
 mod plot;
+mod replay;
 mod report;
 mod sweep;
 mod train;
@@ -43,6 +44,8 @@ enum Verb {
     Sweep(sweep::Args),
     /// Turn a sweep's results into tables and figures
     Report(report::Args),
+    /// Turn a recorded episode into a player in one HTML file
+    Replay(replay::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
     /// Measure speed
@@ -86,6 +89,7 @@ pub fn main() -> ExitCode {
         Verb::Export(args) => export::run(args),
         Verb::Sweep(args) => sweep::run(args),
         Verb::Report(args) => report::run(args),
+        Verb::Replay(args) => replay::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),

@@ -26,9 +26,10 @@ pub use dynamics::{acceleration, advance};
 pub use geometry::{Pose, boxes_overlap};
 pub use metrics::EpisodeRecord;
 pub use routes::{Conflict, RouteGeometry};
+pub use slots::Fate;
 pub use task::Task;
 pub use vec::{Resets, VecEnv, VecOptions};
-pub use world::{Driver, Frame, World, WorldState};
+pub use world::{AgentView, Driver, Frame, World, WorldState};
 
 use crate::{scenario, sumo};
 

@@ -40,10 +40,13 @@ pub(super) struct Slot {
 
 /// How an agent ended; several may hold at once.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Fate {
-    pub(super) arrived: bool,
-    pub(super) crashed: bool,
-    pub(super) out_of_road: bool,
+pub struct Fate {
+    /// It crossed the line at the end of its route.
+    pub arrived: bool,
+    /// It hit another vehicle.
+    pub crashed: bool,
+    /// It left the road.
+    pub out_of_road: bool,
 }
 
 pub(super) const EMPTY: Slot = Slot {

@@ -80,6 +80,11 @@ impl Task {
         })
     }
 
+    /// The net.
+    pub fn net_file(&self) -> &std::path::Path {
+        &self.net_file
+    }
+
     /// What a simulation of `worlds` worlds of this task needs to start.
     pub fn simulation_config(&self, seed: u64, worlds: u32, hosting: &Hosting) -> SimulationConfig {
         let (vehicle, control) = (&self.scenario.vehicle, &self.scenario.control);

@@ -67,6 +67,21 @@ enum Phase {
     Running,
 }
 
+/// An agent as an onlooker sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct AgentView {
+    /// Whether it drives.
+    pub driving: bool,
+    /// Whether it stands there as a wreck.
+    pub wreck: bool,
+    /// How it ended.
+    pub fate: Fate,
+    /// Of its centre, the last one where it is gone.
+    pub pose: Pose,
+    /// \[m/s\]
+    pub speed: f64,
+}
+
 /// A world's place in its episodes, enough to bring it back to the very same state.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WorldState {
@@ -184,6 +199,27 @@ impl World {
     /// Step of the current episode.
     pub fn step_count(&self) -> u32 {
         self.step
+    }
+
+    /// Whether the current episode goes on.
+    pub fn is_running(&self) -> bool {
+        self.phase == Phase::Running
+    }
+
+    /// Whether the current episode has come to its end and is still to be seen.
+    pub fn has_ended(&self) -> bool {
+        self.phase == Phase::Ended && !self.interrupted && self.step > 0
+    }
+
+    /// All agents, by slot.
+    pub fn agents(&self) -> impl Iterator<Item = AgentView> + '_ {
+        self.traffic.slots.iter().map(|slot| AgentView {
+            driving: slot.status == Status::Active,
+            wreck: slot.status == Status::Wreck,
+            fate: slot.fate,
+            pose: slot.pose,
+            speed: slot.speed,
+        })
     }
 
     /// Whether there is nothing left to play.

@@ -25,7 +25,8 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
     let mut series: Vec<Series> = Vec::new();
     for (k, line) in block.series.iter().enumerate() {
         let dodge = (k as f64 - (count as f64 - 1.0) / 2.0) * (0.5 / count as f64).min(0.08);
-        let places = line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
+        let places =
+            line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
         series.push(Series { label: line.label.clone(), points, band: Some(band), style: Style::Whiskers });
     }

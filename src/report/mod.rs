@@ -91,12 +91,16 @@ impl Row<'_> {
 pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let blocks: Vec<Block<'_>> =
         sweep.evaluations.iter().map(|evaluate| block(sweep, evaluate)).collect::<Result<_, _>>()?;
-    let found = |block: &Block<'_>| block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some());
+    let found =
+        |block: &Block<'_>| block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some());
     if !blocks.iter().any(found) {
         return Err(Error::Nothing { name: sweep.name.clone() });
     }
-    std::fs::create_dir_all(out)
-        .map_err(|source| record::Error::Io { action: "create", path: out.to_owned(), source })?;
+    std::fs::create_dir_all(out).map_err(|source| record::Error::Io {
+        action: "create",
+        path: out.to_owned(),
+        source,
+    })?;
     let mut written = Vec::new();
     let mut document = document::Document::new(&sweep.title);
     tables::introduce(&mut document, sweep, command);
@@ -207,9 +211,9 @@ fn position(known: &mut Vec<String>, value: String) -> usize {
 
 fn read_result(path: &Path) -> Result<Option<Value>, Error> {
     match std::fs::read(path) {
-        Ok(bytes) => Ok(Some(
-            serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path: path.to_owned(), source })?,
-        )),
+        Ok(bytes) => {
+            Ok(Some(serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path: path.to_owned(), source })?))
+        }
         Err(source) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(source) => Err(record::Error::Io { action: "read", path: path.to_owned(), source }.into()),
     }
@@ -223,13 +227,15 @@ fn references<'a>(
 ) -> impl Iterator<Item = (&'a Reference, Vec<(usize, f64)>)> {
     let first = sweep.evaluations.first().map(|e| e.name.as_str());
     let name = block.evaluate.name.as_str();
-    sweep.references.iter().filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name)).map(
-        move |r| {
+    sweep
+        .references
+        .iter()
+        .filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name))
+        .map(move |r| {
             let place = |x: f64| block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x));
             let points = r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
             (r, points.collect())
-        },
-    )
+        })
 }
 
 /// Every run's metrics, with what it is.

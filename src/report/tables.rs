@@ -35,7 +35,8 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
             rows.push(std::iter::once(line.label.clone()).chain(cells).collect());
         }
         for (reference, points) in references(sweep, block, metric) {
-            let at = |place: usize| points.iter().find(|p| p.0 == place).map_or("–".to_owned(), |p| format!("{:.1}", p.1));
+            let at =
+                |place: usize| points.iter().find(|p| p.0 == place).map_or("–".to_owned(), |p| format!("{:.1}", p.1));
             let cells = (0..block.categories.len()).map(at);
             rows.push(std::iter::once(reference.label.clone()).chain(cells).collect());
         }
@@ -51,14 +52,19 @@ fn cell(row: &Row<'_>, metric: &Metric) -> String {
         return format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
     }
     let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
-    let partial = if values.len() < row.runs.len() { format!(" ({} of {})", values.len(), row.runs.len()) } else { String::new() };
+    let partial = if values.len() < row.runs.len() {
+        format!(" ({} of {})", values.len(), row.runs.len())
+    } else {
+        String::new()
+    };
     format!("{:.1} ± {half:.1}{partial}", e.mean)
 }
 
 /// Aggregates over all places, and how likely one line beats another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = &METRICS[0];
-    let lines: Vec<_> = block.series.iter().filter(|line| scores(line, success).iter().all(|s| !s.is_empty())).collect();
+    let lines: Vec<_> =
+        block.series.iter().filter(|line| scores(line, success).iter().all(|s| !s.is_empty())).collect();
     if lines.is_empty() {
         return;
     }

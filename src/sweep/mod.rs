@@ -431,7 +431,10 @@ mod tests {
         assert!(message(("[grid]", "[gird]")).contains("unknown field `gird`"));
         assert!(message(("seed = [0, 1]", "seed = 0")).contains("[grid] seed: give a list"), "");
         let unknown = message(("steps = 4096", "stepz = 4096"));
-        assert!(unknown.contains("did you mean `steps`") && unknown.contains("cell im-iwol_agents=4/seed_0"), "{unknown}");
+        assert!(
+            unknown.contains("did you mean `steps`") && unknown.contains("cell im-iwol_agents=4/seed_0"),
+            "{unknown}"
+        );
         assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
         assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
         assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));

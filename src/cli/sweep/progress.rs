@@ -23,8 +23,10 @@ pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
         (count(&|state| *state == State::Finished), count(&|state| matches!(state, State::Failed(_))));
     let _ = writeln!(text, "{finished} of {} cells finished, {failed} failed", cells.len());
     if finished + failed < cells.len() {
-        let left = time_left(sweep, cells)
-            .map_or_else(|| "unknown until the first cell is trained".to_owned(), |t| human_duration(t) + " one by one");
+        let left = time_left(sweep, cells).map_or_else(
+            || "unknown until the first cell is trained".to_owned(),
+            |t| human_duration(t) + " one by one",
+        );
         let _ = writeln!(text, "time left: {left}");
     }
     text
@@ -56,11 +58,8 @@ pub(super) fn time_left(sweep: &Sweep, cells: &[(usize, &Cell)]) -> Option<Durat
             (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
         })
     };
-    let open = cells.iter().filter(|(_, cell)| {
-        matches!(cell.state(&sweep.evaluations), State::New | State::Partial(_))
-    });
-    let seconds: Option<f64> = open
-        .map(|(_, cell)| Some((expected(cell)? - cell.seconds()).max(0.0)))
-        .sum();
+    let open =
+        cells.iter().filter(|(_, cell)| matches!(cell.state(&sweep.evaluations), State::New | State::Partial(_)));
+    let seconds: Option<f64> = open.map(|(_, cell)| Some((expected(cell)? - cell.seconds()).max(0.0))).sum();
     seconds.map(Duration::from_secs_f64)
 }

@@ -49,9 +49,10 @@ fn script(args: &Args, sweep: &Sweep, numbers: &[usize]) -> anyhow::Result<Strin
     let here = std::env::current_dir().context("cannot tell the current folder")?;
     let program = std::env::current_exe().context("cannot find this program's file")?;
     let quoted = |path: &Path| -> anyhow::Result<String> {
-        let text = path.to_str().filter(|text| !text.contains(['\'', '\n'])).with_context(|| {
-            format!("the path {} cannot be written into a script", path.display())
-        })?;
+        let text = path
+            .to_str()
+            .filter(|text| !text.contains(['\'', '\n']))
+            .with_context(|| format!("the path {} cannot be written into a script", path.display()))?;
         Ok(format!("'{text}'"))
     };
     let mut text = String::from("#!/bin/sh\n");

@@ -24,9 +24,8 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// Runs what is not finished of `cells`, `jobs` at a time, until all is done or `stop` is raised. A cell that fails leaves its
 /// mark and does not disturb the others.
 pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &AtomicBool) -> anyhow::Result<()> {
-    let open = cells.iter().filter(|(_, cell)| {
-        !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_))
-    });
+    let open =
+        cells.iter().filter(|(_, cell)| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_)));
     let queue: Mutex<VecDeque<&Cell>> = Mutex::new(open.map(|(_, cell)| *cell).collect());
     let count = queue.lock().expect("no worker panics").len();
     eprintln!("{count} of {} cells to do, {jobs} at a time", cells.len());
@@ -44,10 +43,14 @@ pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &A
         Ok(())
     };
     let results: Vec<anyhow::Result<()>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..jobs.min(count)).map(|k| scope.spawn({
-            let worker = &worker;
-            move || worker(k)
-        })).collect();
+        let threads: Vec<_> = (0..jobs.min(count))
+            .map(|k| {
+                scope.spawn({
+                    let worker = &worker;
+                    move || worker(k)
+                })
+            })
+            .collect();
         threads.into_iter().map(|thread| thread.join().expect("no worker panics")).collect()
     });
     screen.clear();

@@ -1,0 +1,37 @@
+//! `iwol replay`
+
+use std::path::PathBuf;
+
+use iwol_sumo::record::write_atomic;
+use iwol_sumo::replay::Recording;
+
+use super::Verdict;
+
+/// One HTML file that plays a recording in any browser, without a network; or a still.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// What `iwol evaluate --record` wrote
+    recording: PathBuf,
+    /// HTML file to write
+    #[arg(long, short, value_name = "FILE", required_unless_present = "svg")]
+    out: Option<PathBuf>,
+    /// Picture of one step to write
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Step that the picture shows [default: the middle]
+    #[arg(long, value_name = "STEP", requires = "svg")]
+    at: Option<usize>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let recording = Recording::load(&args.recording)?;
+    if let Some(path) = &args.out {
+        write_atomic(path, recording.player().as_bytes())?;
+        println!("{}", path.display());
+    }
+    if let Some(path) = &args.svg {
+        write_atomic(path, recording.still(args.at.unwrap_or(recording.steps / 2)).as_bytes())?;
+        println!("{}", path.display());
+    }
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,515 @@
+//! Recordings of episodes, and what people look at: a player in one HTML file, and stills as SVG.
+//!
+//! A recording is JSON. Row `k` of its columns is what an agent was, saw and did at step `k`: pose and speed before the
+//! decision, the action decided on, the reward that it brought, and the value of what was seen. Numbers are 16-bit integers
+//! with a scale, in base64, so that 48 vehicles over 1000 steps take 1.4 MB:
+//!
+//! ```python
+//! column = recording["columns"]["speed"]
+//! speed = np.frombuffer(base64.b64decode(column["data"]), "<i2").reshape(steps, agents) * column["scale"]
+//! ```
+
+mod still;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde::{Deserialize, Serialize};
+
+use crate::env::{EpisodeRecord, Fate, Task, World};
+use crate::record;
+use crate::sumo::net::{EdgeFunction, Net};
+
+/// The player; the recording takes the place of [`HOLE`].
+const PLAYER: &str = include_str!("player.html");
+const HOLE: &str = "__RECORDING__";
+/// Version of the layout.
+const FORMAT: u32 = 1;
+/// Stands for a number that is not there.
+const NOTHING: i16 = i16::MIN;
+/// Steps for which a vehicle that has arrived is still shown.
+const FAREWELL: u32 = 5;
+
+/// An episode, step by step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Recording {
+    /// Version of the layout.
+    pub format: u32,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Who drove.
+    pub policy: String,
+    /// Seed of the evaluation.
+    pub seed: u64,
+    /// Number of the episode in it.
+    pub episode: u64,
+    /// \[s\]
+    pub step_length: f64,
+    /// Agents N.
+    pub agents: usize,
+    /// Rows T.
+    pub steps: usize,
+    /// Range of the physical mask \[m\].
+    pub comm_range: Option<f64>,
+    /// Whether agents send messages at run time. If not, edges tell who is within range.
+    pub communicates: bool,
+    /// Size of every vehicle.
+    pub vehicle: Size,
+    /// The net.
+    pub lanes: Vec<Lane>,
+    /// Numbers per step and agent, `[T, N]` each.
+    pub columns: BTreeMap<String, Column>,
+    /// Base64 of `[T, N]` bytes: 0 not there, 1 driving, 2 arrived, 3 crashed.
+    pub status: String,
+    /// Base64 of bits `[T, N, ⌈N/8⌉]`, least significant first: row i says whom i hears.
+    pub edges: Option<String>,
+    /// Metrics of the episode.
+    pub summary: BTreeMap<String, f64>,
+}
+
+/// Length and width \[m\].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Size {
+    /// \[m\]
+    pub length: f64,
+    /// \[m\]
+    pub width: f64,
+}
+
+/// A lane to draw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Lane {
+    /// SUMO id.
+    pub id: String,
+    /// \[m\]
+    pub width: f64,
+    /// Whether it lies in a junction.
+    pub internal: bool,
+    /// Centre line \[m\].
+    pub shape: Vec<[f64; 2]>,
+}
+
+/// Numbers per step and agent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Column {
+    /// Unit.
+    pub unit: String,
+    /// A number is its integer times this.
+    pub scale: f64,
+    /// Base64 of little-endian 16-bit integers `[T, N]`; −32768 where there is no number.
+    pub data: String,
+}
+
+impl Column {
+    /// NaN is kept as "no number".
+    fn new(unit: &str, values: &[f64]) -> Self {
+        let largest = values.iter().filter(|v| v.is_finite()).fold(0.0_f64, |largest, v| largest.max(v.abs()));
+        // Never finer than a thousandth of the unit needs, never coarser than the range allows.
+        let scale = (largest / 32_000.0).max(1e-4);
+        let bytes = values.iter().flat_map(|value| {
+            let number = if value.is_finite() { (value / scale).round() as i16 } else { NOTHING };
+            number.to_le_bytes()
+        });
+        Self { unit: unit.to_owned(), scale, data: STANDARD.encode(bytes.collect::<Vec<u8>>()) }
+    }
+
+    /// The numbers, `[T, N]`; NaN where there is none.
+    fn values(&self) -> Option<Vec<f64>> {
+        let bytes = STANDARD.decode(&self.data).ok()?;
+        let number = |pair: &[u8]| match i16::from_le_bytes([pair[0], pair[1]]) {
+            NOTHING => f64::NAN,
+            number => f64::from(number) * self.scale,
+        };
+        bytes.len().is_multiple_of(2).then(|| bytes.chunks_exact(2).map(number).collect())
+    }
+}
+
+impl Recording {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Damaged`] when it is none, or its parts do not fit together.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let damaged = |why: String| Error::Damaged { path: path.to_owned(), why };
+        let recording: Self = serde_json::from_slice(&text).map_err(|e| damaged(e.to_string()))?;
+        if recording.format != FORMAT {
+            return Err(damaged(format!("its format is {}, and this program reads {FORMAT}", recording.format)));
+        }
+        let rows = recording.steps * recording.agents;
+        let bytes = |text: &str| STANDARD.decode(text).map_or(0, |bytes| bytes.len());
+        let edges = recording.steps * recording.agents * recording.agents.div_ceil(8);
+        let whole = ["x", "y", "heading"].iter().all(|key| recording.columns.contains_key(*key))
+            && recording.columns.values().all(|column| bytes(&column.data) == 2 * rows)
+            && bytes(&recording.status) == rows
+            && recording.edges.as_ref().is_none_or(|text| bytes(text) == edges)
+            && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
+        if rows == 0 || !whole {
+            return Err(damaged("its columns do not have a number per step and agent".to_owned()));
+        }
+        Ok(recording)
+    }
+
+    /// Writes it.
+    ///
+    /// # Errors
+    /// [`Error::Record`].
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        Ok(record::write_atomic(path, self.json().as_bytes())?)
+    }
+
+    fn json(&self) -> String {
+        serde_json::to_string(self).expect("a recording is plain data")
+    }
+
+    /// One HTML file that plays it and needs nothing else.
+    pub fn player(&self) -> String {
+        // No text of a recording can end the script element that it is put into, or start another.
+        let json = self.json().replace('<', "\\u003c");
+        let (before, after) = PLAYER.split_once(HOLE).expect("the player has a place for the recording");
+        format!("{before}{json}{after}")
+    }
+
+    /// What the vehicles were at a step.
+    fn vehicles(&self, step: usize) -> Vec<(Status, [f64; 3])> {
+        let status = STANDARD.decode(&self.status).unwrap_or_default();
+        let columns: Vec<Vec<f64>> =
+            ["x", "y", "heading"].iter().filter_map(|key| self.columns.get(*key)?.values()).collect();
+        let first = step * self.agents;
+        let vehicle = |i: usize| (Status::from(status[first + i]), [0, 1, 2].map(|c| columns[c][first + i]));
+        (0..self.agents).map(vehicle).collect()
+    }
+
+    /// Whom each agent hears at a step, as pairs of receiver and sender.
+    fn heard(&self, step: usize) -> Vec<(usize, usize)> {
+        let bytes = self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
+        let (n, width) = (self.agents, self.agents.div_ceil(8));
+        let bit = |i: usize, j: usize| bytes.get((step * n + i) * width + j / 8).is_some_and(|b| b >> (j % 8) & 1 == 1);
+        (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).filter(|&(i, j)| i != j && bit(i, j)).collect()
+    }
+}
+
+/// What became of a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Status {
+    Gone = 0,
+    Driving = 1,
+    Arrived = 2,
+    Crashed = 3,
+}
+
+impl From<u8> for Status {
+    fn from(code: u8) -> Self {
+        match code {
+            1 => Self::Driving,
+            2 => Self::Arrived,
+            3 => Self::Crashed,
+            _ => Self::Gone,
+        }
+    }
+}
+
+/// What a policy thinks at a decision of one world.
+#[derive(Debug, Clone, Default)]
+pub struct Thoughts {
+    /// `[N]`; empty where it does not say.
+    pub value: Vec<f32>,
+    /// Who listens to whom, `[N, N]`; empty for methods without messages.
+    pub graph: Vec<f32>,
+}
+
+/// Collects one episode while it is played.
+#[derive(Debug)]
+pub struct Recorder {
+    episode: u64,
+    actions: usize,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    heading: Vec<f64>,
+    speed: Vec<f64>,
+    action: Vec<Vec<f64>>,
+    reward: Vec<f64>,
+    value: Vec<f64>,
+    status: Vec<u8>,
+    edges: Vec<u8>,
+    /// Steps since each agent arrived.
+    arrived: Vec<u32>,
+    graph: bool,
+    finished: bool,
+}
+
+impl Recorder {
+    /// Waits for this episode of a task.
+    pub fn new(task: &Task, episode: u64) -> Self {
+        let mut recorder = Self {
+            episode,
+            actions: task.spec.actions,
+            x: Vec::new(),
+            y: Vec::new(),
+            heading: Vec::new(),
+            speed: Vec::new(),
+            action: Vec::new(),
+            reward: Vec::new(),
+            value: Vec::new(),
+            status: Vec::new(),
+            edges: Vec::new(),
+            arrived: Vec::new(),
+            graph: false,
+            finished: false,
+        };
+        recorder.clear(task.agents);
+        recorder
+    }
+
+    fn clear(&mut self, agents: usize) {
+        for column in [&mut self.x, &mut self.y, &mut self.heading, &mut self.speed, &mut self.reward, &mut self.value]
+        {
+            column.clear();
+        }
+        self.action = vec![Vec::new(); self.actions];
+        self.status.clear();
+        self.edges.clear();
+        self.arrived = vec![0; agents];
+    }
+
+    /// Whether a world plays the episode that is waited for.
+    pub fn watches(&self, world: &World) -> bool {
+        !self.finished && world.episode() == self.episode && (world.is_running() || world.has_ended())
+    }
+
+    /// Before a decision of the watched world: what there is, and what is done, `actions [N, A]`.
+    pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &Thoughts) {
+        let agents = world.agents().count();
+        // An episode in which SUMO died is played again.
+        if world.step_count() == 0 {
+            self.clear(agents);
+        }
+        let acts = world.is_running();
+        for (i, agent) in world.agents().enumerate() {
+            let status = match agent.fate {
+                _ if agent.driving => Status::Driving,
+                _ if agent.wreck => Status::Crashed,
+                Fate { arrived: true, .. } if self.arrived[i] < FAREWELL => Status::Arrived,
+                _ => Status::Gone,
+            };
+            self.arrived[i] += u32::from(agent.fate.arrived);
+            self.x.push(agent.pose.x);
+            self.y.push(agent.pose.y);
+            // Into −π..π, which a scale of 1e-4 can hold.
+            let (sin, cos) = agent.pose.heading.sin_cos();
+            self.heading.push(sin.atan2(cos));
+            let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
+            self.speed.push(if_driving(agent.speed));
+            for (a, column) in self.action.iter_mut().enumerate() {
+                let action = actions.get(i * self.actions + a).map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
+                column.push(if acts { if_driving(action) } else { f64::NAN });
+            }
+            self.value.push(if_driving(thoughts.value.get(i).copied().map_or(f64::NAN, f64::from)));
+            self.reward.push(f64::NAN);
+            self.status.push(status as u8);
+        }
+        let comm = &world.frame().comm;
+        self.graph = !thoughts.graph.is_empty();
+        for i in 0..agents {
+            let mut bits = vec![0_u8; agents.div_ceil(8)];
+            for j in (0..agents).filter(|&j| j != i && comm[i * agents + j] > 0.0) {
+                if thoughts.graph.get(i * agents + j).is_none_or(|&edge| edge > 0.5) {
+                    bits[j / 8] |= 1 << (j % 8);
+                }
+            }
+            self.edges.extend(bits);
+        }
+        self.finished |= world.has_ended();
+    }
+
+    /// After the step that the decision led to.
+    pub fn reward(&mut self, world: &World) {
+        if self.finished || world.episode() != self.episode || world.step_count() == 0 {
+            return;
+        }
+        let rewards = &world.frame().reward;
+        let first = self.reward.len().saturating_sub(rewards.len());
+        for (to, (status, reward)) in self.reward[first..].iter_mut().zip(self.status[first..].iter().zip(rewards)) {
+            if Status::from(*status) == Status::Driving {
+                *to = f64::from(*reward);
+            }
+        }
+    }
+
+    /// The recording, once the episode is over; `None` when it was not played to its end.
+    ///
+    /// # Errors
+    /// When the net cannot be read again.
+    pub fn finish(
+        self,
+        task: &Task,
+        policy: &str,
+        seed: u64,
+        record: Option<&EpisodeRecord>,
+    ) -> Result<Option<Recording>, Error> {
+        if !self.finished {
+            return Ok(None);
+        }
+        let path = task.net_file();
+        let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
+        let lanes =
+            net.lanes.iter().filter(|lane| net.edges[lane.edge].function != EdgeFunction::Other).map(|lane| Lane {
+                id: lane.id.clone(),
+                width: lane.width,
+                internal: net.edges[lane.edge].function == EdgeFunction::Internal,
+                shape: lane.shape.clone(),
+            });
+        let mut columns = BTreeMap::from([
+            ("x".to_owned(), Column::new("m", &self.x)),
+            ("y".to_owned(), Column::new("m", &self.y)),
+            ("heading".to_owned(), Column::new("rad", &self.heading)),
+            ("speed".to_owned(), Column::new("m/s", &self.speed)),
+            ("reward".to_owned(), Column::new("1", &self.reward)),
+        ]);
+        for (a, action) in self.action.iter().enumerate() {
+            let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
+            columns.insert(name, Column::new("1", action));
+        }
+        if self.value.iter().any(|value| value.is_finite()) {
+            columns.insert("value".to_owned(), Column::new("1", &self.value));
+        }
+        let summary = record.map(|r| {
+            [
+                ("success", r.success),
+                ("safety", r.safety),
+                ("reward", r.reward),
+                ("episode_length", f64::from(r.episode_length)),
+            ]
+        });
+        let (vehicle, range) = (&task.scenario.vehicle, task.scenario.communication.range);
+        Ok(Some(Recording {
+            format: FORMAT,
+            scenario: task.scenario.name.clone(),
+            policy: policy.to_owned(),
+            seed,
+            episode: self.episode,
+            step_length: task.scenario.control.interval,
+            agents: task.agents,
+            steps: self.status.len() / task.agents,
+            comm_range: range.is_finite().then_some(range),
+            communicates: self.graph,
+            vehicle: Size { length: vehicle.length, width: vehicle.width },
+            lanes: lanes.collect(),
+            columns,
+            status: STANDARD.encode(&self.status),
+            edges: Some(STANDARD.encode(&self.edges)),
+            summary: summary.into_iter().flatten().map(|(key, value)| (key.to_owned(), value)).collect(),
+        }))
+    }
+}
+
+/// What can go wrong with a recording.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read `{}`", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is no recording.
+    #[error("`{}` is no recording that `iwol evaluate --record` wrote: {why}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// The net cannot be read.
+    #[error("cannot read the net `{}`", path.display())]
+    Net {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: crate::sumo::net::NetError,
+    },
+    /// The file cannot be written.
+    #[error(transparent)]
+    Record(#[from] record::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn recording() -> Recording {
+        let column = |values: [f64; 4]| Column::new("m", &values);
+        Recording {
+            format: FORMAT,
+            scenario: "a</script><!--<script".to_owned(),
+            policy: "p".to_owned(),
+            seed: 1,
+            episode: 0,
+            step_length: 0.1,
+            agents: 2,
+            steps: 2,
+            comm_range: Some(50.0),
+            communicates: true,
+            vehicle: Size { length: 4.5, width: 1.8 },
+            lanes: vec![Lane {
+                id: "a_0".to_owned(),
+                width: 3.2,
+                internal: false,
+                shape: vec![[0.0, 0.0], [9.0, 0.0]],
+            }],
+            columns: BTreeMap::from([
+                ("x".to_owned(), column([1.0, 400.0, 2.0, f64::NAN])),
+                ("y".to_owned(), column([0.0; 4])),
+                ("heading".to_owned(), column([0.0, -3.1, 0.5, 1.0])),
+            ]),
+            status: STANDARD.encode([1, 2, 3, 0]),
+            edges: Some(STANDARD.encode([0b10, 0, 0, 0b01])),
+            summary: BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn columns_keep_their_numbers_to_four_digits() {
+        let values = [0.0, -0.123_4, 22.222_2, 399.99, f64::NAN];
+        for (found, expected) in Column::new("m", &values).values().unwrap().iter().zip(values) {
+            let close = (found - expected).abs() <= 400.0 / 32_000.0 / 2.0 + 1e-9;
+            assert!(close || (found.is_nan() && expected.is_nan()), "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_recording_survives_its_file_and_damage_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("r.json");
+        recording().save(&path).unwrap();
+        let loaded = Recording::load(&path).unwrap();
+        assert_eq!(loaded, recording());
+        assert_eq!(loaded.heard(0), [(0, 1)]);
+        assert_eq!(loaded.heard(1), [(1, 0)]);
+        assert_eq!(loaded.vehicles(1)[0].0, Status::Crashed);
+        let text = std::fs::read_to_string(&path).unwrap();
+        for (from, to) in [
+            ("\"format\":1", "\"format\":7"),
+            ("\"steps\":2", "\"steps\":3"),
+            ("{", "["),
+            ("\"agents\":2", "\"agents\":0"),
+        ] {
+            std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+            let error = Recording::load(&path).unwrap_err();
+            assert!(matches!(error, Error::Damaged { .. }) && error.to_string().contains("r.json"), "{error}");
+        }
+    }
+
+    #[test]
+    fn names_cannot_break_out_of_the_player() {
+        let html = recording().player();
+        assert_eq!(html.matches("</script").count(), PLAYER.matches("</script").count());
+        assert_eq!(html.matches("<!--").count(), PLAYER.matches("<!--").count());
+        assert!(html.contains("a\\u003c/script>") && !html.contains(HOLE));
+    }
+}

@@ -1,0 +1,109 @@
+//! A step of a recording as an SVG picture, for papers and pages.
+
+use std::fmt::Write as _;
+
+use super::{Lane, Recording, Status};
+
+/// Metres shown around the net.
+const MARGIN: f64 = 4.0;
+/// Colours of Okabe and Ito.
+const DRIVING: &str = "#0072b2";
+const ARRIVED: &str = "#009e73";
+const CRASHED: &str = "#d55e00";
+
+impl Recording {
+    /// The net, the vehicles and who hears whom at `step` (the last one if there are fewer). One metre is one unit.
+    pub fn still(&self, step: usize) -> String {
+        let step = step.min(self.steps - 1);
+        let points = || self.lanes.iter().flat_map(|lane| &lane.shape);
+        let end = |axis: usize, sign: f64| points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign;
+        let (left, bottom, right, top) = (end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0));
+        let (left, bottom, right, top) = (left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN);
+        let mut svg = String::new();
+        // SVG's y points down.
+        let _ = writeln!(
+            svg,
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.2} {:.2} {:.2} {:.2}\" width=\"900\">\n\
+             <title>{}, step {step}</title>\n<g transform=\"scale(1 -1)\" fill=\"none\" stroke-linecap=\"round\">",
+            -top,
+            right - left,
+            top - bottom,
+            escaped(&format!("{}, {}", self.scenario, self.policy)),
+        );
+        for internal in [true, false] {
+            for lane in self.lanes.iter().filter(|lane| lane.internal == internal) {
+                let color = if internal { "#e4e6e8" } else { "#d2d6da" };
+                let _ =
+                    writeln!(svg, "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>", way(lane), lane.width);
+            }
+        }
+        let vehicles = self.vehicles(step);
+        for (i, j) in self.heard(step) {
+            let [a, b] = [i, j].map(|k| vehicles[k].1);
+            let _ = writeln!(
+                svg,
+                "<path d=\"M{:.2} {:.2}L{:.2} {:.2}\" stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\".25\"/>",
+                a[0], a[1], b[0], b[1]
+            );
+        }
+        for (number, (status, [x, y, heading])) in vehicles.iter().enumerate() {
+            let color = match status {
+                Status::Driving => DRIVING,
+                Status::Arrived => ARRIVED,
+                Status::Crashed => CRASHED,
+                Status::Gone => continue,
+            };
+            let (l, w) = (self.vehicle.length, self.vehicle.width);
+            let _ = writeln!(
+                svg,
+                "<g transform=\"translate({x:.2} {y:.2})\"><g transform=\"rotate({:.1})\">\
+                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" height=\"{w:.2}\" rx=\".4\" fill=\"{color}\"/>\
+                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"#fff\" fill-opacity=\".8\"/>{}</g>\
+                 <text transform=\"scale(1 -1)\" y=\"-1.6\" font-family=\"sans-serif\" font-size=\"2.2\" \
+                 text-anchor=\"middle\" fill=\"#1b1f24\">{number}</text></g>",
+                heading.to_degrees(),
+                -l / 2.0,
+                -w / 2.0,
+                l * 0.15,
+                -w * 0.38,
+                l * 0.13,
+                w * 0.76,
+                if *status == Status::Crashed { cross(l, w) } else { String::new() },
+            );
+        }
+        svg.push_str("</g>\n</svg>\n");
+        svg
+    }
+}
+
+fn way(lane: &Lane) -> String {
+    let point = |(k, p): (usize, &[f64; 2])| format!("{}{:.2} {:.2}", if k == 0 { 'M' } else { 'L' }, p[0], p[1]);
+    lane.shape.iter().enumerate().map(point).collect()
+}
+
+fn cross(length: f64, width: f64) -> String {
+    let (l, w) = (length / 2.0, width / 2.0);
+    format!(
+        "<path d=\"M-{l:.2} -{w:.2}L{l:.2} {w:.2}M-{l:.2} {w:.2}L{l:.2} -{w:.2}\" stroke=\"#000\" stroke-width=\".25\"/>"
+    )
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::recording;
+
+    #[test]
+    fn a_still_shows_those_who_are_there() {
+        let svg = recording().still(1);
+        // One wreck with its cross, and nobody else; a lane and an edge of the graph.
+        assert_eq!(svg.matches("<rect").count(), 2);
+        assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script>"));
+        assert_eq!(recording().still(0).matches("<rect").count(), 4);
+        assert_eq!(recording().still(99), svg, "beyond the end is the end");
+        roxmltree::Document::parse(&svg).expect("well-formed");
+    }
+}
