@@ -26,7 +26,8 @@ build: bootstrap ## build target/release/iwol
 demo: build ## train vehicles to cross an intersection, and compare them with SUMO's own driver
 	scripts/demo
 
-test: bootstrap ## run every test: unit, integration (against the real SUMO) and documentation
+test: ## run every test: unit, integration (against the real SUMO) and documentation
+	@scripts/bootstrap --tests
 	$(CARGO) test --locked --features "$(FEATURES)"
 
 lint: bootstrap ## check formatting, clippy's lints and the documentation; a warning is an error

@@ -80,6 +80,8 @@ pub struct AgentView {
     pub pose: Pose,
     /// \[m/s\]
     pub speed: f64,
+    /// What the last step gave it, without the cooperative mix.
+    pub reward: f64,
 }
 
 /// A world's place in its episodes, enough to bring it back to the very same state.
@@ -213,12 +215,13 @@ impl World {
 
     /// All agents, by slot.
     pub fn agents(&self) -> impl Iterator<Item = AgentView> + '_ {
-        self.traffic.slots.iter().map(|slot| AgentView {
+        self.traffic.slots.iter().zip(&self.own_rewards).map(|(slot, reward)| AgentView {
             driving: slot.status == Status::Active,
             wreck: slot.status == Status::Wreck,
             fate: slot.fate,
             pose: slot.pose,
             speed: slot.speed,
+            reward: *reward,
         })
     }
 

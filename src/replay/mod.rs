@@ -1,7 +1,7 @@
 //! Recordings of episodes, and what people look at: a player in one HTML file, and stills as SVG.
 //!
 //! A recording is JSON. Row `k` of its columns is what an agent was, saw and did at step `k`: pose and speed before the
-//! decision, the action decided on, the reward that it brought, and the value of what was seen. Numbers are 16-bit integers
+//! decision, the action decided on, the reward that it brought (its own, without the cooperative mix), and the value of what was seen. Numbers are 16-bit integers
 //! with a scale, in base64, so that 48 vehicles over 1000 steps take 1.4 MB:
 //!
 //! ```python
@@ -329,11 +329,10 @@ impl Recorder {
         if self.finished || world.episode() != self.episode || world.step_count() == 0 {
             return;
         }
-        let rewards = &world.frame().reward;
-        let first = self.reward.len().saturating_sub(rewards.len());
-        for (to, (status, reward)) in self.reward[first..].iter_mut().zip(self.status[first..].iter().zip(rewards)) {
-            if Status::from(*status) == Status::Driving {
-                *to = f64::from(*reward);
+        let first = self.reward.len().saturating_sub(world.agents().count());
+        for (i, agent) in world.agents().enumerate() {
+            if Status::from(self.status[first + i]) == Status::Driving {
+                self.reward[first + i] = agent.reward;
             }
         }
     }

@@ -1,0 +1,99 @@
+//! Recordings, and the player in a real browser (`scripts/bootstrap --tests` installs it).
+
+use std::path::Path;
+use std::process::Command;
+
+fn iwol(arguments: &[&str]) -> std::process::Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
+    let output = command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).output().expect("it ran");
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+fn check(html: &Path) -> serde_json::Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/check-player.mjs");
+    let output = Command::new("node").arg(script).arg(html).output().expect("node runs; scripts/bootstrap --tests");
+    let (stdout, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{stdout}{stderr}");
+    serde_json::from_str(&stdout).expect("a line of JSON")
+}
+
+/// Full throttle: vehicles crash, stand as wrecks, and some arrive.
+#[test]
+fn a_recorded_episode_plays_in_a_browser() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (recording, html, svg, json) = (path("r.json"), path("r.html"), path("r.svg"), path("e.json"));
+    iwol(&[
+        "evaluate",
+        "--policy",
+        "throttle:1",
+        "--scenario",
+        "scenarios/intersection.xml",
+        "--agents",
+        "8",
+        "--episodes",
+        "3",
+        "--record",
+        &recording,
+        "--record-episode",
+        "2",
+        "--out",
+        &json,
+    ]);
+    iwol(&["replay", &recording, "-o", &html, "--svg", &svg]);
+    let recorded: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
+    let found = check(Path::new(&html));
+    assert_eq!(found["steps"], recorded["steps"]);
+    // One row per decision, and one for the end.
+    let length = recorded["summary"]["episode_length"].as_f64().expect("a length");
+    assert_eq!(recorded["steps"].as_f64(), Some(length + 1.0));
+    assert!(std::fs::read_to_string(&svg).expect("written").contains("<rect"));
+}
+
+/// The rewards of a recording add up to those of the episode.
+#[test]
+fn a_recording_says_what_the_evaluation_says() {
+    use base64::Engine as _;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let recording = path("r.json");
+    iwol(&[
+        "evaluate",
+        "results/intersection8/ex-iwol",
+        "--episodes",
+        "2",
+        "--record",
+        &recording,
+        "--record-episode",
+        "1",
+    ]);
+    let recorded: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
+    let bytes = |text: &serde_json::Value| {
+        base64::engine::general_purpose::STANDARD.decode(text.as_str().expect("text")).expect("base64")
+    };
+    let column = |name: &str| -> Vec<f64> {
+        let column = &recorded["columns"][name];
+        let scale = column["scale"].as_f64().expect("a scale");
+        let numbers = bytes(&column["data"]);
+        let number = |pair: &[u8]| match i16::from_le_bytes([pair[0], pair[1]]) {
+            i16::MIN => 0.0,
+            number => f64::from(number) * scale,
+        };
+        numbers.chunks_exact(2).map(number).collect()
+    };
+    let agents = recorded["agents"].as_f64().expect("agents");
+    let reward = column("reward").iter().sum::<f64>() / agents;
+    let expected = recorded["summary"]["reward"].as_f64().expect("a reward");
+    assert!((reward - expected).abs() < 0.05, "{reward} {expected}");
+    // Vehicles begin at rest and drive at no more than 80 km/h; the value of a policy that succeeds is above zero.
+    let (speed, value) = (column("speed"), column("value"));
+    assert!(speed[..8].iter().all(|v| v.abs() < 1e-3) && speed.iter().all(|v| *v <= 22.3), "{speed:?}");
+    assert!(value[..8].iter().all(|v| *v > 0.0), "{:?}", &value[..8]);
+    // It communicates, within the range of the mask, and nobody is drawn as hearing himself.
+    let (edges, n) = (bytes(&recorded["edges"]), agents as usize);
+    assert!(recorded["communicates"].as_bool().expect("a flag") && edges.iter().any(|byte| *byte != 0));
+    assert!(edges.chunks_exact(n).all(|rows| (0..n).all(|i| rows[i] >> i & 1 == 0)));
+}

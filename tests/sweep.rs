@@ -1,0 +1,239 @@
+//! Sweeps on real SUMO: what is computed does not depend on how often they were cut off, and failures are told.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+const FILE: &str = r#"
+title = "Tiny"
+[settings]
+scenario = "scenarios/intersection.xml"
+agents = 4
+steps = 4096
+train = { envs = 2, segment = 64, validate_every = 512, validation_episodes = 2, anneal_steps = 512 }
+[grid]
+algorithm = ["mappo"]
+seed = [0, 1]
+[[evaluate]]
+name = "range"
+episodes = 3
+grid = { "env.communication_range" = [100.0, 10.0] }
+[[reference]]
+label = "published"
+beside = "mappo"
+metric = "success"
+x = [100.0]
+y = [0.5]
+"#;
+
+fn sweep_file(folder: &Path, text: &str) -> PathBuf {
+    let path = folder.join("tiny.toml");
+    std::fs::write(&path, text).expect("written");
+    path
+}
+
+fn iwol(arguments: &[&str], paths: &[&Path]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).args(paths).env("NO_COLOR", "1");
+    command
+}
+
+fn sweep(file: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = iwol(&["sweep"], &[file, Path::new("--out"), out]);
+    command.args(more);
+    command
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn succeeds(command: &mut Command) -> Output {
+    let output = command.output().expect("it ran");
+    assert!(output.status.success(), "{command:?}: {}", text(&output.stderr));
+    output
+}
+
+/// Everything that a sweep found, without times.
+fn findings(out: &Path) -> BTreeMap<String, String> {
+    let mut findings = BTreeMap::new();
+    for seed in [0, 1] {
+        let folder = out.join(format!("tiny/mappo/seed_{seed}"));
+        let metrics = std::fs::read_to_string(folder.join("metrics.jsonl")).expect("metrics");
+        let lines = metrics.lines().map(|line| {
+            let mut line: Value = serde_json::from_str(line).expect("JSON");
+            let object = line.as_object_mut().expect("an object");
+            object
+                .retain(|key, _| !key.starts_with("time/") && key != "steps_per_second" && !key.starts_with("resets/"));
+            line.to_string()
+        });
+        findings.insert(format!("{seed} metrics"), lines.collect::<Vec<_>>().join("\n"));
+        for file in std::fs::read_dir(folder.join("evaluations")).expect("evaluations") {
+            let path = file.expect("a file").path();
+            let name = format!("{seed} {}", path.file_name().expect("a name").to_string_lossy());
+            findings.insert(name, std::fs::read_to_string(&path).expect("JSON"));
+        }
+    }
+    assert_eq!(findings.len(), 6, "two runs with two evaluations each");
+    findings
+}
+
+/// Kills whoever is still there when a test fails.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn until(what: &str, condition: impl Fn() -> bool) {
+    let since = Instant::now();
+    while !condition() {
+        assert!(since.elapsed() < Duration::from_secs(120), "{what} does not come");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = sweep_file(folder.path(), FILE);
+    let (undisturbed, cut) = (folder.path().join("undisturbed"), folder.path().join("cut"));
+
+    let output = succeeds(&mut sweep(&file, &undisturbed, &["--jobs", "2"]));
+    assert!(text(&output.stdout).contains("2 of 2 cells finished, 0 failed"), "{}", text(&output.stdout));
+
+    let mut first =
+        Killed(sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts"));
+    let checkpoint = cut.join("tiny/mappo/seed_0/checkpoints/last.safetensors");
+    until("a checkpoint", || checkpoint.exists());
+    // SIGKILL: the sweep can do nothing about its child, which must go by itself, and free its folder.
+    first.0.kill().expect("killed");
+    first.0.wait().expect("gone");
+    let lock = cut.join("tiny/mappo/seed_0/.lock");
+    until("the end of the child", || std::fs::File::open(&lock).is_ok_and(|lock| lock.try_lock().is_ok()));
+    assert!(!cut.join("tiny/mappo/seed_1").exists());
+    let output = succeeds(&mut sweep(&file, &cut, &["--dry-run"]));
+    assert!(text(&output.stdout).contains("0 of 2 cells finished"), "{}", text(&output.stdout));
+
+    succeeds(&mut sweep(&file, &cut, &[]));
+    assert_eq!(findings(&cut), findings(&undisturbed));
+
+    // All is there: nothing runs again.
+    let output = succeeds(&mut sweep(&file, &cut, &[]));
+    assert!(text(&output.stderr).contains("0 of 2 cells to do"), "{}", text(&output.stderr));
+    report(&file, &cut, folder.path());
+}
+
+/// The report of a finished sweep has what it should.
+fn report(file: &Path, runs: &Path, folder: &Path) {
+    let out = folder.join("report");
+    succeeds(&mut iwol(&["report"], &[file, Path::new("--runs"), runs, Path::new("-o"), &out]));
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).expect("written");
+    let markdown = read("report.md");
+    for part in
+        ["2 of 2 runs are finished", "| success % at communication range | 100.0 | 10.0 |", "| published | 50.0 | – |"]
+    {
+        assert!(markdown.contains(part), "{part} is missing in {markdown}");
+    }
+    assert!(read("report.html").contains("data:image/png;base64,"));
+    let summary: Value = serde_json::from_str(&read("summary.json")).expect("JSON");
+    assert_eq!(summary["rows"].as_array().map(Vec::len), Some(4));
+    let marl: Value = serde_json::from_str(&read("marl_eval.json")).expect("JSON");
+    let run = &marl["intersection"]["env.communication_range=100.0"]["mappo"]["seed_1"];
+    assert_eq!(
+        run["absolute_metrics"]["success"][0],
+        summary["rows"]
+            .as_array()
+            .expect("rows")
+            .iter()
+            .find(|row| row["seed"] == 1 && row["at"] == "100.0")
+            .expect("a row")["metrics"]["success"]["mean"]
+    );
+    assert_eq!(run["step_0"]["step_count"], 512);
+}
+
+#[test]
+fn failures_are_told_and_retried_on_request() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("runs");
+    // The second seed cannot start.
+    let broken = FILE.replace("steps = 4096", "steps = 256")
+        + "[[rule]]\nwhen = { seed = 1 }\nset = { init_from = \"nowhere\" }\n";
+    let file = sweep_file(folder.path(), &broken);
+    let run = |more: &[&str]| {
+        let output = sweep(&file, &out, more).output().expect("it ran");
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let (code, stdout, stderr) = run(&[]);
+    assert_eq!(code, Some(1), "{stderr}");
+    assert!(stdout.contains("1 of 2 cells finished, 1 failed"), "{stdout}");
+    assert!(stderr.contains("mappo/seed_1 failed") && stderr.contains("nowhere"), "{stderr}");
+    let (code, _, stderr) = run(&[]);
+    assert_eq!(code, Some(1));
+    assert!(stderr.contains("0 of 2 cells to do"), "a failure is not tried again by itself: {stderr}");
+    let (code, _, stderr) = run(&["--retry"]);
+    assert_eq!(code, Some(1));
+    assert!(stderr.contains("1 of 2 cells to do"), "{stderr}");
+    // A cell whose settings have changed is not mixed with the old ones.
+    sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 512"));
+    let (code, _, stderr) = run(&[]);
+    assert_eq!(code, Some(2));
+    assert!(stderr.contains("holds a run with another `steps`: 256, and now 512"), "{stderr}");
+}
+
+#[test]
+fn shards_divide_the_grid() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = sweep_file(folder.path(), &FILE.replace("seed = [0, 1]", "seed = [0, 1, 2, 3, 4]"));
+    let cells = |shard: &str| {
+        let output = succeeds(&mut sweep(&file, folder.path(), &["--dry-run", "--shard", shard]));
+        let stdout = text(&output.stdout);
+        stdout
+            .lines()
+            .filter_map(|line| line.split_whitespace().next()?.parse().ok())
+            .take_while(|_| true)
+            .collect::<Vec<usize>>()
+    };
+    let numbers = |shard: &str| cells(shard)[..cells(shard).len() - 1].to_vec();
+    assert_eq!((numbers("1/2"), numbers("2/2")), (vec![0, 2, 4], vec![1, 3]));
+    let output = sweep(&file, folder.path(), &["--dry-run", "--shard", "3/2"]).output().expect("it ran");
+    assert!(text(&output.stderr).contains("write it as i/n"), "{}", text(&output.stderr));
+}
+
+/// On a real Slurm of one machine, from Debian's packages (`scripts/bootstrap --tests` installs them).
+#[test]
+fn slurm_runs_every_cell() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cluster, out) = (folder.path().join("slurm"), folder.path().join("runs"));
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/one-machine-slurm");
+    let slurm = |verb: &str| Command::new(&script).arg(verb).arg(&cluster).output().expect("the script runs");
+    let started = slurm("start");
+    assert!(started.status.success(), "{}", text(&started.stderr));
+    let variable = text(&started.stdout);
+    let configuration =
+        variable.trim().strip_prefix("export SLURM_CONF=").expect("where the cluster is").trim_matches('\'').to_owned();
+    let result = std::panic::catch_unwind(|| {
+        let file = sweep_file(folder.path(), &FILE.replace("steps = 4096", "steps = 512"));
+        let mut submit = sweep(&file, &out, &["--slurm", "--slurm-option", "time=00:10:00"]);
+        let output = succeeds(submit.env("SLURM_CONF", &configuration));
+        assert!(text(&output.stdout).trim().parse::<u32>().is_ok(), "the job's number: {}", text(&output.stdout));
+        until("the end of the jobs", || {
+            let output = succeeds(&mut sweep(&file, &out, &["--dry-run"]));
+            let table = text(&output.stdout);
+            assert!(!table.contains(" 1 failed") && !table.contains(" 2 failed"), "{table}");
+            table.contains("2 of 2 cells finished")
+        });
+        findings(&out);
+    });
+    let stopped = slurm("stop");
+    if let Err(panic) = result {
+        std::panic::resume_unwind(panic);
+    }
+    assert!(stopped.status.success(), "{}", text(&stopped.stderr));
+}
