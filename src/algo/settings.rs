@@ -33,7 +33,11 @@ impl Settings {
             }
             // A policy that reads messages made by attention changes more with a step of the same size: at the common rate
             // the KL divergence per update was 0.02 to 0.06, and success fell back from 80 to 55 %.
-            "ex-iwol" => settings.ppo.learning_rate = 3e-4,
+            // It also finds its way later: noise must not be gone by then.
+            "ex-iwol" => {
+                settings.ppo.learning_rate = 3e-4;
+                settings.exploration.explore_steps = 400_000;
+            }
             _ => {}
         }
         settings
@@ -179,7 +183,7 @@ impl Default for Exploration {
             log_std_end: -2.0,
             explore_steps: 250_000,
             spread: 1.2,
-            late_steps: 0,
+            late_steps: 100,
             mean_bias: 0.5,
         }
     }

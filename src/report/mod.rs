@@ -233,6 +233,9 @@ fn references<'a>(
         .filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name))
         .map(move |r| {
             let place = |x: f64| block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x));
+            if block.x.is_none() {
+                return (r, r.y.iter().take(1).map(|y| (0, y * metric.factor)).collect());
+            }
             let points = r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
             (r, points.collect())
         })

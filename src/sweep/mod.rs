@@ -110,7 +110,8 @@ pub struct Reference {
     pub beside: String,
     /// Metric, as in the JSON of `iwol evaluate`.
     pub metric: String,
-    /// Values along the horizontal axis.
+    /// Values along the horizontal axis; none where there is no axis.
+    #[serde(default)]
     pub x: Vec<f64>,
     /// The published values there, in the metric's unit (rates from 0 to 1).
     pub y: Vec<f64>,
@@ -186,7 +187,8 @@ impl Sweep {
             }
         }
         for reference in &parsed.reference {
-            if reference.x.len() != reference.y.len() {
+            let alone = reference.x.is_empty() && reference.y.len() == 1;
+            if !alone && reference.x.len() != reference.y.len() {
                 return Err(wrong(format!("[[reference]] `{}`: x and y differ in length", reference.label)));
             }
         }
