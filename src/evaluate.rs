@@ -130,10 +130,17 @@ impl Evaluation {
     }
 }
 
+/// Who looks on while episodes are played.
+pub struct Onlooker<'a> {
+    /// Ends early, with what there is.
+    pub stop: &'a AtomicBool,
+    /// Is told the number of finished episodes now and then.
+    pub report: &'a mut dyn FnMut(u64),
+    /// Sees everything.
+    pub recorder: Option<&'a mut Recorder>,
+}
+
 /// Plays `episodes` episodes of the stream `seed` and as many more as the first window needs.
-///
-/// `report` is told the number of finished episodes now and then; `stop` ends early with what there is; `recorder` sees
-/// everything.
 ///
 /// # Errors
 /// When SUMO fails twice in a row.
@@ -143,10 +150,9 @@ pub fn evaluate(
     episodes: u64,
     seed: Seed,
     hosting: &Hosting,
-    stop: &AtomicBool,
-    report: &mut dyn FnMut(u64),
-    recorder: Option<&mut Recorder>,
+    onlooker: Onlooker<'_>,
 ) -> Result<Evaluation, env::Error> {
+    let Onlooker { stop, report, recorder } = onlooker;
     let stage = Stage { task, policy, seed, hosting, stop };
     let mut watch = Watch { knowledge: Sums::default(), recorder };
     let mut records = stage.play(0..episodes, RETRIES, &mut watch, report)?;

@@ -17,7 +17,7 @@ use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings:
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
-use crate::evaluate::{Evaluation, Policy, evaluate};
+use crate::evaluate::{Evaluation, Onlooker, Policy, evaluate};
 use crate::record::{self, JsonLines, TensorBoard};
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
@@ -403,9 +403,7 @@ impl Trainer {
             self.seed.child("validation"),
             // libsumo's one place is taken by the training worlds.
             &self.config.hosting().beside(),
-            stop,
-            &mut |_| {},
-            None,
+            Onlooker { stop, report: &mut |_| {}, recorder: None },
         );
         self.learner.swap_average();
         Ok(evaluation?)

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Evaluation, Metrics, Policy, evaluate};
+use iwol_sumo::evaluate::{Evaluation, Metrics, Onlooker, Policy, evaluate};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::Hosting;
@@ -20,8 +20,15 @@ fn play_on(path: &Path, policy: &Policy<'_>, agents: u32, episodes: u64) -> (Eva
     let scenario = Scenario::load(path).expect("a scenario");
     let task = Arc::new(Task::new(&scenario, agents).expect("a task"));
     let seed = Seed::new(0).child("calibration");
-    let evaluation = evaluate(&task, policy, episodes, seed, &Hosting::default(), &AtomicBool::new(false), &mut |_| {})
-        .expect("SUMO runs; else run scripts/bootstrap");
+    let evaluation = evaluate(
+        &task,
+        policy,
+        episodes,
+        seed,
+        &Hosting::default(),
+        Onlooker { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None },
+    )
+    .expect("SUMO runs; else run scripts/bootstrap");
     assert_eq!(evaluation.episodes.len() as u64, episodes);
     let metrics = evaluation.metrics().expect("episodes");
     (evaluation, metrics)

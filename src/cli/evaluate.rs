@@ -11,7 +11,7 @@ use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Knowledge, Metrics, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{Knowledge, Metrics, Onlooker, POLICIES, Policy, evaluate};
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
@@ -134,7 +134,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             args.record.as_ref().filter(|_| rows.is_empty()).map(|_| Recorder::new(&task, args.record_episode));
         let mut show = |done| bar.set_position(done);
         let hosting = config.hosting();
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, &stop, &mut show, recorder.as_mut())
+        let onlooker = Onlooker { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, onlooker)
             .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
