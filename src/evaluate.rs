@@ -407,8 +407,8 @@ fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
 /// Randomness of a channel that depends on each world's episode and step alone.
 fn channel_noise(channel: &Channel, sources: &[Seed], agents: usize, width: usize) -> ChannelNoise {
     let (e, n) = (sources.len() as i64, agents as i64);
-    // Most channels falsify nothing, and need no content to do it with.
-    let width = if channel.falsified > 0.0 { width } else { 1 };
+    // Most channels falsify nothing, and some methods send nothing: no content is needed to do it with.
+    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
     let uniform = |what: &str| {
         let draws = sources.iter().flat_map(|seed| {
             let mut rng = seed.child(what).rng();

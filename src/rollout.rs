@@ -50,6 +50,8 @@ pub struct Rollout {
     pub action: Vec<f32>,
     /// `[T, E, N]`
     pub log_prob: Vec<f32>,
+    /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
+    pub sampled: Vec<f32>,
     /// Added to the logarithm of the actions' standard deviation, `[E]`.
     pub quiet: Vec<f32>,
     /// `[T, E, N]`
@@ -75,6 +77,7 @@ impl Rollout {
             graph_noise: vec![0.0; if sizes.graph_noise { closed * sizes.agents } else { 0 }],
             action: vec![0.0; rows * sizes.actions],
             log_prob: vec![0.0; rows],
+            sampled: vec![1.0; sizes.steps * sizes.envs],
             quiet: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
             terminated: vec![0.0; rows],

@@ -332,6 +332,9 @@ impl Trainer {
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
+            for (e, late) in late.iter().enumerate() {
+                self.rollout.sampled[t * s.envs + e] = f32::from(u8::from(!late));
+            }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 rng::fill_normal(&mut rng, &mut noise);

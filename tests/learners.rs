@@ -1,6 +1,6 @@
 //! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
 
-use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, Settings, settings::EncoderKind};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Channel, ChannelNoise, Observation, Pace, Settings, settings::EncoderKind};
 use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -322,6 +322,68 @@ fn an_update_sees_the_policy_that_acted() {
         let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
         assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
         assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
+    });
+}
+
+/// Where the noise has not begun yet, what was done and how probable it was do not matter to the policy.
+#[test]
+fn the_policy_learns_nothing_from_actions_without_noise() {
+    each(|name, encoder| {
+        let updated = |disturb: f32| {
+            let mut learner = loud(name, &spec(4), &small(encoder));
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            let s = rollout.sizes;
+            for (row, sampled) in rollout.sampled.iter_mut().enumerate() {
+                *sampled = f32::from(u8::from(row % 3 != 0));
+                if row % 3 == 0 {
+                    let cell = row * s.agents..(row + 1) * s.agents;
+                    rollout.action[cell.clone()].iter_mut().for_each(|action| *action += disturb);
+                    rollout.log_prob[cell].iter_mut().for_each(|log_prob| *log_prob -= disturb);
+                }
+            }
+            let pace = Pace { learning_rate: 1e-2, log_std: -0.5 };
+            learner.update(&rollout, &pace, Seed::new(4)).expect("finite");
+            let actor = learner.state().into_iter().filter(|(name, _)| name.starts_with("actor/"));
+            actor.map(|(_, t)| Vec::<f32>::try_from(t.reshape([-1])).expect("floats")).collect::<Vec<_>>()
+        };
+        assert_eq!(updated(0.0), updated(0.7), "{name} {encoder:?}");
+    });
+}
+
+/// A channel that does nothing changes nothing, one that loses everything leaves every agent to itself, and local policies
+/// notice no channel at all.
+#[test]
+fn channels_stand_between_agents_and_nowhere_else() {
+    each(|name, encoder| {
+        let learner = loud(name, &spec(5), &small(encoder));
+        let (x, comm) = (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
+        let chance = || Tensor::full([2, 5, 5], 0.5, (Kind::Float, Device::Cpu));
+        let width = learner.message_width() as i64;
+        let through = |channel: &Channel| {
+            let mut input = observation(&*learner, x.copy(), comm.copy());
+            let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
+            input.memory = Tensor::cat(&[&input.memory, &past], -1);
+            let noise = ChannelNoise { lost: chance(), falsified: chance(), content: noise(9, &[2, 5, 5, width.max(1)]) };
+            learner.act_through(&input, channel, &noise).action
+        };
+        let plain = |comm: &Tensor| {
+            let input = observation(&*learner, x.copy(), comm.copy());
+            learner.act(&input, &ActMode::Deterministic).action
+        };
+        let apart = |a: &Tensor, b: &Tensor| (a - b).abs().max().double_value(&[]);
+        let together = plain(&comm);
+        assert!(apart(&through(&Channel::default()), &together) < 1e-4, "{name} {encoder:?}");
+        let alone = Tensor::eye(5, (Kind::Float, Device::Cpu)).expand([2, 5, 5], false);
+        let silence = through(&Channel { loss: 1.0, ..Channel::default() });
+        assert!(apart(&silence, &plain(&alone)) < 1e-4, "{name} {encoder:?}");
+        let bad = [
+            Channel { bits: 2, ..Channel::default() },
+            Channel { falsified: 1.0, ..Channel::default() },
+            Channel { delay: 3, ..Channel::default() },
+        ];
+        for channel in bad {
+            assert_eq!(apart(&through(&channel), &together) > 1e-4, name == "ex-iwol", "{name} {encoder:?} {channel:?}");
+        }
     });
 }
 

@@ -34,7 +34,9 @@ pub(super) struct Batch {
     pub(super) log_prob: Tensor,
     /// Added to the logarithm of the standard deviation, `[T · E, N]`.
     pub(super) quiet: Tensor,
-    /// Normalised, `[T · E, N]`.
+    /// 1 where the policy learns from the action, `[T · E, N]`.
+    pub(super) sampled: Tensor,
+    /// Normalised over the samples that the policy learns from, `[T · E, N]`.
     pub(super) advantage: Tensor,
     /// In units of the reward, `[T · E, N]`.
     pub(super) returns: Tensor,
@@ -68,6 +70,7 @@ impl Batch {
             quiet: tensor(&rollout.quiet, &[1, s.envs as i64, 1])
                 .expand([s.steps as i64, -1, n], false)
                 .reshape([rows, n]),
+            sampled: tensor(&rollout.sampled, &[rows, 1]).expand([rows, n], false).contiguous(),
             advantage: empty(),
             returns: empty(),
             value: empty(),
@@ -82,7 +85,10 @@ impl Batch {
         let (mut advantage, returns) = rollout.advantages(&values, ppo.gamma, ppo.gae_lambda);
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
-        ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
+        let agents = rollout.sizes.agents;
+        let learned: Vec<f32> =
+            rollout.active[..count].iter().enumerate().map(|(i, active)| active * rollout.sampled[i / agents]).collect();
+        ppo::normalize_advantages(&mut advantage, &learned);
         let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
         (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
@@ -120,6 +126,7 @@ impl Batch {
             action: change(&self.action),
             log_prob: change(&self.log_prob),
             quiet: change(&self.quiet),
+            sampled: change(&self.sampled),
             advantage: change(&self.advantage),
             returns: change(&self.returns),
             value: change(&self.value),

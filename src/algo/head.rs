@@ -75,14 +75,16 @@ impl PolicyTerms {
         let log_prob = gaussian_log_prob(&mean, &log_std, &shard.active(&batch.action));
         let old = shard.active(&batch.log_prob);
         let advantage = shard.active(&batch.advantage);
+        let sampled = shard.active(&batch.sampled);
         // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &quiet.exp(), ppo.clip);
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &(quiet.exp() * &sampled), ppo.clip);
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
             let ratio = difference.exp();
-            let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float).mean(Kind::Float);
-            ((ratio - 1.0 - difference).mean(Kind::Float), outside)
+            let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
+            let mean = |x: &Tensor| ppo::masked_mean(x, &sampled);
+            (mean(&(ratio - 1.0 - difference)), mean(&outside))
         });
         Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
     }

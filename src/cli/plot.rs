@@ -24,8 +24,8 @@ pub(super) struct Args {
     /// What lies along the horizontal axis: environment steps, or minutes of training (rollouts and updates)
     #[arg(long, value_enum, default_value_t = Axis::Steps)]
     x: Axis,
-    /// Picture to write [default: learning_curve.png in the first run folder]
-    #[arg(long, value_name = "FILE")]
+    /// Picture to write, or a folder for it [default: learning_curve.png in the first run folder]
+    #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
     /// JSON of `iwol evaluate`; policies without training in it become reference lines
     #[arg(long, value_name = "FILE")]
@@ -118,7 +118,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             }
         }
     }
-    let out = args.out.clone().unwrap_or_else(|| args.runs[0].join("learning_curve.png"));
+    let out = args.out.as_ref().unwrap_or(&args.runs[0]);
+    let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
     let title = if alone { format!("Learning curve of {}", groups[0].label) } else { "Learning curves".to_owned() };
     figure(&out, &title, &panels, (700 * panels.len() as u32, 640))?;
     println!("{}", out.display());
