@@ -375,13 +375,14 @@ impl<'a> PolicyDriver<'a> {
                     let noise = channel_noise(channel, &sources, self.task.agents, learner.message_width());
                     learner.act_through(&observation, channel, &noise)
                 };
-                if self.decisions.is_multiple_of(LOOK) {
+                // What a latent knows, and who listens to whom, is told of undisturbed messages alone.
+                if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
                     watch.knowledge.add(learner.reconstruct(&observation, &state), &active);
                 }
                 self.decisions += 1;
-                if let Some((world, _)) = watched {
+                if let Some((world, _)) = watched.filter(|_| channel.is_perfect()) {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     thoughts = thoughts_of(&learner.inspect(&observation, &state), world as i64);
                 }
@@ -391,7 +392,9 @@ impl<'a> PolicyDriver<'a> {
             }
         }
         if let (Some(recorder), Some((e, world))) = (&mut watch.recorder, watched) {
-            recorder.decide(world, &self.actions[e * width..(e + 1) * width], &thoughts);
+            let actions =
+                if matches!(self.policy, Policy::Sumo) { &[][..] } else { &self.actions[e * width..][..width] };
+            recorder.decide(world, actions, &thoughts);
         }
     }
 }

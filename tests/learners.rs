@@ -1,6 +1,8 @@
 //! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
 
-use iwol_sumo::algo::{self, ActMode, Algorithm, Channel, ChannelNoise, Observation, Pace, Settings, settings::EncoderKind};
+use iwol_sumo::algo::{
+    self, ActMode, Algorithm, Channel, ChannelNoise, Observation, Pace, Settings, settings::EncoderKind,
+};
 use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -363,7 +365,8 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let mut input = observation(&*learner, x.copy(), comm.copy());
             let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
             input.memory = Tensor::cat(&[&input.memory, &past], -1);
-            let noise = ChannelNoise { lost: chance(), falsified: chance(), content: noise(9, &[2, 5, 5, width.max(1)]) };
+            let noise =
+                ChannelNoise { lost: chance(), falsified: chance(), content: noise(9, &[2, 5, 5, width.max(1)]) };
             learner.act_through(&input, channel, &noise).action
         };
         let plain = |comm: &Tensor| {
@@ -382,7 +385,11 @@ fn channels_stand_between_agents_and_nowhere_else() {
             Channel { delay: 3, ..Channel::default() },
         ];
         for channel in bad {
-            assert_eq!(apart(&through(&channel), &together) > 1e-4, name == "ex-iwol", "{name} {encoder:?} {channel:?}");
+            assert_eq!(
+                apart(&through(&channel), &together) > 1e-4,
+                name == "ex-iwol",
+                "{name} {encoder:?} {channel:?}"
+            );
         }
     });
 }

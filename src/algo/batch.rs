@@ -86,8 +86,11 @@ impl Batch {
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
         let agents = rollout.sizes.agents;
-        let learned: Vec<f32> =
-            rollout.active[..count].iter().enumerate().map(|(i, active)| active * rollout.sampled[i / agents]).collect();
+        let learned: Vec<f32> = rollout.active[..count]
+            .iter()
+            .enumerate()
+            .map(|(i, active)| active * rollout.sampled[i / agents])
+            .collect();
         ppo::normalize_advantages(&mut advantage, &learned);
         let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
         (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));

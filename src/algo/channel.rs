@@ -52,25 +52,19 @@ pub struct ChannelNoise {
     pub content: Tensor,
 }
 
-/// What arrives: `[E, N, N, H]`, where row `i` is what agent `i` knows of everyone (itself included), and who can be heard at
-/// all, `[E, N, N]`.
+/// What arrives.
 pub(super) struct Heard {
+    /// `[E, N, N, H]`; row `i` is what agent `i` knows of everyone, itself included.
     pub(super) embedding: Tensor,
-    pub(super) comm: Tensor,
+    /// Whether it arrived, `[E, N, N]`.
+    pub(super) arrived: Tensor,
 }
 
 impl Channel {
-    /// Sends the embeddings `f [E, N, H]` to those who can be heard, `comm [E, N, N]`. `past [E, N, 1 + delay · H]` is how long
+    /// Sends the embeddings `f [E, N, H]`. `past [E, N, 1 + delay · H]` is how long
     /// ago the episode began, and what was sent since, forgotten where `keep [E, N]` is 0; gives what arrives, and the past of
     /// the next decision.
-    pub(super) fn send(
-        &self,
-        f: &Tensor,
-        comm: &Tensor,
-        keep: &Tensor,
-        past: &Tensor,
-        noise: &ChannelNoise,
-    ) -> (Heard, Tensor) {
+    pub(super) fn send(&self, f: &Tensor, keep: &Tensor, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
         let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
         let sent = self.rounded(f);
         let (sent, silent, past) = self.delayed(&sent, keep, past);
@@ -85,7 +79,7 @@ impl Channel {
         let own = Tensor::eye(agents, (Kind::Bool, f.device()));
         let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
         let cut = noise.lost.lt(self.loss).logical_or(&silent).logical_and(&own.logical_not());
-        (Heard { embedding, comm: comm.masked_fill(&cut, 0.0) }, past)
+        (Heard { embedding, arrived: cut.logical_not().to_kind(Kind::Float) }, past)
     }
 
     fn rounded(&self, f: &Tensor) -> Tensor {
@@ -126,7 +120,7 @@ mod tests {
     const H: i64 = 2;
 
     fn send(channel: &Channel, f: &Tensor, keep: f64, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
-        channel.send(f, &Tensor::ones([1, N, N], CPU), &Tensor::full([1, N], keep, CPU), past, noise)
+        channel.send(f, &Tensor::full([1, N], keep, CPU), past, noise)
     }
 
     fn noise(lost: f64, falsified: f64) -> ChannelNoise {
@@ -152,7 +146,7 @@ mod tests {
         for i in 0..N {
             assert_eq!(numbers(&heard.embedding.get(0).get(i)), numbers(&f));
         }
-        assert_eq!(numbers(&heard.comm), vec![1.0; 9]);
+        assert_eq!(numbers(&heard.arrived), vec![1.0; 9]);
     }
 
     #[test]
@@ -160,9 +154,9 @@ mod tests {
         let channel = Channel { loss: 0.3, ..Channel::default() };
         let nothing = Tensor::zeros([1, N, 0], CPU);
         let (heard, _) = send(&channel, &embeddings(0.0), 0.0, &nothing, &noise(0.29, 1.0));
-        assert_eq!(numbers(&heard.comm), [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(numbers(&heard.arrived), [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
         let (heard, _) = send(&channel, &embeddings(0.0), 0.0, &nothing, &noise(0.31, 1.0));
-        assert_eq!(numbers(&heard.comm), vec![1.0; 9]);
+        assert_eq!(numbers(&heard.arrived), vec![1.0; 9]);
     }
 
     #[test]
@@ -194,7 +188,7 @@ mod tests {
             let keep = if t == 0 || t == 3 { 0.0 } else { 1.0 };
             let (heard, next) = send(&channel, &embeddings(f64::from(t * 100)), keep, &past, &noise(1.0, 1.0));
             let arrived = t % 3 == 2;
-            assert_eq!(numbers(&heard.comm)[1], f64::from(u8::from(arrived)), "step {t}");
+            assert_eq!(numbers(&heard.arrived)[1], f64::from(u8::from(arrived)), "step {t}");
             if arrived {
                 let of_second = numbers(&heard.embedding.get(0).get(0).get(1));
                 assert_eq!(of_second, numbers(&embeddings(f64::from((t - 2) * 100)).get(0).get(1)), "step {t}");

@@ -269,7 +269,17 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             falsified: there(&noise.falsified),
             content: there(&noise.content),
         };
-        let decision = no_grad(|| self.copies[0].act_through(&input.map(there), channel, &noise));
+        let decision = no_grad(|| {
+            if N::SAMPLES_GRAPH {
+                return self.copies[0].act_through(&input.map(there), channel, &noise);
+            }
+            // Nothing is sent: the channel's part of the memory passes by.
+            let (own, total) = (self.copies[0].memory(), input.memory.size()[2]);
+            let local = Observation { memory: input.memory.narrow(2, 0, own), ..input.map(Tensor::shallow_clone) };
+            let decision = self.copies[0].act(&local.map(there), &ActMode::Deterministic);
+            let rest = there(&input.memory.narrow(2, own, total - own));
+            Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
+        });
         decision.map(|tensor| tensor.to_device(Device::Cpu))
     }
 
@@ -294,8 +304,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let recurrent = self.copies[0].memory() > 0;
         let length = if recurrent { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
-        // Values that are noisier than the actions would drown what is left to learn.
-        let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
+        // Where the policy's graph is sampled ever more quietly, so is the value's.
+        let imposed = N::SAMPLES_GRAPH && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
             batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));

@@ -1,7 +1,7 @@
 //! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and rounds of attention over it
 //! (paper: "Graph-attention Communication Protocol"; DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
 
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 use super::Observation;
 use super::batch::{Batch, Shard};
@@ -106,11 +106,10 @@ impl MessageTrunk {
         let f = f.view([envs, agents, -1]);
         let anyone = if self.physical_mask { input.comm.shallow_clone() } else { input.comm.ones_like() };
         let past = input.memory.narrow(2, own, total - own);
-        let (Heard { embedding, comm }, past) = channel.send(&f, &anyone, &input.keep(), &past, noise);
-        // A row of agents for each receiver: what it knows of all of them. Of the edges, its own are those it heard through.
+        let (Heard { embedding, arrived }, past) = channel.send(&f, &input.keep(), &past, noise);
+        // A row of agents for each receiver: what it knows of all of them. Those it did not hear reach it by no way.
         let rows = envs * agents;
-        let of_receiver = Tensor::eye(agents, (Kind::Bool, f.device())).unsqueeze(-1);
-        let edges = comm.unsqueeze(2).where_self(&of_receiver, &anyone.unsqueeze(1)).view([rows, agents, agents]);
+        let edges = (anyone.unsqueeze(1) * arrived.unsqueeze(2)).reshape([rows, agents, agents]);
         let (all, packing) = (embedding.reshape([rows * agents, -1]), Packing::full(rows, agents));
         let graph = self.graph.forward(&all, &packing, &edges, None);
         let message = self.transformer.forward(&all, &packing, &graph).view([envs, agents, agents, -1]);

@@ -74,6 +74,12 @@ struct Row {
     policy: String,
     episodes: u64,
     seed: u64,
+    /// The checkpoint's file name, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    checkpoint: Option<String>,
+    /// `--set`, in order.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    set: Vec<String>,
     metrics: Metrics,
 }
 
@@ -155,6 +161,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
+            checkpoint: matches!(policy, Policy::Learned(..))
+                .then(|| args.run.as_deref().map(RunDir::checkpoint))
+                .flatten()
+                .and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())),
+            set: args.set.clone(),
             metrics,
         });
     }

@@ -27,9 +27,9 @@ struct Cli {
     /// Say more (-v: information, -vv: details)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Stop, as if asked to, when the process that started this one is gone
-    #[arg(long, global = true, hide = true)]
-    die_with_parent: bool,
+    /// Stop, as if asked to, when the process with this number, which started this one, is gone
+    #[arg(long, global = true, hide = true, value_name = "PID")]
+    die_with_parent: Option<i32>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -77,9 +77,12 @@ pub fn main() -> ExitCode {
         .with_target(false)
         .without_time()
         .init();
-    if cli.die_with_parent {
+    if let Some(parent) = cli.die_with_parent {
         // Only Linux can; elsewhere children of a killed sweep finish what they do.
         let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
+        if rustix::process::getppid().is_none_or(|now| now.as_raw_nonzero().get() != parent) {
+            return ExitCode::from(130);
+        }
     }
     // Learners work on shards in parallel; threads of libtorch's own would only get into their way.
     tch::set_num_threads(1);

@@ -145,9 +145,10 @@ impl Recording {
             && recording.columns.values().all(|column| bytes(&column.data) == 2 * rows)
             && bytes(&recording.status) == rows
             && recording.edges.as_ref().is_none_or(|text| bytes(text) == edges)
+            && !recording.lanes.is_empty()
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
         if rows == 0 || !whole {
-            return Err(damaged("its columns do not have a number per step and agent".to_owned()));
+            return Err(damaged("its columns do not have a number per step and agent, or it has no lanes".to_owned()));
         }
         Ok(recording)
     }

@@ -120,7 +120,7 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
     }
     panels.retain(|panel| !panel.series.is_empty());
     // More do not fit side by side.
-    panels.truncate(6);
+    panels.truncate(8);
     if panels.is_empty() {
         return Ok(false);
     }

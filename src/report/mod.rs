@@ -63,6 +63,11 @@ struct Row<'a> {
 }
 
 impl Row<'_> {
+    /// Whether all its runs are finished.
+    fn is_complete(&self) -> bool {
+        !self.runs.is_empty() && self.runs.iter().all(|(_, found)| found.is_some())
+    }
+
     /// A metric of each finished run, times its factor.
     fn values(&self, metric: &Metric) -> Vec<f64> {
         let value = |found: &Value| found["metrics"][metric.key]["mean"].as_f64().map(|v| v * metric.factor);
@@ -74,10 +79,18 @@ impl Row<'_> {
         let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
         if let [only] = finished[..] {
             let end = |key: &str| only["metrics"][metric.key][key].as_f64().map(|v| v * metric.factor);
-            let mean = end("mean")?;
-            return Some(Estimate { mean, low: end("low").unwrap_or(mean), high: end("high").unwrap_or(mean) });
+            let open = |key: &str, none: f64| end(key).unwrap_or(none);
+            let (low, high) = (open("low", f64::NEG_INFINITY), open("high", f64::INFINITY));
+            return Some(Estimate { mean: end("mean")?, low, high });
         }
-        let e = Estimate::t(&self.values(metric))?;
+        let values = self.values(metric);
+        let e = Estimate::t(&values)?;
+        if metric.factor == 100.0 && values.iter().all(|value| *value == values[0]) {
+            // No spread is no certainty: the episodes of all runs together still leave room.
+            let episodes = finished.iter().filter_map(|found| found["episodes"].as_u64()).sum::<u64>() as usize;
+            let pooled = Estimate::rate(&vec![e.mean / 100.0; episodes.max(1)])?;
+            return Some(Estimate { mean: e.mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high });
+        }
         let (low, high) = if metric.factor == 100.0 { (0.0, 100.0) } else { (f64::NEG_INFINITY, f64::INFINITY) };
         Some(Estimate { mean: e.mean, low: e.low.max(low), high: e.high.min(high) })
     }
@@ -89,6 +102,9 @@ impl Row<'_> {
 /// # Errors
 /// When no cell is evaluated yet, or a file cannot be read or written.
 pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, Error> {
+    for cell in &sweep.cells {
+        cell.check()?;
+    }
     let blocks: Vec<Block<'_>> =
         sweep.evaluations.iter().map(|evaluate| block(sweep, evaluate)).collect::<Result<_, _>>()?;
     let found =
@@ -175,14 +191,22 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 own.or_else(|| cell.value(key)).map(plain)
             };
             let place = x.as_deref().and_then(value).unwrap_or_default();
-            let parts = varying.iter().filter(|key| Some(**key) != x.as_deref());
-            let label: Vec<String> = parts
-                .filter_map(|key| {
-                    let value = value(key)?;
-                    let short = key.rsplit('.').next().unwrap_or(key);
-                    Some(if *key == "algorithm" { value } else { format!("{short} {value}") })
-                })
-                .collect();
+            let mut parts = Vec::new();
+            for key in &varying {
+                let short = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
+                let evaluated = combination.iter().any(|(own, _)| own == key);
+                // Trained at one value, evaluated at another: that is no seed of the policy trained there.
+                if let Some(trained) = cell.value(key).filter(|_| evaluated) {
+                    parts.push(format!("trained with {short} {}", plain(trained)));
+                }
+                match value(key).filter(|_| Some(*key) != x.as_deref()) {
+                    Some(value) if *key == "algorithm" => parts.push(value),
+                    Some(value) => parts.push(format!("{short} {value}")),
+                    None => {}
+                }
+            }
+            let mut label = Vec::new();
+            parts.into_iter().for_each(|part| _ = position(&mut label, part));
             let label = if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
             let category = position(&mut categories, place);
             let known = series.iter().position(|(own, _)| *own == label);
@@ -233,7 +257,7 @@ fn references<'a>(
         .filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name))
         .map(move |r| {
             let place = |x: f64| block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x));
-            if block.x.is_none() {
+            if r.x.is_empty() && block.categories.len() == 1 {
                 return (r, r.y.iter().take(1).map(|y| (0, y * metric.factor)).collect());
             }
             let points = r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
@@ -302,11 +326,19 @@ fn resamples(line: &Line<'_>) -> bool {
     line.rows.iter().all(|row| row.values(&METRICS[0]).len() > 1)
 }
 
+impl Block<'_> {
+    /// Whether every place holds the same trained runs.
+    fn same_runs(&self) -> bool {
+        self.x.as_ref().is_some_and(|x| self.evaluate.grid.contains_key(x))
+    }
+}
+
 /// The interval of an aggregate over seeds and places.
-fn aggregate(line: &Line<'_>, metric: &Metric, of: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
+fn aggregate(line: &Line<'_>, metric: &Metric, same_runs: bool, of: &dyn Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
     let scores = scores(line, metric);
     if resamples(line) {
-        return stats::aggregate::bootstrap(&scores, of);
+        let bootstrap = if same_runs { stats::aggregate::bootstrap_runs } else { stats::aggregate::bootstrap };
+        return bootstrap(&scores, &of);
     }
     let mean = of(&scores);
     mean.is_finite().then_some(Estimate { mean, low: f64::NEG_INFINITY, high: f64::INFINITY })

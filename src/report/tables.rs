@@ -4,7 +4,7 @@ use super::document::Document;
 use super::{Block, METRICS, Metric, Row, aggregate, references, resamples, scores};
 use crate::stats::Estimate;
 use crate::stats::aggregate::{
-    bootstrap, bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
+    bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
 };
 use crate::sweep::{State, Sweep};
 
@@ -18,8 +18,8 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     if failed > 0 {
         text += &format!(", {failed} failed");
     }
-    text += ". The unit is the seed: ± is the 95 % t-interval over trained runs (of a single run, brackets hold the interval \
-             over its episodes). Deterministic policies, episodes that training and validation did not see.";
+    text += ". The unit is the seed: ± is the 95 % t-interval over trained runs (brackets hold the interval over \
+             episodes, of a single run, or of runs that do not differ). Deterministic policies, episodes that training and validation did not see.";
     document.text(text);
 }
 
@@ -48,27 +48,31 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
 fn cell(row: &Row<'_>, metric: &Metric) -> String {
     let Some(e) = row.estimate(metric) else { return "–".to_owned() };
     let values = row.values(metric);
-    if values.len() == 1 {
-        return format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
-    }
-    let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
     let partial = if values.len() < row.runs.len() {
         format!(" ({} of {})", values.len(), row.runs.len())
     } else {
         String::new()
     };
+    let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
+    if values.len() == 1 || (half == 0.0 && e.low < e.high) {
+        let brackets = if e.low.is_finite() { format!(" [{:.1}, {:.1}]", e.low, e.high) } else { String::new() };
+        return format!("{:.1}{brackets}{partial}", e.mean);
+    }
     format!("{:.1} ± {half:.1}{partial}", e.mean)
 }
 
 /// Aggregates over all places, and how likely one line beats another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = &METRICS[0];
-    let lines: Vec<_> =
-        block.series.iter().filter(|line| scores(line, success).iter().all(|s| !s.is_empty())).collect();
+    let lines: Vec<_> = block.series.iter().filter(|line| line.rows.iter().all(Row::is_complete)).collect();
     if lines.is_empty() {
         return;
     }
+    let missing = block.series.len() - lines.len();
     document.heading(3, "Success over all of them");
+    if missing > 0 {
+        document.text(format!("{missing} lines are not complete yet and left out."));
+    }
     document.text(
         "Aggregates over all runs and places as in rliable: interquartile mean (IQM), median and mean of the places' means, \
          optimality gap to 100 %. Brackets: 95 % stratified bootstrap with the seeds as the unit; with fewer than about five \
@@ -79,15 +83,16 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
         Some(e) => format!("{:.1}", e.mean),
         None => "–".to_owned(),
     };
+    let same_runs = block.same_runs();
     let header = ["", "IQM", "median", "mean", "optimality gap", "worst run"].map(str::to_owned).to_vec();
     let rows = lines.iter().map(|line| {
         let worst = scores(line, success).into_iter().flatten().fold(f64::INFINITY, f64::min);
         vec![
             line.label.clone(),
-            show(aggregate(line, success, interquartile_mean)),
-            show(aggregate(line, success, median)),
-            show(aggregate(line, success, task_mean)),
-            show(aggregate(line, success, |scores| optimality_gap(scores, 100.0))),
+            show(aggregate(line, success, same_runs, &interquartile_mean)),
+            show(aggregate(line, success, same_runs, &median)),
+            show(aggregate(line, success, same_runs, &task_mean)),
+            show(aggregate(line, success, same_runs, &|scores| optimality_gap(scores, 100.0))),
             format!("{worst:.1}"),
         ]
     });
@@ -103,7 +108,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
                 return "–".to_owned();
             }
             let (x, y) = (scores(line, success), scores(other, success));
-            let e = bootstrap_pair(&x, &y, probability_of_improvement);
+            let e = bootstrap_pair(&x, &y, same_runs, probability_of_improvement);
             e.map_or_else(|| "–".to_owned(), |e| format!("{:.2} [{:.2}, {:.2}]", e.mean, e.low, e.high))
         };
         std::iter::once(line.label.clone()).chain(lines.iter().map(|other| versus(&other))).collect()
@@ -132,13 +137,13 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep) {
         let column = |of: fn(&(f64, f64)) -> f64| runs.iter().map(of).collect::<Vec<_>>();
         let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
         let minutes = column(|run| run.1 / 60.0);
-        let spread = if runs.len() > 1 { bootstrap(&[minutes.clone()], task_mean) } else { None };
+        let half = Estimate::t(&minutes).map(|e| e.high - e.mean).filter(|half| half.is_finite());
         let minutes = mean(minutes);
         vec![
             name,
             runs.len().to_string(),
             format!("{:.0}", mean(column(|run| run.0))),
-            spread.map_or_else(|| format!("{minutes:.1}"), |e| format!("{minutes:.1} [{:.1}, {:.1}]", e.low, e.high)),
+            half.map_or_else(|| format!("{minutes:.1}"), |half| format!("{minutes:.1} ± {half:.1}")),
             format!("{:.0}", mean(column(|run| run.0 / run.1.max(1e-9)))),
         ]
     });

@@ -89,14 +89,43 @@ pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) ->
     Some(Estimate { mean: statistic(strata), low: percentile(&values, 0.025), high: percentile(&values, 0.975) })
 }
 
+/// As [`bootstrap`] where the strata are the same runs seen in different ways, seed by seed: whole runs are drawn. Strata of
+/// unequal length are treated as independent.
+pub fn bootstrap_runs(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
+    let runs = strata.first().map_or(0, Vec::len);
+    if strata.iter().any(|stratum| stratum.len() != runs) {
+        return bootstrap(strata, statistic);
+    }
+    // A run is a stratum's entry in all of them: the bootstrap of run numbers.
+    let numbers = vec![(0..runs).map(|run| run as f64).collect::<Vec<_>>()];
+    let of = |drawn: &[Vec<f64>]| {
+        let pick = |stratum: &Vec<f64>| drawn[0].iter().map(|&run| stratum[run as usize]).collect();
+        statistic(&strata.iter().map(pick).collect::<Vec<_>>())
+    };
+    bootstrap(&numbers, of)
+}
+
 /// As [`bootstrap`] for a statistic of two groups, e.g. [`probability_of_improvement`].
+///
+/// `same_runs` says that within each group the strata are the same runs, see [`bootstrap_runs`].
 pub fn bootstrap_pair(
     x: &[Vec<f64>],
     y: &[Vec<f64>],
+    same_runs: bool,
     statistic: impl Fn(&[Vec<f64>], &[Vec<f64>]) -> f64,
 ) -> Option<Estimate> {
-    let joined: Vec<Vec<f64>> = x.iter().chain(y).cloned().collect();
-    bootstrap(&joined, |drawn| statistic(&drawn[..x.len()], &drawn[x.len()..]))
+    if !same_runs {
+        let joined: Vec<Vec<f64>> = x.iter().chain(y).cloned().collect();
+        return bootstrap(&joined, |drawn| statistic(&drawn[..x.len()], &drawn[x.len()..]));
+    }
+    let runs = |group: &[Vec<f64>]| (0..group.iter().map(Vec::len).min().unwrap_or(0)).map(|run| run as f64).collect();
+    let of = |drawn: &[Vec<f64>]| {
+        let pick = |group: &[Vec<f64>], runs: &[f64]| -> Vec<Vec<f64>> {
+            group.iter().map(|scores| runs.iter().map(|&run| scores[run as usize]).collect()).collect()
+        };
+        statistic(&pick(x, &drawn[0]), &pick(y, &drawn[1]))
+    };
+    bootstrap(&[runs(x), runs(y)], of)
 }
 
 /// A curve of scores over steps, per run `(step, score)` in order, as mean over runs with its t-interval at each of `steps`: a
@@ -167,7 +196,7 @@ mod tests {
             close(found.low, low, 0.008);
             close(found.high, high, 0.008);
         }
-        let found = bootstrap_pair(&a(), &b(), probability_of_improvement).unwrap();
+        let found = bootstrap_pair(&a(), &b(), false, probability_of_improvement).unwrap();
         close(found.mean, 0.725, 1e-12);
         close(found.low, 0.5, 0.02);
         close(found.high, 0.9167, 0.02);
@@ -182,6 +211,17 @@ mod tests {
         assert_eq!(bootstrap(&a(), task_mean), bootstrap(&a(), task_mean));
         assert_eq!(bootstrap(&[vec![], vec![]], task_mean), None);
         assert_eq!(bootstrap(&[], task_mean), None);
+    }
+
+    #[test]
+    fn runs_that_are_seen_often_are_not_more_runs() {
+        let once = vec![vec![0.2, 0.5, 0.9, 0.4, 0.7]];
+        let often: Vec<Vec<f64>> = std::iter::repeat_n(once[0].clone(), 8).collect();
+        let (many, one) = (bootstrap_runs(&often, task_mean).unwrap(), bootstrap(&once, task_mean).unwrap());
+        close(many.low, one.low, 1e-12);
+        close(many.high, one.high, 1e-12);
+        let (apart, together) = (bootstrap(&often, task_mean).unwrap(), bootstrap_runs(&often, task_mean).unwrap());
+        assert!(together.high - together.low > 2.0 * (apart.high - apart.low));
     }
 
     #[test]

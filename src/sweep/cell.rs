@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Error, Evaluate, Which, label, plain};
+use super::{Error, Evaluate, label, plain};
 use crate::config::Config;
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
@@ -125,7 +125,16 @@ impl Cell {
         evaluations: &'a [Evaluate],
     ) -> impl Iterator<Item = (&'a Evaluate, Vec<(String, Value)>)> {
         let all = evaluations.iter().flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
-        all.filter(|(evaluate, combination)| !self.result(evaluate, combination).exists())
+        all.filter(|(evaluate, combination)| !self.is_evaluated(evaluate, combination))
+    }
+
+    /// Whether there is a result, and of the very evaluation that is asked for.
+    fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
+        let read = || serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok();
+        let Some(found): Option<serde_json::Value> = read() else { return false };
+        let sets: Vec<serde_json::Value> = evaluate.sets(combination).into_iter().map(Into::into).collect();
+        let stored = found["set"].as_array().cloned().unwrap_or_default();
+        found["episodes"] == evaluate.episodes && found["checkpoint"] == evaluate.checkpoint.file() && stored == sets
     }
 
     /// Refuses a folder whose run has other settings than this cell (but for those that change no result).
@@ -133,7 +142,11 @@ impl Cell {
     /// # Errors
     /// [`Error::Changed`].
     pub fn check(&self) -> Result<(), Error> {
+        let begun = self.run().last().exists() || self.trained().is_some();
         let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
+        if !begun {
+            return Ok(());
+        }
         let table = |text: &str| {
             let mut table: Table = toml::from_str(text).unwrap_or_default();
             table.remove("simulation");
@@ -162,32 +175,30 @@ impl Cell {
     pub fn next(&self, evaluations: &[Evaluate]) -> Result<Option<Job>, Error> {
         self.check()?;
         let folder = self.folder.display().to_string();
+        let evaluated = self.folder.join("evaluations");
+        std::fs::create_dir_all(&evaluated).map_err(|source| record::Error::Io {
+            action: "create",
+            path: evaluated.clone(),
+            source,
+        })?;
+        // A run that goes on reads it, too: what changes no result may have changed.
+        write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
         if self.trained().is_none() {
             let resumed = self.run().last().exists();
             let mut arguments = vec!["train".to_owned(), "--out".to_owned(), folder.clone()];
             if resumed {
                 arguments.push("--resume".to_owned());
             } else {
-                let evaluations = self.folder.join("evaluations");
-                std::fs::create_dir_all(&evaluations).map_err(|source| record::Error::Io {
-                    action: "create",
-                    path: evaluations.clone(),
-                    source,
-                })?;
-                write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
                 arguments.extend(["--config".to_owned(), self.run().config().display().to_string()]);
             }
             return Ok(Some(Job { arguments, what: "train".to_owned() }));
         }
         Ok(self.missing(evaluations).next().map(|(evaluate, combination)| {
-            let checkpoint = match evaluate.checkpoint {
-                Which::Last => self.run().last(),
-                Which::Best => self.run().best(),
-            };
+            let checkpoint = self.folder.join("checkpoints").join(evaluate.checkpoint.file());
             let mut arguments = vec!["evaluate".to_owned(), checkpoint.display().to_string()];
             arguments.extend(["--episodes".to_owned(), evaluate.episodes.to_string()]);
-            for (key, value) in &combination {
-                arguments.extend(["--set".to_owned(), format!("{key}={value}")]);
+            for set in evaluate.sets(&combination) {
+                arguments.extend(["--set".to_owned(), set]);
             }
             let out = self.result(evaluate, &combination).display().to_string();
             arguments.extend(["--out".to_owned(), out]);
@@ -203,7 +214,8 @@ impl Cell {
     pub fn mark_trained(&self) -> Result<(), Error> {
         let trained = Trained { steps: self.steps(), seconds: self.seconds() };
         let text = serde_json::to_string(&trained).expect("two numbers");
-        Ok(write_atomic(&self.trained_mark(), text.as_bytes())?)
+        write_atomic(&self.trained_mark(), text.as_bytes())?;
+        self.retry()
     }
 
     /// Notes a failure with the last lines of the log.
@@ -213,7 +225,10 @@ impl Cell {
     pub fn mark_failed(&self, why: &str) -> Result<String, Error> {
         let log = std::fs::read_to_string(self.log()).unwrap_or_default();
         let lines: Vec<&str> = log.lines().filter(|line| !line.trim().is_empty()).collect();
-        let last = lines[lines.len().saturating_sub(6)..].join("\n");
+        // From the last complaint on, or else the end.
+        let complaint = lines.iter().rposition(|line| line.starts_with("error:") || line.contains("panicked at"));
+        let from = complaint.unwrap_or(lines.len().saturating_sub(6));
+        let last = lines[from..(from + 6).min(lines.len())].join("\n");
         let text = format!("{why}\n{last}");
         write_atomic(&self.failed_mark(), text.as_bytes())?;
         Ok(text)

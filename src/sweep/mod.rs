@@ -86,6 +86,11 @@ impl Evaluate {
     pub fn combinations(&self) -> Vec<Vec<(String, Value)>> {
         combinations(&self.grid)
     }
+
+    /// A combination as `--set` takes it.
+    pub fn sets(&self, combination: &[(String, Value)]) -> Vec<String> {
+        combination.iter().map(|(key, value)| format!("{key}={}", plain(value))).collect()
+    }
 }
 
 /// Which checkpoint is evaluated.
@@ -97,6 +102,16 @@ pub enum Which {
     Last,
     /// With the best validation.
     Best,
+}
+
+impl Which {
+    /// Name of the checkpoint's file.
+    pub fn file(self) -> &'static str {
+        match self {
+            Self::Last => "last.safetensors",
+            Self::Best => "best.safetensors",
+        }
+    }
 }
 
 /// Values that somebody published: drawn and tabulated beside ours.
@@ -192,9 +207,20 @@ impl Sweep {
                 return Err(wrong(format!("[[reference]] `{}`: x and y differ in length", reference.label)));
             }
         }
+        for reference in &parsed.reference {
+            let known = reference.evaluate.as_ref().is_none_or(|name| evaluations.iter().any(|e| e.name == *name));
+            if !known || !METRICS.contains(&reference.metric.as_str()) {
+                return Err(wrong(format!(
+                    "[[reference]] `{}`: metric is one of {}, and evaluate the name of an evaluation",
+                    reference.label,
+                    METRICS.join(", ")
+                )));
+            }
+        }
+        let mut matched = vec![false; parsed.rule.len()];
         let mut cells = Vec::new();
         for values in combinations(&parsed.grid) {
-            let settings = settings_of(&parsed.settings, &parsed.rule, &values);
+            let settings = settings_of(&parsed.settings, &parsed.rule, &values, &mut matched);
             let id = cell_id(&values);
             let place = format!("{file}, cell {id}");
             let layers = Layers {
@@ -204,8 +230,25 @@ impl Sweep {
                 },
                 ..Layers::default()
             };
-            let (config, _) = Config::resolve(&layers).map_err(|source| Error::Cell { place, source })?;
+            let resolve = |layers: &Layers| {
+                Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source })
+            };
+            let (config, _) = resolve(&layers)?;
+            // A mistake in how it is evaluated should not wait until it is trained.
+            for (evaluate, combination) in
+                evaluations.iter().flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)))
+            {
+                resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
+            }
             cells.push(Cell { folder: out.join(name).join(&id), id, values, config });
+        }
+        if let Some(rule) = matched.iter().position(|matched| !matched) {
+            let when = toml::to_string(&parsed.rule[rule].when).unwrap_or_default();
+            return Err(wrong(format!(
+                "[[rule]] number {}: no cell has {}",
+                rule + 1,
+                when.trim().replace('\n', " and ")
+            )));
         }
         cells.sort_by_key(|cell| cell.config.seed);
         for (i, cell) in cells.iter().enumerate() {
@@ -225,6 +268,9 @@ impl Sweep {
     }
 }
 
+/// Metrics for which there may be published values.
+const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
+
 /// All combinations of a grid's values; the last key varies fastest.
 fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
     let mut all = vec![Vec::new()];
@@ -241,16 +287,17 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
 }
 
 /// The common settings, those of the rules that match in order, and the cell's own.
-fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)]) -> Table {
+fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], matched: &mut [bool]) -> Table {
     let mut flat = BTreeMap::new();
     flatten(common, "", &mut flat);
     flat.extend(values.iter().cloned());
-    for rule in rules {
+    for (rule, matched) in rules.iter().zip(matched) {
         let matches = |key: &String, wanted: &Value| {
             let own = flat.get(key);
             own.is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
         };
         if rule.when.iter().all(|(key, wanted)| matches(key, wanted)) {
+            *matched = true;
             let mut set = BTreeMap::new();
             flatten(&rule.set, "", &mut set);
             // What the grid says of a cell is what its name says.
@@ -440,5 +487,9 @@ mod tests {
         assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
         assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
         assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
+        assert!(
+            message(("agents = [8, 16]", "agents = [16]")).contains("[[rule]] number 1: no cell has agents = [16]")
+        );
+        assert!(message(("env.communication_range", "env.comunication_range")).contains("did you mean"));
     }
 }

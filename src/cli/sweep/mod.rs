@@ -19,15 +19,15 @@ use super::Verdict;
 pub(super) struct Args {
     /// Sweep file, e.g. experiments/scalability.toml
     file: PathBuf,
-    /// Cells at a time [default: 1; each uses all cores while it learns]
-    #[arg(long, short, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
-    jobs: u16,
+    /// Cells at a time [default: 1, as each uses all cores while it learns; with --slurm as many as Slurm allows]
+    #[arg(long, short, value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: Option<u16>,
     /// Only every n-th cell, beginning with the i-th: a part of the grid for each of n machines
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(usize, usize)>,
-    /// Only the cell with this number, as `--dry-run` shows it
-    #[arg(long, value_name = "NUMBER", conflicts_with = "shard")]
-    cell: Option<usize>,
+    /// Only the cell with this name, or this number, as `--dry-run` shows them
+    #[arg(long, value_name = "CELL", conflicts_with = "shard")]
+    cell: Option<String>,
     /// Show the cells, how far they are and how long the rest will take; run nothing
     #[arg(long)]
     dry_run: bool,
@@ -55,30 +55,32 @@ fn parse_shard(text: &str) -> Result<(usize, usize), String> {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.out)?;
-    let mine = |number: usize| match (args.shard, args.cell) {
+    let mine = |(number, cell): &(usize, &Cell)| match (args.shard, &args.cell) {
         (Some((i, n)), _) => number % n == i - 1,
-        (_, Some(only)) => number == only,
+        (_, Some(only)) => cell.id == *only || number.to_string() == *only,
         _ => true,
     };
-    let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(|(number, _)| mine(*number)).collect();
+    let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
         bail!("there is no such cell; the sweep has cells 0 to {}", sweep.cells.len() - 1);
     }
     for (_, cell) in &cells {
         cell.check()?;
-        if args.retry {
-            cell.retry()?;
-        }
     }
     if args.dry_run {
         print!("{}", table(&sweep, &cells));
         return Ok(Verdict::Good);
     }
+    if args.retry {
+        for (_, cell) in &cells {
+            cell.retry()?;
+        }
+    }
     if args.slurm {
         return slurm::submit(args, &sweep);
     }
     let stop = super::stop_flag()?;
-    work::run(&sweep, &cells, usize::from(args.jobs), &stop)?;
+    work::run(&sweep, &cells, usize::from(args.jobs.unwrap_or(1)), &stop)?;
     print!("{}", table(&sweep, &cells));
     let states = || cells.iter().map(|(_, cell)| cell.state(&sweep.evaluations));
     let failed: Vec<_> = cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
@@ -95,7 +97,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         return Ok(Verdict::Interrupted);
     }
     if failed.is_empty() {
-        eprintln!("report: iwol report {}", args.file.display());
+        eprintln!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
     }
     Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
 }

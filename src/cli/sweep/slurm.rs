@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
+use std::time::SystemTime;
 
 use anyhow::{Context as _, bail};
 use iwol_sumo::record::write_atomic;
@@ -27,15 +28,26 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     }
     let folder = args.out.join(&sweep.name);
     std::fs::create_dir_all(folder.join("slurm")).with_context(|| format!("cannot make `{}`", folder.display()))?;
-    let path = folder.join("slurm.sh");
-    write_atomic(&path, script(args, sweep, &numbers)?.as_bytes())?;
+    // Tasks that wait in the queue go by this list, whatever becomes of the sweep file and of later submissions.
+    let stamp = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let list = folder.join(format!("slurm/{stamp}.cells"));
+    let names: String = numbers.iter().map(|&number| format!("{}\n", sweep.cells[number].id)).collect();
+    write_atomic(&list, names.as_bytes())?;
+    let path = folder.join(format!("slurm/{stamp}.sh"));
+    write_atomic(&path, script(args, sweep, &list, numbers.len())?.as_bytes())?;
     let output = Command::new("sbatch")
         .arg("--parsable")
         .arg(&path)
         .output()
         .context("cannot run sbatch, which submits jobs to Slurm: run this where Slurm's client is installed")?;
     if !output.status.success() {
-        bail!("sbatch refused `{}`: {}", path.display(), String::from_utf8_lossy(&output.stderr).trim());
+        let why = String::from_utf8_lossy(&output.stderr);
+        bail!(
+            "sbatch refused `{}`: {} ({} tasks; a cluster's MaxArraySize, 1001 unless it was changed, bounds them: see --shard)",
+            path.display(),
+            why.trim(),
+            numbers.len()
+        );
     }
     let job = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     eprintln!("{} cells submitted with {}", numbers.len(), path.display());
@@ -45,7 +57,7 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
 }
 
 /// The script: a task per cell, of which Slurm runs at most `--jobs` at a time if more than one was asked for.
-fn script(args: &Args, sweep: &Sweep, numbers: &[usize]) -> anyhow::Result<String> {
+fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Result<String> {
     let here = std::env::current_dir().context("cannot tell the current folder")?;
     let program = std::env::current_exe().context("cannot find this program's file")?;
     let quoted = |path: &Path| -> anyhow::Result<String> {
@@ -56,21 +68,21 @@ fn script(args: &Args, sweep: &Sweep, numbers: &[usize]) -> anyhow::Result<Strin
         Ok(format!("'{text}'"))
     };
     let mut text = String::from("#!/bin/sh\n");
-    let list = numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
-    let throttle = if args.jobs > 1 { format!("%{}", args.jobs) } else { String::new() };
+    let throttle = args.jobs.map_or_else(String::new, |jobs| format!("%{jobs}"));
     let logs = here.join(&args.out).join(&sweep.name).join("slurm/%A_%a.log");
     let _ = writeln!(text, "#SBATCH --job-name=iwol-{}", sweep.name);
-    let _ = writeln!(text, "#SBATCH --array={list}{throttle}");
-    let _ = writeln!(text, "#SBATCH --output={}", logs.display());
+    let _ = writeln!(text, "#SBATCH --array=1-{count}{throttle}");
+    let _ = writeln!(text, "#SBATCH --output={}", quoted(&logs)?);
     // A task that has to go gets its time to write a checkpoint; queued again, it goes on.
     let _ = writeln!(text, "#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n#SBATCH --open-mode=append");
     for option in &args.slurm_option {
         let _ = writeln!(text, "#SBATCH --{option}");
     }
     let _ = writeln!(text, "cd {}", quoted(&here)?);
+    let _ = writeln!(text, "cell=$(sed -n \"${{SLURM_ARRAY_TASK_ID}}p\" {})", quoted(list)?);
     let _ = writeln!(
         text,
-        "exec {} sweep {} --out {} --cell \"$SLURM_ARRAY_TASK_ID\"",
+        "exec {} sweep {} --out {} --cell \"$cell\"",
         quoted(&program)?,
         quoted(&args.file)?,
         quoted(&args.out)?

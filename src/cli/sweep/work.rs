@@ -63,20 +63,23 @@ enum End {
     Finished,
     Failed,
     Stopped,
+    /// Another process works in its folder.
+    Busy,
 }
 
 /// Does all that is left to do in a cell.
 fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&str)) -> anyhow::Result<End> {
-    while let Some(job) = cell.next(&sweep.evaluations)? {
-        show(&job.what);
+    loop {
+        // What is next depends on what such a process leaves behind.
         let since = Instant::now();
         while cell.run().is_locked() && !stop.load(Ordering::Relaxed) {
             if since.elapsed() > PATIENCE {
-                cell.mark_failed("another process works in this folder and does not come to its end")?;
-                return Ok(End::Failed);
+                return Ok(End::Busy);
             }
             std::thread::sleep(TICK);
         }
+        let Some(job) = cell.next(&sweep.evaluations)? else { return Ok(End::Finished) };
+        show(&job.what);
         if stop.load(Ordering::Relaxed) {
             return Ok(End::Stopped);
         }
@@ -84,6 +87,8 @@ fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&s
             Some(0) if job.what == "train" => cell.mark_trained()?,
             Some(0) => {}
             _ if stop.load(Ordering::Relaxed) => return Ok(End::Stopped),
+            // Somebody else came first.
+            _ if cell.run().is_locked() => return Ok(End::Busy),
             code => {
                 let how = code.map_or_else(|| "was killed".to_owned(), |code| format!("ended with code {code}"));
                 cell.mark_failed(&format!("iwol {} {how}", job.arguments.join(" ")))?;
@@ -91,7 +96,6 @@ fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&s
             }
         }
     }
-    Ok(End::Finished)
 }
 
 fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
@@ -101,7 +105,8 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
     let log = open().with_context(|| format!("cannot write `{}`", log.display()))?;
     let program = std::env::current_exe().context("cannot find this program's file")?;
     let mut command = Command::new(program);
-    command.arg("--die-with-parent").args(&job.arguments);
+    command.args(["--die-with-parent", &std::process::id().to_string()]).args(&job.arguments);
+    command.env("RUST_BACKTRACE", "0");
     // In a group of its own, so that Ctrl-C reaches this program alone, which passes on one signal: two would be an order to
     // leave everything and go.
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).process_group(0);
@@ -172,13 +177,14 @@ impl Screen {
 
     fn done(&self, number: usize, cell: &Cell, end: End, took: Duration, left: Option<Duration>, jobs: usize) {
         let end = match end {
-            End::Finished => "finished",
-            End::Failed => "FAILED",
+            End::Finished => "finished in",
+            End::Failed => "FAILED after",
+            End::Busy => "left to another process, after",
             End::Stopped => return,
         };
         self.all.inc(1);
         let left = left.map_or_else(String::new, |left| format!(", about {} left", human_duration(left / jobs as u32)));
-        let line = format!("{} {end} in {}{left}", cell.id, human_duration(took));
+        let line = format!("{} {end} {}{left}", cell.id, human_duration(took));
         if self.terminal {
             self.bars[number].println(line);
             self.all.set_message(left.trim_start_matches(", ").to_owned());
