@@ -60,7 +60,9 @@ impl Document {
                         format!("| {} |\n", cells.iter().map(|c| c.replace('|', "\\|")).collect::<Vec<_>>().join(" | "))
                     };
                     let _ = write!(out, "\n{}|---|{}\n", line(header), "--:|".repeat(header.len().saturating_sub(1)));
-                    rows.iter().for_each(|row| out.push_str(&line(row)));
+                    for row in rows {
+                        out.push_str(&line(row));
+                    }
                     Ok(())
                 }
             };
@@ -97,7 +99,8 @@ impl Document {
                 }
                 Part::Table { header, rows } => {
                     let line = |cells: &[String], tag: &str| {
-                        let cells = cells.iter().map(|c| format!("<{tag}>{}</{tag}>", escaped(c))).collect::<String>();
+                        let cell = |c: &String| format!("<{tag}>{}</{tag}>", escaped(c));
+                        let cells = cells.iter().map(cell).collect::<Vec<_>>().concat();
                         format!("<tr>{cells}</tr>\n")
                     };
                     let rows = rows.iter().map(|row| line(row, "td")).collect::<String>();

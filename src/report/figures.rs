@@ -124,7 +124,7 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
     if panels.is_empty() {
         return Ok(false);
     }
-    let width = (560 * panels.len() as u32).min(4000).max(700);
+    let width = (560 * panels.len() as u32).clamp(700, 4000);
     figure(path, "", &panels, (width, 520))?;
     Ok(true)
 }

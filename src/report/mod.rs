@@ -183,7 +183,9 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
     if let Some(x) = evaluate.x.as_ref().filter(|x| !varying.contains(&x.as_str())) {
         return Err(Error::Axis { evaluate: evaluate.name.clone(), key: x.clone() });
     }
-    let (mut categories, mut series): (Vec<String>, Vec<(String, BTreeMap<usize, Row<'a>>)>) = Default::default();
+    let mut categories: Vec<String> = Vec::new();
+    // Rows of each line, by place.
+    let mut series: Vec<(String, BTreeMap<usize, Row<'a>>)> = Vec::new();
     for cell in &sweep.cells {
         for combination in evaluate.combinations() {
             let value = |key: &str| {
@@ -206,7 +208,9 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 }
             }
             let mut label = Vec::new();
-            parts.into_iter().for_each(|part| _ = position(&mut label, part));
+            for part in parts {
+                position(&mut label, part);
+            }
             let label = if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
             let category = position(&mut categories, place);
             let known = series.iter().position(|(own, _)| *own == label);

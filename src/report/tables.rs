@@ -1,5 +1,7 @@
 //! Tables of a report.
 
+use std::fmt::Write as _;
+
 use super::document::Document;
 use super::{Block, METRICS, Metric, Row, aggregate, references, resamples, scores};
 use crate::stats::Estimate;
@@ -16,7 +18,7 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     let mut text = format!("{finished} of {} runs are finished", states.len());
     let failed = states.iter().filter(|state| matches!(state, State::Failed(_))).count();
     if failed > 0 {
-        text += &format!(", {failed} failed");
+        let _ = write!(text, ", {failed} failed");
     }
     text += ". The unit is the seed: ± is the 95 % t-interval over trained runs (brackets hold the interval over \
              episodes, of a single run, or of runs that do not differ). Deterministic policies, episodes that training and validation did not see.";

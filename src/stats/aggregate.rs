@@ -80,7 +80,9 @@ pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) ->
     let mut values: Vec<f64> = (0..RESAMPLES)
         .map(|_| {
             for (drawn, stratum) in drawn.iter_mut().zip(strata) {
-                drawn.iter_mut().for_each(|score| *score = stratum[rng.random_range(0..stratum.len())]);
+                for score in drawn {
+                    *score = stratum[rng.random_range(0..stratum.len())];
+                }
             }
             statistic(&drawn)
         })

@@ -31,8 +31,8 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     // Tasks that wait in the queue go by this list, whatever becomes of the sweep file and of later submissions.
     let stamp = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let list = folder.join(format!("slurm/{stamp}.cells"));
-    let names: String = numbers.iter().map(|&number| format!("{}\n", sweep.cells[number].id)).collect();
-    write_atomic(&list, names.as_bytes())?;
+    let names: Vec<&str> = numbers.iter().map(|&number| sweep.cells[number].id.as_str()).collect();
+    write_atomic(&list, (names.join("\n") + "\n").as_bytes())?;
     let path = folder.join(format!("slurm/{stamp}.sh"));
     write_atomic(&path, script(args, sweep, &list, numbers.len())?.as_bytes())?;
     let output = Command::new("sbatch")
