@@ -338,6 +338,10 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
             }
             for point in run {
                 canvas.draw(&Circle::new(point, radius, color.filled()))?;
+                if matches!(series.style, Style::Beside(_)) {
+                    // Hollow: somebody else's values.
+                    canvas.draw(&Circle::new(point, radius - px(3) / 2, WHITE.filled()))?;
+                }
             }
         }
     }

@@ -24,14 +24,17 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
     let count = block.series.len();
     let mut series: Vec<Series> = Vec::new();
     for (k, line) in block.series.iter().enumerate() {
-        let dodge = (k as f64 - (count as f64 - 1.0) / 2.0) * (0.5 / count as f64).min(0.08);
+        let dodge = dodge(k, count, block.categories.len());
         let places =
             line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
         series.push(Series { label: line.label.clone(), points, band: Some(band), style: Style::Whiskers });
     }
     for (reference, points) in references(sweep, block, metric) {
-        let points = points.into_iter().map(|(x, y)| (x as f64, y)).collect();
+        // Beside the line that it is to be compared with.
+        let partner = block.series.iter().position(|line| line.label == reference.beside);
+        let aside = partner.map_or(0.0, |k| dodge(k, count, block.categories.len()));
+        let points = points.into_iter().map(|(x, y)| (x as f64 + aside, y)).collect();
         series.push(Series {
             label: reference.label.clone(),
             points,
@@ -51,6 +54,12 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
         series,
         references: Vec::new(),
     }
+}
+
+/// How far line `k` of `count` is moved aside, of the distance between two of `places`.
+fn dodge(k: usize, count: usize, places: usize) -> f64 {
+    let step = if places == 1 { 0.6 } else { 0.5 } / count as f64;
+    (k as f64 - (count as f64 - 1.0) / 2.0) * if places == 1 { step } else { step.min(0.08) }
 }
 
 /// A key as an axis says it.
