@@ -50,9 +50,14 @@ pub(super) trait Networks: Sized + Send {
         0
     }
 
-    /// Deterministic actions where what agents send passes through a channel.
+    /// Deterministic actions where what agents send passes through a channel. Those who send nothing let its part of the
+    /// memory, which follows their own, pass by.
     fn act_through(&self, input: &Observation, _channel: &Channel, _noise: &ChannelNoise) -> Decision {
-        self.act(input, &ActMode::Deterministic)
+        let (own, total) = (self.memory(), input.memory.size()[2]);
+        let memory = input.memory.narrow(2, 0, own);
+        let decision = self.act(&Observation { memory, ..input.map(Tensor::shallow_clone) }, &ActMode::Deterministic);
+        let rest = input.memory.narrow(2, own, total - own);
+        Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
     }
 
     /// Values (normalised) at one decision, `[E, N]`; `None` where the value has a memory.
@@ -269,17 +274,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             falsified: there(&noise.falsified),
             content: there(&noise.content),
         };
-        let decision = no_grad(|| {
-            if N::SAMPLES_GRAPH {
-                return self.copies[0].act_through(&input.map(there), channel, &noise);
-            }
-            // Nothing is sent: the channel's part of the memory passes by.
-            let (own, total) = (self.copies[0].memory(), input.memory.size()[2]);
-            let local = Observation { memory: input.memory.narrow(2, 0, own), ..input.map(Tensor::shallow_clone) };
-            let decision = self.copies[0].act(&local.map(there), &ActMode::Deterministic);
-            let rest = there(&input.memory.narrow(2, own, total - own));
-            Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
-        });
+        let decision = no_grad(|| self.copies[0].act_through(&input.map(there), channel, &noise));
         decision.map(|tensor| tensor.to_device(Device::Cpu))
     }
 
