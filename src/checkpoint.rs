@@ -31,8 +31,12 @@ pub struct Progress {
     pub next_validation: u64,
     /// Step of the last validation.
     pub validated: u64,
-    /// Step at which annealing began.
-    pub annealing_since: Option<u64>,
+    /// Steps of annealing so far.
+    #[serde(default)]
+    pub annealed: u64,
+    /// Whether the last validation lets it go on.
+    #[serde(default)]
+    pub annealing: bool,
 }
 
 /// What a checkpoint holds.
@@ -128,8 +132,8 @@ impl Checkpoint {
         let episodes: Vec<(u64, bool)> =
             serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
         let counters = [progress.iteration, progress.step, progress.next_validation, progress.validated];
-        if progress.annealing_since.is_some_and(|since| since > progress.step) {
-            return Err(damaged("its annealing began in its future".to_owned()));
+        if progress.annealed > progress.step {
+            return Err(damaged("it has annealed for more steps than it took".to_owned()));
         }
         if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
             return Err(damaged("a counter in it is out of range".to_owned()));

@@ -72,9 +72,10 @@ pub struct Train {
     pub stop_success: f64,
     /// See [`Train::stop_success`].
     pub stop_validations: u32,
-    /// Annealing (of noise and learning rate) begins once this share of agents succeeds in a validation; 0, or when it never
-    /// happens: so that it is over when the run is. Training episodes would tell too early: agents that only succeed thanks
-    /// to their noise do not yet know how. A run that is not good enough to stop when annealing is over explores again.
+    /// Annealing (of noise, then of the learning rate) goes on while this share of agents succeeds in validations, waits while
+    /// it does not, and goes on in any case when the run would otherwise end before it is over; 0: only then. Training episodes
+    /// would tell too early: agents that only succeed thanks to their noise do not yet know how. A run that is not good
+    /// enough to stop when annealing is over explores again.
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,

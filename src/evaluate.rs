@@ -11,7 +11,7 @@ use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation, Reconstruction};
-use crate::env::{self, Audit, Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions};
+use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Task, VecEnv, VecOptions};
 use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -105,6 +105,8 @@ pub struct Metrics {
     pub own_collisions: Estimate,
     /// Sums over all episodes: where the two tests differ, and why.
     pub audit: Audit,
+    /// Sums over all episodes: why agents did not arrive.
+    pub failures: Failures,
     /// What the policy's latent knows.
     pub reconstruction: Vec<Knowledge>,
 }
@@ -125,6 +127,7 @@ impl Evaluation {
             sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
             own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
             audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
+            failures: self.episodes.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
             reconstruction: self.reconstruction.clone(),
         })
     }
@@ -447,6 +450,7 @@ mod tests {
             sumo_collisions: 0,
             own_collisions: 0,
             audit: Audit::default(),
+            failures: Failures::default(),
             interrupted: false,
             step_rewards: rewards.to_vec(),
         }

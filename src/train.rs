@@ -4,6 +4,7 @@
 //! worlds' action histories, so that stopping and resuming changes nothing.
 
 mod run_dir;
+mod schedule;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use rand::RngExt as _;
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
+use crate::algo::{self, ActMode, Algorithm, Losses, Observation, settings::NoiseMode};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
@@ -197,51 +198,14 @@ impl Trainer {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
         self.collect(seed.child("noise"))?;
-        self.progress.step += (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
-        let pace = self.pace();
+        let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
+        schedule::advance(&self.config, &mut self.progress, steps);
+        let pace = schedule::pace(&self.config, &self.progress);
         let learner = &mut self.learner;
         let losses = timed(&mut self.timers.update, || learner.update(&self.rollout, &pace, seed.child("update")))?;
         self.progress.iteration += 1;
         self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
-    }
-
-    /// Where the schedules stand. Annealing begins when a validation succeeds, and again if the result does not satisfy when it is over,
-    /// or else so late that it is over when the run is. In its first half the noise goes down, in the second the learning rate.
-    fn pace(&self) -> Pace {
-        let step = self.progress.step;
-        let (noise, ppo) = (&self.config.exploration, &self.config.ppo);
-        let ramp = |from: u64, to: u64, length: u64| ((to - from) as f64 / length.max(1) as f64).min(1.0);
-        let explored = |at: u64| {
-            noise.log_std_start + (noise.log_std_explore - noise.log_std_start) * ramp(0, at, noise.explore_steps)
-        };
-        // A step of the same size changes a policy with less noise by more.
-        let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
-        let follow = if follows { 1.0 } else { 0.0 };
-        let rate = |log_std: f64| ppo.learning_rate * (follow * log_std).exp();
-        let (since, length) = self.annealing();
-        let Some(since) = since.filter(|&since| since <= step) else {
-            return Pace { learning_rate: rate(explored(step)), log_std: explored(step) };
-        };
-        let share = ramp(since, step, length);
-        let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
-        let (from, to) = (explored(since), noise.log_std_end.min(explored(since)));
-        let log_std = from + (to - from) * quiet;
-        Pace { learning_rate: rate(log_std) * (1.0 - (1.0 - ppo.learning_rate_end) * slow), log_std }
-    }
-
-    /// The step at which annealing begins, if that is known, and how many it takes: at most half of the run.
-    fn annealing(&self) -> (Option<u64>, u64) {
-        let length = self.config.train.anneal_steps.min(self.config.steps / 2);
-        let latest = self.config.steps - length;
-        let known = self.progress.annealing_since.or((self.progress.step >= latest).then_some(latest));
-        (known, length)
-    }
-
-    /// Whether annealing is over.
-    fn annealed(&self) -> bool {
-        let (since, length) = self.annealing();
-        since.is_some_and(|since| self.progress.step >= since + length)
     }
 
     fn collect(&mut self, seed: Seed) -> Result<(), Error> {
@@ -251,7 +215,7 @@ impl Trainer {
         let quiet = Tensor::from_slice(&self.rollout.quiet);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
-        let schedule = if imposed { self.pace().log_std as f32 } else { 0.0 };
+        let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
@@ -367,7 +331,7 @@ impl Trainer {
             if stop.load(Ordering::Relaxed) {
                 break Outcome::Interrupted;
             }
-            let (done, train) = (self.progress.step >= self.config.steps, &self.config.train);
+            let done = self.progress.step >= self.config.steps;
             // Whether a validation is due follows from where training stands, so that an interrupted one is made up for.
             let due = self.progress.step >= self.progress.next_validation || done;
             if due && self.progress.validated < self.progress.step {
@@ -380,7 +344,7 @@ impl Trainer {
                 validation_success = Some(self.judge(&evaluation, dir, &mut files)?);
                 continue;
             }
-            if train.stop_success > 0.0 && self.progress.solved >= train.stop_validations && self.annealed() {
+            if schedule::solved(&self.config, &self.progress) {
                 break Outcome::Solved;
             }
             if done {
@@ -418,21 +382,7 @@ impl Trainer {
         let success = mean(|r| r.success);
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(&self.progress, evaluation, success, mean(|r| r.safety), window)?;
-        let train = &self.config.train;
-        let solved = train.stop_success > 0.0 && success >= train.stop_success;
-        self.progress.solved = if solved { self.progress.solved.saturating_add(1) } else { 0 };
-        self.progress.validated = self.progress.step;
-        if train.anneal_success > 0.0 {
-            if success >= train.anneal_success {
-                self.progress.annealing_since.get_or_insert(self.progress.step);
-            }
-            if self.annealed() && success < train.stop_success {
-                // Not good enough, or lost on the way: back to exploring.
-                self.progress.annealing_since = None;
-            }
-        }
-        // The next multiple of the interval.
-        self.progress.next_validation = (self.progress.step / train.validate_every + 1) * train.validate_every;
+        schedule::validated(&self.config, &mut self.progress, success);
         if self.progress.best.is_none_or(|best| (success, window) > best) {
             self.progress.best = Some((success, window));
             self.checkpoint().save(&dir.best())?;

@@ -245,6 +245,11 @@ fn table(rows: &[Row]) -> String {
         let _ = writeln!(text, "latent of {}: explains {}", row.policy, parts.join(" and "));
     }
     for row in rows {
+        for line in row.metrics.failures.describe() {
+            let _ = writeln!(text, "failures of {}: {line}", row.policy);
+        }
+    }
+    for row in rows {
         let audit = &row.metrics.audit;
         if audit.differences().is_empty() {
             continue;

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::audit::Audit;
+use super::failures::Failures;
 
 /// One finished episode. Rates are fractions of the episode's N agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,6 +30,8 @@ pub struct EpisodeRecord {
     pub own_collisions: u32,
     /// Where the two differ, and why.
     pub audit: Audit,
+    /// Why agents did not arrive.
+    pub failures: Failures,
     /// Cut short because SUMO died; not to be counted.
     pub interrupted: bool,
     /// Mean reward over agents in each step.

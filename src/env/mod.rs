@@ -7,6 +7,7 @@
 mod audit;
 mod comm;
 mod dynamics;
+mod failures;
 mod geometry;
 mod metrics;
 mod observation;
@@ -23,6 +24,7 @@ mod tests;
 pub use audit::Audit;
 pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
+pub use failures::Failures;
 pub use geometry::{Pose, boxes_overlap};
 pub use metrics::EpisodeRecord;
 pub use routes::{Conflict, RouteGeometry};

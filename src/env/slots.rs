@@ -3,6 +3,7 @@
 //! Life of a slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
 //! while, then empty). No slot revives within an episode.
 
+use super::failures::Crash;
 use super::geometry::Pose;
 
 /// A vehicle this far behind a meeting point has left it, body and all \[m\].
@@ -36,6 +37,8 @@ pub(super) struct Slot {
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
     pub(super) fate: Fate,
+    /// The first crash.
+    pub(super) crash: Option<Crash>,
 }
 
 /// How an agent ended; several may hold at once.
@@ -63,6 +66,7 @@ pub(super) const EMPTY: Slot = Slot {
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },
+    crash: None,
 };
 
 /// The vehicles of a world and how they stand to each other; what observations are made from.

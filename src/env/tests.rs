@@ -277,6 +277,34 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
 }
 
 #[test]
+fn failures_say_how_every_crash_came_about() {
+    let task = task(8, |s| s.termination.horizon = 300);
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    // Slot 7 waits; the others drive, one of each lane into whoever stands there.
+    let mut actions = [1.0; 8];
+    actions[7] = 0.0;
+    let record = loop {
+        exchange(&mut world, &mut rails, &actions);
+        if let Some(record) = world.take_finished() {
+            break record;
+        }
+    };
+    let failures = &record.failures;
+    assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
+    assert_eq!(f64::from(failures.crashed() + failures.unfinished) / 8.0, 1.0 - record.success);
+    assert!(failures.crossing >= 2, "{failures:?}");
+    assert_eq!(failures.routes.values().sum::<u32>(), failures.crossing);
+    for routes in failures.routes.keys() {
+        let (a, b) = routes.split_once(" × ").expect("two routes");
+        let along = |route: &str| route == "eastbound" || route == "westbound";
+        assert_ne!(along(a), along(b), "only crossing routes meet");
+    }
+    assert!(failures.steps > u64::from(failures.crashed()) * 20, "nobody crashes at once");
+    assert_eq!(failures.clone().plus(failures).crashed(), 2 * failures.crashed());
+}
+
+#[test]
 fn idle_worlds_send_nothing() {
     let task = task(4, |s| s.termination.horizon = 3);
     let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, 1);

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
+use super::failures::{Crash, Failures};
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
@@ -84,6 +85,14 @@ pub struct AgentView {
     pub reward: f64,
 }
 
+/// Whom an agent overlaps with.
+#[derive(Debug, Clone, Copy)]
+struct Partner {
+    slot: usize,
+    /// It had crashed before.
+    wreck: bool,
+}
+
 /// A world's place in its episodes, enough to bring it back to the very same state.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WorldState {
@@ -112,11 +121,11 @@ pub struct World {
     traffic: Traffic,
     frame: Frame,
     own_rewards: Vec<f64>,
-    /// Scratch: positions along the routes before the step, poses and presence after it, who is in a collision.
+    /// Scratch: positions along the routes before the step, poses and presence after it, whom each overlaps with.
     positions: Vec<f64>,
     poses: Vec<Pose>,
     present: Vec<bool>,
-    involved: Vec<bool>,
+    partners: Vec<Option<Partner>>,
     total_reward: f64,
     step_rewards: Vec<f32>,
     pairs: Pairs,
@@ -156,7 +165,7 @@ impl World {
             positions: vec![0.0; n],
             poses: vec![Pose::default(); n],
             present: vec![false; n],
-            involved: vec![false; n],
+            partners: vec![None; n],
             total_reward: 0.0,
             step_rewards: Vec::new(),
             pairs: Pairs::default(),
@@ -499,9 +508,13 @@ impl World {
             let fate = Fate {
                 arrived: slot.s >= route.arrival,
                 out_of_road: slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN,
-                crashed: self.involved[i],
+                crashed: self.partners[i].is_some(),
             };
             slot.fate = fate;
+            if let Some(Partner { slot: other, wreck }) = self.partners[i] {
+                let to_conflict = route.to_first_conflict(slot.s);
+                slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, to_conflict });
+            }
             // The first that applies replaces the step's reward.
             let reward = if fate.arrived {
                 scenario.reward.arrive
@@ -531,7 +544,7 @@ impl World {
     fn find_collisions(&mut self, world: u32, snapshot: &Snapshot) {
         let slots = &self.traffic.slots;
         let vehicle = &self.task.scenario.vehicle;
-        self.involved.fill(false);
+        self.partners.fill(None);
         for i in 0..slots.len() {
             for j in 0..i {
                 let on_road = |k: usize| slots[k].status != Status::Empty && slots[k].departed;
@@ -551,8 +564,8 @@ impl World {
                     boxes_overlap(&a, &b, vehicle.length, vehicle.width)
                 });
                 if hit {
-                    self.involved[i] = true;
-                    self.involved[j] = true;
+                    self.partners[i].get_or_insert(Partner { slot: j, wreck: !moving(j) });
+                    self.partners[j].get_or_insert(Partner { slot: i, wreck: !moving(i) });
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);
                     let reason = || Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world());
                     self.pairs.ours(j as u32, i as u32, reason);
@@ -586,6 +599,15 @@ impl World {
         let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
         let success = share(|slot| slot.fate.arrived);
         let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
+        let (slots, routes) = (&self.traffic.slots, &self.task.scenario.routes);
+        let mut failures = Failures::default();
+        for slot in slots {
+            failures.unfinished += u32::from(slot.status == Status::Active);
+            if let Some(crash) = &slot.crash {
+                let both = [slot.route, slots[crash.other].route];
+                failures.add(crash, both[0] == both[1], both.map(|route| routes[route].id.as_str()));
+            }
+        }
         EpisodeRecord {
             episode: self.episode,
             episode_length: self.step,
@@ -598,6 +620,7 @@ impl World {
             sumo_collisions: self.pairs.of_sumo(),
             own_collisions: self.pairs.of_ours(),
             audit: self.pairs.audit(),
+            failures,
             interrupted,
             step_rewards: std::mem::take(&mut self.step_rewards),
         }

@@ -1,0 +1,112 @@
+//! Failure statistics: why agents did not arrive, from the moment at which each crashed first.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// A crash further than this before the first meeting point is one on the way to it \[m\].
+const UPSTREAM: f64 = 6.0;
+
+/// How an agent crashed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Crash {
+    /// The first it overlapped with.
+    pub(super) other: usize,
+    /// The other had crashed before.
+    pub(super) wreck: bool,
+    pub(super) step: u32,
+    /// \[m/s\]
+    pub(super) speed: f64,
+    /// To the first meeting point of its route, negative behind it \[m\].
+    pub(super) to_conflict: f64,
+}
+
+/// Sums over agents that did not arrive.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Failures {
+    /// Crashed into a moving vehicle of another route.
+    pub crossing: u32,
+    /// Crashed into a moving vehicle of their own route, from in front or behind.
+    pub rear_end: u32,
+    /// Crashed into one that had crashed before.
+    pub wreck: u32,
+    /// Of all crashed: more than 6 m before the first meeting point of their route.
+    pub upstream: u32,
+    /// Still driving when the episode was cut off.
+    pub unfinished: u32,
+    /// Sum of the steps at which they crashed.
+    pub steps: u64,
+    /// Sum of the speeds before they crashed \[m/s\].
+    pub speeds: f64,
+    /// Those of `crossing` by the two routes, agents each.
+    pub routes: BTreeMap<String, u32>,
+}
+
+impl Failures {
+    /// Adds an agent that crashed. `same`: both have the same route; `routes`: names of its own and the other's.
+    pub(super) fn add(&mut self, crash: &Crash, same: bool, routes: [&str; 2]) {
+        let count = |flag: bool| u32::from(flag);
+        self.wreck += count(crash.wreck);
+        self.rear_end += count(!crash.wreck && same);
+        if !crash.wreck && !same {
+            self.crossing += 1;
+            let [a, b] = if routes[0] <= routes[1] { routes } else { [routes[1], routes[0]] };
+            *self.routes.entry(format!("{a} × {b}")).or_default() += 1;
+        }
+        self.upstream += count(crash.to_conflict > UPSTREAM);
+        self.steps += u64::from(crash.step);
+        self.speeds += crash.speed;
+    }
+
+    /// Agents that crashed.
+    pub fn crashed(&self) -> u32 {
+        self.crossing + self.rear_end + self.wreck
+    }
+
+    /// Sums, field by field.
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
+        self.crossing += other.crossing;
+        self.rear_end += other.rear_end;
+        self.wreck += other.wreck;
+        self.upstream += other.upstream;
+        self.unfinished += other.unfinished;
+        self.steps += other.steps;
+        self.speeds += other.speeds;
+        for (routes, count) in &other.routes {
+            *self.routes.entry(routes.clone()).or_default() += count;
+        }
+        self
+    }
+
+    /// In words, one fact per line; empty where nothing failed.
+    pub fn describe(&self) -> Vec<String> {
+        let crashed = self.crashed();
+        let mut lines = Vec::new();
+        if crashed > 0 {
+            let share = |count: u32| 100.0 * f64::from(count) / f64::from(crashed);
+            lines.push(format!(
+                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one of their own lane, {:.0} % into a wreck",
+                share(self.crossing),
+                share(self.rear_end),
+                share(self.wreck)
+            ));
+            lines.push(format!(
+                "{:.0} % of them more than 6 m before the first meeting point; on average at step {:.0}, at {:.1} m/s",
+                share(self.upstream),
+                self.steps as f64 / f64::from(crashed),
+                self.speeds / f64::from(crashed)
+            ));
+        }
+        if self.crossing > 0 {
+            let mut routes: Vec<_> = self.routes.iter().collect();
+            routes.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
+            let parts: Vec<String> = routes.iter().take(6).map(|(routes, count)| format!("{routes} {count}")).collect();
+            lines.push(format!("crossing: {}", parts.join(", ")));
+        }
+        if self.unfinished > 0 {
+            lines.push(format!("{} vehicles were still driving when the episode was cut off", self.unfinished));
+        }
+        lines
+    }
+}

@@ -1,0 +1,165 @@
+//! Where noise and learning rate stand, what a validation changes about that, and when a run may stop.
+//!
+//! The noise falls while exploring to a level that it keeps until validations succeed. Annealing then takes it down in its
+//! first half and the learning rate in its second, but only while validations go on to succeed.
+
+use crate::algo::Pace;
+use crate::algo::settings::NoiseMode;
+use crate::checkpoint::Progress;
+use crate::config::Config;
+
+/// Noise and learning rate.
+pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
+    let (noise, ppo) = (&config.exploration, &config.ppo);
+    let ramp = |at: u64, length: u64| (at as f64 / length.max(1) as f64).min(1.0);
+    let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
+    let share = ramp(progress.annealed, anneal_steps(config));
+    let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
+    let explored = between(noise.log_std_start, noise.log_std_explore, ramp(progress.step, noise.explore_steps));
+    let log_std = between(explored, noise.log_std_end.min(explored), quiet);
+    // A step of the same size changes a policy with less noise by more.
+    let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
+    let follow = if follows { log_std.exp() } else { 1.0 };
+    Pace { learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow), log_std }
+}
+
+/// Takes an iteration of `steps` environment steps into account.
+pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
+    let left = anneal_steps(config).saturating_sub(progress.annealed);
+    let ending = progress.step + left >= config.steps;
+    if progress.annealing || ending {
+        progress.annealed += steps;
+    }
+    progress.step += steps;
+}
+
+/// Takes a validation's share of successful agents into account.
+pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) {
+    let train = &config.train;
+    let solved = train.stop_success > 0.0 && success >= train.stop_success;
+    progress.solved = if solved { progress.solved.saturating_add(1) } else { 0 };
+    progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
+    let time_left = progress.step + anneal_steps(config) < config.steps;
+    if success < train.stop_success && annealed(config, progress) && time_left {
+        // Not good enough, or lost on the way: back to exploring.
+        (progress.annealing, progress.annealed) = (false, 0);
+    }
+    progress.validated = progress.step;
+    // The next multiple of the interval.
+    progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
+}
+
+/// Whether there is nothing more to learn.
+pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
+    let train = &config.train;
+    train.stop_success > 0.0 && progress.solved >= train.stop_validations && annealed(config, progress)
+}
+
+/// How long annealing takes: at most half of the run.
+fn anneal_steps(config: &Config) -> u64 {
+    config.train.anneal_steps.min(config.steps / 2)
+}
+
+fn annealed(config: &Config, progress: &Progress) -> bool {
+    progress.annealed >= anneal_steps(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use proptest::prelude::*;
+    use toml::Value;
+
+    use super::*;
+    use crate::config::Layers;
+
+    fn config() -> Config {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        let flags = vec![("scenario", Value::String(scenario.display().to_string()))];
+        let (mut config, _) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
+        config.steps = 1000;
+        config.exploration.explore_steps = 400;
+        (config.exploration.log_std_start, config.exploration.log_std_explore, config.exploration.log_std_end) =
+            (0.0, -1.0, -2.0);
+        (config.ppo.learning_rate, config.ppo.learning_rate_end) = (1e-3, 0.1);
+        (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) = (0.9, 200, 50);
+        (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
+        config
+    }
+
+    /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.
+    fn play(config: &Config, success: impl Fn(&Progress) -> f64, mut see: impl FnMut(&Progress, Pace)) -> Progress {
+        let mut progress = Progress { next_validation: config.train.validate_every, ..Progress::default() };
+        while progress.step < config.steps && !solved(config, &progress) {
+            advance(config, &mut progress, 10);
+            see(&progress, pace(config, &progress));
+            if progress.step >= progress.next_validation {
+                let success = success(&progress);
+                validated(config, &mut progress, success);
+            }
+        }
+        progress
+    }
+
+    #[test]
+    fn noise_falls_and_waits_for_success() {
+        let config = config();
+        let mut log_std = Vec::new();
+        play(&config, |_| 0.0, |progress, pace| log_std.push((progress.step, pace.log_std)));
+        let at = |step: u64| log_std.iter().find(|(s, _)| *s == step).expect("was seen").1;
+        assert!((at(200) + 0.5).abs() < 1e-12);
+        assert!((at(400) + 1.0).abs() < 1e-12);
+        assert!((at(800) + 1.0).abs() < 1e-12, "held until the run has to end");
+        assert!((at(900) + 2.0).abs() < 1e-12);
+        let end = play(&config, |_| 0.0, |_, _| ());
+        assert_eq!((end.step, end.annealed), (1000, 200));
+    }
+
+    #[test]
+    fn annealing_pauses_while_validations_fail() {
+        let config = config();
+        // Solved from step 300 on, but for a gap.
+        let success = |progress: &Progress| f64::from(u8::from(progress.step >= 300 && progress.step != 350));
+        let mut annealed = Vec::new();
+        let end = play(&config, success, |progress, _| annealed.push((progress.step, progress.annealed)));
+        let at = |step: u64| annealed.iter().find(|(s, _)| *s == step).expect("was seen").1;
+        assert_eq!((at(300), at(350), at(400), at(450)), (0, 50, 50, 100));
+        assert_eq!((end.step, end.annealed), (550, 200), "stops when annealing is over and two validations succeeded");
+        let pace = pace(&config, &end);
+        assert!((pace.log_std + 2.0).abs() < 1e-12);
+        assert!((pace.learning_rate - 1e-4 * (-2.0_f64).exp()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_run_that_loses_its_way_explores_again() {
+        let config = config();
+        // Good enough to anneal, not to stop.
+        let end = play(&config, |progress| if progress.step < 400 { 0.92 } else { 0.0 }, |_, _| ());
+        assert_eq!(end.step, 1000);
+        let mut restarted = false;
+        play(&config, |_| 0.92, |progress, _| restarted |= progress.step > 100 && progress.annealed == 0);
+        assert!(restarted);
+    }
+
+    proptest! {
+        #[test]
+        fn a_run_ends_annealed(seed: u64, anneal_steps in 1u64..2000, steps in 10u64..3000) {
+            let mut config = config();
+            (config.steps, config.train.anneal_steps) = (steps, anneal_steps);
+            let success = |p: &Progress| f64::from((p.step.wrapping_mul(seed | 1) >> 7) as u8) / 255.0;
+            let mut last = f64::INFINITY;
+            let end = play(&config, success, |progress, pace| {
+                if progress.annealed > 0 {
+                    assert!(pace.log_std <= last + 1e-12, "noise never grows while annealing");
+                    last = pace.log_std;
+                } else {
+                    last = f64::INFINITY;
+                }
+            });
+            // Whole iterations of 10 steps.
+            prop_assert!(end.annealed + 10 > super::anneal_steps(&config).min(end.step / 10 * 10));
+            prop_assert!(end.step < steps + 10);
+        }
+    }
+}
