@@ -63,6 +63,9 @@ pub struct Train {
     pub envs: usize,
     /// Steps T per rollout.
     pub segment: usize,
+    /// Each episode of training and validation has a random number of agents, from this one to `agents`, so that the policy
+    /// drives among any number; 0: always all.
+    pub fewest_agents: u32,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -86,12 +89,13 @@ impl Default for Train {
         Self {
             envs: 16,
             segment: 128,
+            fewest_agents: 0,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,
             stop_validations: 2,
             anneal_success: 0.97,
-            anneal_steps: 120_000,
+            anneal_steps: 180_000,
         }
     }
 }
@@ -234,18 +238,24 @@ impl Config {
             Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
-        // The scenario decides the defaults of `[env]` and of the number of agents, the method those of learning, so they are
-        // looked up first.
+        // The scenario decides the defaults of `[env]` and of the number of agents; that number and the method decide those of
+        // learning. So they are looked up first.
         let first = |key: &str| {
-            let flag = layers.flags.iter().find(|(own, _)| *own == key).and_then(|(_, v)| v.as_str());
-            let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix(key)?.strip_prefix('='));
+            let plain = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
+            let flag = layers.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| plain(v));
+            let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix(key)?.strip_prefix('=')).map(str::to_owned);
             let file = parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
-            let file = file.and_then(|(_, v)| if let DeValue::String(s) = v.get_ref() { Some(&**s) } else { None });
-            flag.or(set).or(file).map(str::to_owned)
+            let file = file.and_then(|(_, v)| match v.get_ref() {
+                DeValue::String(s) => Some(s.to_string()),
+                DeValue::Integer(n) => Some(n.to_string()),
+                _ => None,
+            });
+            flag.or(set).or(file)
         };
         let mut scenario = Scenario::load(Path::new(&first("scenario").ok_or(Error::NoScenario)?))?;
 
-        let mut table = Self::defaults(&scenario, first("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM));
+        let agents = first("agents").and_then(|n| n.trim().parse().ok()).unwrap_or(scenario.agents.default);
+        let mut table = Self::defaults(&scenario, first("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM), agents);
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
         for set in &layers.sets {
@@ -304,17 +314,32 @@ impl Config {
         toml::to_string_pretty(self).expect("a configuration is plain data")
     }
 
-    fn defaults(scenario: &Scenario, algorithm: &str) -> Table {
+    fn defaults(scenario: &Scenario, algorithm: &str, agents: u32) -> Table {
         let algo::Settings { network, ppo, exploration, iwol } = algo::Settings::of(algorithm);
+        let train = Train::default();
+        // Lengths are meant for 8 agents. A step of N brings N samples, so that fewer steps of more agents do. Only exploring
+        // does not end sooner: the way takes longer to find among more.
+        let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
+        let train = Train {
+            envs: (scaled(train.envs as u64) as usize).max(8),
+            validate_every: scaled(train.validate_every),
+            anneal_steps: scaled(train.anneal_steps),
+            ..train
+        };
+        let exploration = settings::Exploration {
+            explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps),
+            ..exploration
+        };
+        let ppo = settings::Ppo { minibatch: ppo.minibatch.min(256 * agents.max(1) as usize), ..ppo };
         let config = Self {
             scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: 500_000,
+            steps: scaled(600_000).max(300_000),
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
-            train: Train::default(),
+            train,
             simulation: Simulation::default(),
             network,
             ppo,
@@ -336,7 +361,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 65] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 66] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -347,6 +372,7 @@ impl Config {
                 samples <= 1 << 24,
                 "2^24 samples per rollout (segment × envs × agents)",
             ),
+            (&["train.fewest_agents", "agents"], t.fewest_agents <= self.agents, "0 to `agents`"),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),

@@ -107,7 +107,11 @@ impl Trainer {
 
     fn build(config: Config, scenario: Scenario, checkpoint: Option<&Checkpoint>) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
-        let task = Arc::new(Task::new(&scenario, config.agents)?);
+        let mut task = Task::new(&scenario, config.agents)?;
+        if config.train.fewest_agents > 0 {
+            task = task.with_fewest(config.train.fewest_agents as usize);
+        }
+        let task = Arc::new(task);
         let device = config.device.find()?;
         let mut learner =
             algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;

@@ -28,6 +28,8 @@ pub struct Task {
     pub scenario: Scenario,
     /// Agent slots N.
     pub agents: usize,
+    /// Each episode has a random number of agents from this one to N.
+    pub fewest: usize,
     /// Spawn places, at least N.
     pub places: Vec<SpawnPlace>,
     /// Routes in the scenario's order.
@@ -70,6 +72,7 @@ impl Task {
         };
         Ok(Self {
             agents: agents as usize,
+            fewest: agents as usize,
             places: choice.places().collect(),
             routes,
             junctions,
@@ -78,6 +81,12 @@ impl Task {
             net_file: choice.file.clone(),
             scenario: scenario.clone(),
         })
+    }
+
+    /// The same with a random number of agents in each episode, from `fewest` (at least 1) to N.
+    #[must_use]
+    pub fn with_fewest(self, fewest: usize) -> Self {
+        Self { fewest: fewest.clamp(1, self.agents), ..self }
     }
 
     /// The net.

@@ -305,6 +305,41 @@ fn failures_say_how_every_crash_came_about() {
 }
 
 #[test]
+fn episodes_may_have_fewer_agents() {
+    let task = task(8, |s| {
+        s.termination.horizon = 120;
+        s.reward.cooperation = 0.0;
+    });
+    let task = Arc::new(Task::clone(&task).with_fewest(3));
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    let mut crews = std::collections::BTreeSet::new();
+    let (mut crew, mut reward) = (0, 0.0);
+    while crews.len() < 6 {
+        exchange(&mut world, &mut rails, &[0.6; 8]);
+        let frame = world.frame();
+        if frame.start {
+            crew = frame.active.iter().filter(|&&active| active > 0.0).count();
+            assert!(frame.active[..crew].iter().all(|&active| active > 0.0), "the first slots are theirs");
+            assert_eq!(rails.vehicles.iter().flatten().count(), crew);
+            reward = 0.0;
+        }
+        for i in crew..8 {
+            assert_eq!((frame.active[i], frame.reward[i], frame.comm[i * 8 + i]), (0.0, 0.0, 0.0));
+            assert!(frame.terminated[i] == 0.0 && frame.truncated[i] == 0.0);
+        }
+        reward += frame.reward.iter().map(|&r| f64::from(r)).sum::<f64>() / crew as f64;
+        if let Some(record) = world.take_finished() {
+            assert!((record.reward - reward).abs() < 1e-3 * reward.abs().max(1.0), "{} {reward}", record.reward);
+            let shares = [record.success, record.crash].map(|share| share * crew as f64);
+            assert!(shares.iter().all(|share| (share - share.round()).abs() < 1e-9));
+            assert!((3..=8).contains(&crew));
+            crews.insert(crew);
+        }
+    }
+}
+
+#[test]
 fn idle_worlds_send_nothing() {
     let task = task(4, |s| s.termination.horizon = 3);
     let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, 1);

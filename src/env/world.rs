@@ -14,6 +14,8 @@ use super::metrics::EpisodeRecord;
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
 use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
+use rand::RngExt as _;
+
 use crate::rng::{self, Seed};
 use crate::scenario::Reward;
 use crate::sumo::{Command, Snapshot};
@@ -118,6 +120,8 @@ pub struct World {
     next_episode: u64,
     phase: Phase,
     step: u32,
+    /// Agents of the current episode; the first slots are theirs.
+    crew: usize,
     traffic: Traffic,
     frame: Frame,
     own_rewards: Vec<f64>,
@@ -150,6 +154,7 @@ impl World {
             next_episode: first,
             phase: Phase::Idle,
             step: 0,
+            crew: n,
             traffic: Traffic::new(n, task.routes.len()),
             frame: Frame {
                 observation: vec![0.0; n * o],
@@ -316,10 +321,16 @@ impl World {
             Driver::Agents => (AGENT_TYPE, NO_CHECKS),
             Driver::Sumo => (SUMO_TYPE, SUMO_CHECKS),
         };
+        // A draw only where there is a choice, so that the others stay as they are.
+        self.crew = if task.fewest < task.agents { rng.random_range(task.fewest..=task.agents) } else { task.agents };
         for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
             let at = i as u32;
             if slot.added {
                 commands.push(Command::Remove { world, slot: at });
+            }
+            if i >= self.crew {
+                *slot = EMPTY;
+                continue;
             }
             let place = task.places[places[i]];
             let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
@@ -535,8 +546,8 @@ impl World {
                 slot.speed = 0.0;
             }
         }
-        self.total_reward += sum / task.agents as f64;
-        self.step_rewards.push((sum / task.agents as f64) as f32);
+        self.total_reward += sum / self.crew as f64;
+        self.step_rewards.push((sum / self.crew as f64) as f32);
         Ok(())
     }
 
@@ -574,9 +585,10 @@ impl World {
         }
     }
 
-    /// Cooperative mix: (1 − λ) · own + λ / N · (sum over agents within communication range, itself included).
+    /// Cooperative mix: (1 − λ) · own + λ / n · (sum over agents within communication range, itself included), n: agents
+    /// of the episode.
     fn mix_rewards(&mut self) {
-        let n = self.own_rewards.len();
+        let n = self.crew;
         let lambda = self.task.scenario.reward.cooperation;
         let range = self.task.scenario.communication.range;
         let slots = &self.traffic.slots;
@@ -595,7 +607,7 @@ impl World {
     }
 
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
-        let n = self.task.agents as f64;
+        let n = self.crew as f64;
         let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
         let success = share(|slot| slot.fate.arrived);
         let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);

@@ -1,7 +1,7 @@
 //! Where noise and learning rate stand, what a validation changes about that, and when a run may stop.
 //!
 //! The noise falls while exploring to a level that it keeps until validations succeed. Annealing then takes it down in its
-//! first half and the learning rate in its second, but only while validations go on to succeed.
+//! first two thirds and the learning rate in the last, but only while validations go on to succeed.
 
 use crate::algo::Pace;
 use crate::algo::settings::NoiseMode;
@@ -14,7 +14,7 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let ramp = |at: u64, length: u64| (at as f64 / length.max(1) as f64).min(1.0);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
-    let (quiet, slow) = ((2.0 * share).min(1.0), (2.0 * share - 1.0).max(0.0));
+    let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
     let explored = between(noise.log_std_start, noise.log_std_explore, ramp(progress.step, noise.explore_steps));
     let log_std = between(explored, noise.log_std_end.min(explored), quiet);
     // A step of the same size changes a policy with less noise by more.
@@ -111,7 +111,8 @@ mod tests {
         assert!((at(200) + 0.5).abs() < 1e-12);
         assert!((at(400) + 1.0).abs() < 1e-12);
         assert!((at(800) + 1.0).abs() < 1e-12, "held until the run has to end");
-        assert!((at(900) + 2.0).abs() < 1e-12);
+        assert!((at(900) + 1.75).abs() < 1e-12);
+        assert!((at(940) + 2.0).abs() < 1e-12);
         let end = play(&config, |_| 0.0, |_, _| ());
         assert_eq!((end.step, end.annealed), (1000, 200));
     }
