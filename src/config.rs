@@ -94,7 +94,7 @@ impl Default for Train {
             validation_episodes: 64,
             stop_success: 0.99,
             stop_validations: 2,
-            anneal_success: 0.97,
+            anneal_success: 0.95,
             anneal_steps: 180_000,
         }
     }
@@ -317,12 +317,13 @@ impl Config {
     fn defaults(scenario: &Scenario, algorithm: &str, agents: u32) -> Table {
         let algo::Settings { network, ppo, exploration, iwol } = algo::Settings::of(algorithm);
         let train = Train::default();
-        // Lengths are meant for 8 agents. A step of N brings N samples, so that fewer steps of more agents do. Only exploring
-        // does not end sooner: the way takes longer to find among more.
+        // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
+        // of more; but among more the way takes longer to find.
         let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
         let train = Train {
             envs: (scaled(train.envs as u64) as usize).max(8),
-            validate_every: scaled(train.validate_every),
+            validate_every: scaled(train.validate_every).max(train.validate_every / 2),
+            validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
             anneal_steps: scaled(train.anneal_steps),
             ..train
         };
@@ -651,6 +652,25 @@ mod tests {
         assert_eq!((rate("", &[]), rate("algorithm = \"ex-iwol\"", &[])), (common, own));
         assert_eq!(rate("algorithm = \"ex-iwol\"", &["algorithm=im-iwol"]), common);
         assert_eq!(rate("algorithm = \"ex-iwol\"\n[ppo]\nlearning_rate = 0.5", &[]), 0.5);
+    }
+
+    #[test]
+    fn lengths_follow_the_number_of_agents() {
+        let at = |agents: u32| {
+            let config = resolve(&format!("agents = {agents}"), &[]).unwrap();
+            let flag = resolve("agents = 7", &[&format!("agents={agents}")]).unwrap();
+            assert_eq!(config, flag);
+            config
+        };
+        let samples = |c: &Config| c.train.envs * c.agents as usize;
+        let (four, eight, most) = (at(4), at(8), at(48));
+        assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
+        assert_eq!((samples(&four), four.steps, four.ppo.minibatch), (samples(&eight), 2 * eight.steps, 1024));
+        assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
+        assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
+        assert_eq!(most.train.validation_episodes, 16);
+        // What is written down is not changed.
+        assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
     }
 
     #[test]
