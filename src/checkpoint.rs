@@ -32,10 +32,8 @@ pub struct Progress {
     /// Step of the last validation.
     pub validated: u64,
     /// Steps of annealing so far.
-    #[serde(default)]
     pub annealed: u64,
     /// Whether the last validation lets it go on.
-    #[serde(default)]
     pub annealing: bool,
 }
 

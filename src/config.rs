@@ -55,7 +55,8 @@ pub struct Config {
     pub env: Env,
 }
 
-/// The training loop.
+/// The training loop. Lengths and counts are for 8 agents; those of another number follow from them where they are not given
+/// ([`Config::resolve`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Train {
@@ -63,8 +64,8 @@ pub struct Train {
     pub envs: usize,
     /// Steps T per rollout.
     pub segment: usize,
-    /// Each episode of training and validation has a random number of agents, from this one to `agents`, so that the policy
-    /// drives among any number; 0: always all.
+    /// Each episode of training and validation has a random number of agents, from this one to `agents`, on the same net, so
+    /// that the policy drives among any number; 0: always all.
     pub fewest_agents: u32,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
@@ -229,6 +230,10 @@ pub struct Layers {
 impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///
+    /// Where they are not given, lengths follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
+    /// 8/N, `train.validate_every` down to half, `train.envs` and `steps` down to half, `train.validation_episodes` down to a
+    /// quarter and never up, `exploration.explore_steps` up only; `ppo.minibatch` is at most 256 N.
+    ///
     /// # Errors
     /// [`Error`], naming the place.
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
@@ -241,21 +246,19 @@ impl Config {
         // The scenario decides the defaults of `[env]` and of the number of agents; that number and the method decide those of
         // learning. So they are looked up first.
         let first = |key: &str| {
-            let plain = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-            let flag = layers.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| plain(v));
-            let set = layers.sets.iter().rev().find_map(|s| s.strip_prefix(key)?.strip_prefix('=')).map(str::to_owned);
-            let file = parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
-            let file = file.and_then(|(_, v)| match v.get_ref() {
-                DeValue::String(s) => Some(s.to_string()),
-                DeValue::Integer(n) => Some(n.to_string()),
-                _ => None,
-            });
-            flag.or(set).or(file)
+            let bare = |text: &str| parse_value(text).unwrap_or_else(|| Value::String(text.to_owned()));
+            let flag = layers.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| v.clone());
+            let sets = layers.sets.iter().rev().filter_map(|set| set.split_once('='));
+            let set = || sets.clone().find(|(own, _)| own.trim() == key).map(|(_, text)| bare(text.trim()));
+            let file = || parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
+            flag.or_else(set).or_else(|| file().and_then(|(_, v)| parse_value(text.get(v.span())?)))
         };
-        let mut scenario = Scenario::load(Path::new(&first("scenario").ok_or(Error::NoScenario)?))?;
+        let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
+        let mut scenario = Scenario::load(Path::new(&word("scenario").ok_or(Error::NoScenario)?))?;
 
-        let agents = first("agents").and_then(|n| n.trim().parse().ok()).unwrap_or(scenario.agents.default);
-        let mut table = Self::defaults(&scenario, first("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM), agents);
+        let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
+        let agents = agents.unwrap_or(scenario.agents.default);
+        let mut table = Self::defaults(&scenario, word("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM), agents);
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
         for set in &layers.sets {
@@ -362,7 +365,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 66] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 65] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -373,7 +376,6 @@ impl Config {
                 samples <= 1 << 24,
                 "2^24 samples per rollout (segment × envs × agents)",
             ),
-            (&["train.fewest_agents", "agents"], t.fewest_agents <= self.agents, "0 to `agents`"),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
@@ -658,8 +660,9 @@ mod tests {
     fn lengths_follow_the_number_of_agents() {
         let at = |agents: u32| {
             let config = resolve(&format!("agents = {agents}"), &[]).unwrap();
-            let flag = resolve("agents = 7", &[&format!("agents={agents}")]).unwrap();
-            assert_eq!(config, flag);
+            for set in [format!("agents={agents}"), format!(" agents = {agents:#x} ")] {
+                assert_eq!(config, resolve("agents = 7", &[&set]).unwrap());
+            }
             config
         };
         let samples = |c: &Config| c.train.envs * c.agents as usize;

@@ -108,8 +108,12 @@ impl Trainer {
     fn build(config: Config, scenario: Scenario, checkpoint: Option<&Checkpoint>) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
         let mut task = Task::new(&scenario, config.agents)?;
-        if config.train.fewest_agents > 0 {
-            task = task.with_fewest(config.train.fewest_agents as usize);
+        let fewest = config.train.fewest_agents;
+        if fewest > config.agents {
+            return Err(Error::TooFew { fewest, agents: config.agents });
+        }
+        if fewest > 0 {
+            task = task.with_fewest(fewest as usize);
         }
         let task = Arc::new(task);
         let device = config.device.find()?;
@@ -157,7 +161,11 @@ impl Trainer {
                     return Err(Error::OtherRun { key: "train.envs".to_owned() });
                 }
                 learner.load(&stored.learner)?;
-                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), stored.progress.clone())
+                let before =
+                    toml::from_str::<toml::Table>(&stored.config).ok().and_then(|t| t.get("steps")?.as_integer());
+                let mut progress = stored.progress.clone();
+                schedule::extended(&config, &mut progress, before.map_or(0, i64::cast_unsigned));
+                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
             }
         };
         let mut rollout = Rollout::new(sizes);
@@ -516,8 +524,9 @@ fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
         }
     }
     let train = |table: &toml::Table, key: &str| table.get("train").and_then(|t| t.get(key)).cloned();
-    for key in ["envs", "segment"] {
-        if train(&now, key) != train(&then, key) {
+    // A checkpoint may be older than a setting.
+    for (key, default) in [("envs", None), ("segment", None), ("fewest_agents", Some(toml::Value::Integer(0)))] {
+        if train(&now, key) != train(&then, key).or(default) {
             return Err(Error::OtherRun { key: format!("train.{key}") });
         }
     }
@@ -602,6 +611,14 @@ pub enum Error {
     Locked {
         /// The folder.
         path: PathBuf,
+    },
+    /// Episodes cannot have more agents than there are.
+    #[error("`train.fewest_agents` is {fewest}, but there are {agents} agents; it is the least number in an episode")]
+    TooFew {
+        /// Of the settings.
+        fewest: u32,
+        /// Of the settings.
+        agents: u32,
     },
     /// A checkpoint is of a run with other settings, which would not go on as it went.
     #[error("the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml")]

@@ -5,20 +5,20 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 /// A crash further than this before the first meeting point is one on the way to it \[m\].
-const UPSTREAM: f64 = 6.0;
+pub(super) const UPSTREAM: f64 = 6.0;
 
 /// How an agent crashed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crash {
-    /// The first it overlapped with.
+    /// One that it overlapped with in the step of its crash, the lowest slot of several.
     pub(super) other: usize,
-    /// The other had crashed before.
+    /// The other was a wreck by then.
     pub(super) wreck: bool,
     pub(super) step: u32,
     /// \[m/s\]
     pub(super) speed: f64,
-    /// To the first meeting point of its route, negative behind it \[m\].
-    pub(super) to_conflict: f64,
+    /// More than [`UPSTREAM`] before the first meeting point of its route.
+    pub(super) upstream: bool,
 }
 
 /// Sums over agents that did not arrive.
@@ -28,11 +28,13 @@ pub struct Failures {
     pub crossing: u32,
     /// Crashed into a moving vehicle of their own route, from in front or behind.
     pub rear_end: u32,
-    /// Crashed into one that had crashed before.
+    /// Crashed into a wreck.
     pub wreck: u32,
     /// Of all crashed: more than 6 m before the first meeting point of their route.
     pub upstream: u32,
-    /// Still driving when the episode was cut off.
+    /// Left the road, without a crash.
+    pub out_of_road: u32,
+    /// Neither arrived nor failed when the episode was cut off.
     pub unfinished: u32,
     /// Sum of the steps at which they crashed.
     pub steps: u64,
@@ -53,7 +55,7 @@ impl Failures {
             let [a, b] = if routes[0] <= routes[1] { routes } else { [routes[1], routes[0]] };
             *self.routes.entry(format!("{a} × {b}")).or_default() += 1;
         }
-        self.upstream += count(crash.to_conflict > UPSTREAM);
+        self.upstream += count(crash.upstream);
         self.steps += u64::from(crash.step);
         self.speeds += crash.speed;
     }
@@ -70,6 +72,7 @@ impl Failures {
         self.rear_end += other.rear_end;
         self.wreck += other.wreck;
         self.upstream += other.upstream;
+        self.out_of_road += other.out_of_road;
         self.unfinished += other.unfinished;
         self.steps += other.steps;
         self.speeds += other.speeds;
@@ -86,13 +89,14 @@ impl Failures {
         if crashed > 0 {
             let share = |count: u32| 100.0 * f64::from(count) / f64::from(crashed);
             lines.push(format!(
-                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one of their own lane, {:.0} % into a wreck",
+                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one of their own route, {:.0} % into a \
+                 wreck",
                 share(self.crossing),
                 share(self.rear_end),
                 share(self.wreck)
             ));
             lines.push(format!(
-                "{:.0} % of them more than 6 m before the first meeting point; on average at step {:.0}, at {:.1} m/s",
+                "{:.0} % of them more than {UPSTREAM} m before the first meeting point; on average at step {:.0}, at {:.1} m/s",
                 share(self.upstream),
                 self.steps as f64 / f64::from(crashed),
                 self.speeds / f64::from(crashed)
@@ -104,8 +108,11 @@ impl Failures {
             let parts: Vec<String> = routes.iter().take(6).map(|(routes, count)| format!("{routes} {count}")).collect();
             lines.push(format!("crossing: {}", parts.join(", ")));
         }
+        if self.out_of_road > 0 {
+            lines.push(format!("{} vehicles left the road", self.out_of_road));
+        }
         if self.unfinished > 0 {
-            lines.push(format!("{} vehicles were still driving when the episode was cut off", self.unfinished));
+            lines.push(format!("{} vehicles had not arrived when their episode was cut off", self.unfinished));
         }
         lines
     }

@@ -90,11 +90,13 @@ proptest! {
         mean in -0.3f32..1.2,
         horizon in 5u32..150,
         range in 0.0f64..120.0,
+        fewest in 1usize..60,
     ) {
         let task = task(agents, |s| {
             s.termination.horizon = horizon;
             s.communication.range = range;
         });
+        let task = Arc::new(Task::clone(&task).with_fewest(fewest));
         let n = agents as usize;
         let (o, s) = (task.spec.observation.len(), task.spec.state.len());
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
@@ -114,7 +116,8 @@ proptest! {
             let frame = world.frame();
             if frame.start {
                 dead.clear();
-                prop_assert!(frame.active.iter().all(|&a| a == 1.0));
+                let crew = frame.active.iter().filter(|&&a| a == 1.0).count();
+                prop_assert!(crew >= fewest.min(n));
             }
             for i in 0..n {
                 let (active, was_active) = (frame.active[i] > 0.0, before.active[i] > 0.0);
@@ -159,6 +162,10 @@ proptest! {
                 prop_assert!(frame.active.iter().all(|&a| a == 0.0));
                 prop_assert!(record.episode_length <= horizon);
                 prop_assert_eq!(record.step_rewards.len(), record.episode_length as usize);
+                let failures = &record.failures;
+                let crew = f64::from(failures.crashed() + failures.out_of_road + failures.unfinished)
+                    / (1.0 - record.success).max(1e-9);
+                prop_assert!(record.success > 1.0 - 1e-9 || (crew - crew.round()).abs() < 1e-6, "{:?}", failures);
                 prop_assert!(record.success + record.safety <= 2.0 && record.crash + record.safety <= 1.0 + 1e-9);
                 let sum: f64 = record.step_rewards.iter().map(|&r| f64::from(r)).sum();
                 prop_assert!((sum - record.reward).abs() < 1e-3);
@@ -276,39 +283,58 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
     assert!(wrecks_gone >= 2, "full throttle crashes");
 }
 
-#[test]
-fn failures_say_how_every_crash_came_about() {
-    let task = task(8, |s| s.termination.horizon = 300);
+/// The failures of an episode in which the slots drive that `drives` picks, by route and place in its queue (0: first).
+fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRecord, Arc<Task>) {
+    let task = task(agents, |s| s.termination.horizon = 60);
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
-    // Slot 7 waits; the others drive, one of each lane into whoever stands there.
-    let mut actions = [1.0; 8];
-    actions[7] = 0.0;
-    let record = loop {
+    exchange(&mut world, &mut rails, &vec![0.0; agents as usize]);
+    let start: Vec<(usize, f64)> = rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
+    let place = |(route, s): (usize, f64)| start.iter().filter(|other| other.0 == route && other.1 > s).count();
+    let actions: Vec<f32> = start.iter().map(|&at| f32::from(u8::from(drives(at.0, place(at))))).collect();
+    loop {
         exchange(&mut world, &mut rails, &actions);
         if let Some(record) = world.take_finished() {
-            break record;
+            return (record, task);
         }
-    };
-    let failures = &record.failures;
-    assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
-    assert_eq!(f64::from(failures.crashed() + failures.unfinished) / 8.0, 1.0 - record.success);
-    assert!(failures.crossing >= 2, "{failures:?}");
-    assert_eq!(failures.routes.values().sum::<u32>(), failures.crossing);
-    for routes in failures.routes.keys() {
-        let (a, b) = routes.split_once(" × ").expect("two routes");
-        let along = |route: &str| route == "eastbound" || route == "westbound";
-        assert_ne!(along(a), along(b), "only crossing routes meet");
     }
-    assert!(failures.steps > u64::from(failures.crashed()) * 20, "nobody crashes at once");
-    assert_eq!(failures.clone().plus(failures).crashed(), 2 * failures.crashed());
+}
+
+#[test]
+fn failures_say_how_a_crash_came_about() {
+    // The second of a lane runs into the first, which stands, and the third into the wreck; the fourth stays.
+    let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
+    let failures = &record.failures;
+    assert_eq!((failures.rear_end, failures.wreck, failures.crossing), (2, 1, 0), "{failures:?}");
+    assert_eq!((failures.upstream, failures.unfinished, failures.out_of_road), (3, 13, 0));
+    assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
+    let text = failures.describe().join("\n");
+    for part in
+        ["3 vehicles crashed: 0 % crossing", "67 % with one of their own route", "33 % into a wreck", "100 % of them"]
+    {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(text.contains("13 vehicles had not arrived") && !text.contains("left the road"), "{text}");
+
+    // The first of two routes that cross.
+    let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));
+    let failures = &record.failures;
+    let names = [2, 1].map(|route| task.scenario.routes[route].id.clone());
+    assert_eq!(failures.routes.keys().collect::<Vec<_>>(), [&format!("{} × {}", names[0], names[1])], "{failures:?}");
+    assert_eq!((failures.crossing, failures.rear_end, failures.wreck, failures.upstream), (2, 0, 0, 0));
+    assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
+
+    let both = failures.clone().plus(failures);
+    assert_eq!((both.crossing, both.unfinished, both.steps), (4, 12, 2 * failures.steps));
+    assert_eq!(both.routes.values().sum::<u32>(), 4);
 }
 
 #[test]
 fn episodes_may_have_fewer_agents() {
+    // All are within range, so that a cooperative share moves rewards, and makes none.
     let task = task(8, |s| {
         s.termination.horizon = 120;
-        s.reward.cooperation = 0.0;
+        s.communication.range = 1e6;
     });
     let task = Arc::new(Task::clone(&task).with_fewest(3));
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));

@@ -8,14 +8,12 @@ use std::sync::Arc;
 
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
-use super::failures::{Crash, Failures};
+use super::failures::{Crash, Failures, UPSTREAM};
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
 use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
-use rand::RngExt as _;
-
 use crate::rng::{self, Seed};
 use crate::scenario::Reward;
 use crate::sumo::{Command, Snapshot};
@@ -91,7 +89,7 @@ pub struct AgentView {
 #[derive(Debug, Clone, Copy)]
 struct Partner {
     slot: usize,
-    /// It had crashed before.
+    /// It is a wreck.
     wreck: bool,
 }
 
@@ -322,7 +320,8 @@ impl World {
             Driver::Sumo => (SUMO_TYPE, SUMO_CHECKS),
         };
         // A draw only where there is a choice, so that the others stay as they are.
-        self.crew = if task.fewest < task.agents { rng.random_range(task.fewest..=task.agents) } else { task.agents };
+        let choice = task.agents - task.fewest;
+        self.crew = task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
         for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
             let at = i as u32;
             if slot.added {
@@ -523,8 +522,8 @@ impl World {
             };
             slot.fate = fate;
             if let Some(Partner { slot: other, wreck }) = self.partners[i] {
-                let to_conflict = route.to_first_conflict(slot.s);
-                slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, to_conflict });
+                let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
+                slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, upstream });
             }
             // The first that applies replaces the step's reward.
             let reward = if fate.arrived {
@@ -615,9 +614,10 @@ impl World {
         let mut failures = Failures::default();
         for slot in slots {
             failures.unfinished += u32::from(slot.status == Status::Active);
-            if let Some(crash) = &slot.crash {
+            failures.out_of_road += u32::from(slot.fate.out_of_road && slot.crash.is_none());
+            if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
                 let both = [slot.route, slots[crash.other].route];
-                failures.add(crash, both[0] == both[1], both.map(|route| routes[route].id.as_str()));
+                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].id.as_str()));
             }
         }
         EpisodeRecord {

@@ -1,7 +1,8 @@
 //! Where noise and learning rate stand, what a validation changes about that, and when a run may stop.
 //!
-//! The noise falls while exploring to a level that it keeps until validations succeed. Annealing then takes it down in its
-//! first two thirds and the learning rate in the last, but only while validations go on to succeed.
+//! The noise falls while exploring to a level that it keeps until validations succeed. Annealing then takes it down further in
+//! its first two thirds and the learning rate in the last. It waits while validations fail, unless the run would end before it is
+//! over.
 
 use crate::algo::Pace;
 use crate::algo::settings::NoiseMode;
@@ -26,7 +27,8 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
 /// Takes an iteration of `steps` environment steps into account.
 pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
     let left = anneal_steps(config).saturating_sub(progress.annealed);
-    let ending = progress.step + left >= config.steps;
+    // Begun after this iteration, it would not be over in time.
+    let ending = progress.step + steps + left > config.steps;
     if progress.annealing || ending {
         progress.annealed += steps;
     }
@@ -39,14 +41,21 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     let solved = train.stop_success > 0.0 && success >= train.stop_success;
     progress.solved = if solved { progress.solved.saturating_add(1) } else { 0 };
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
-    let time_left = progress.step + anneal_steps(config) < config.steps;
-    if success < train.stop_success && annealed(config, progress) && time_left {
-        // Not good enough, or lost on the way: back to exploring.
-        (progress.annealing, progress.annealed) = (false, 0);
+    if success < train.stop_success && annealed(config, progress) {
+        // Not good enough, or lost on the way: back to exploring, as far as the time that is left allows.
+        let left = config.steps.saturating_sub(progress.step);
+        (progress.annealing, progress.annealed) = (false, anneal_steps(config).saturating_sub(left));
     }
     progress.validated = progress.step;
     // The next multiple of the interval.
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
+}
+
+/// A run that was to take `before` steps goes on with those of `config`: what annealed only because it ended is taken back.
+pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
+    if config.steps > before && !progress.annealing {
+        progress.annealed = 0;
+    }
 }
 
 /// Whether there is nothing more to learn.
@@ -136,11 +145,32 @@ mod tests {
     fn a_run_that_loses_its_way_explores_again() {
         let config = config();
         // Good enough to anneal, not to stop.
-        let end = play(&config, |progress| if progress.step < 400 { 0.92 } else { 0.0 }, |_, _| ());
-        assert_eq!(end.step, 1000);
-        let mut restarted = false;
-        play(&config, |_| 0.92, |progress, _| restarted |= progress.step > 100 && progress.annealed == 0);
-        assert!(restarted);
+        let mut least = u64::MAX;
+        let mut see = |progress: &Progress| {
+            if progress.step > 400 {
+                least = least.min(progress.annealed);
+            }
+        };
+        let end = play(&config, |_| 0.92, |progress, _| see(progress));
+        assert_eq!(least, 0);
+        assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
+        // Annealed at 850 only, and failing: it takes back no more than there is time for.
+        let mut late = Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
+        validated(&config, &mut late, 0.5);
+        assert_eq!(late.annealed, 50);
+    }
+
+    #[test]
+    fn a_longer_run_takes_back_what_its_end_forced() {
+        let mut config = config();
+        let mut progress = play(&config, |_| 0.0, |_, _| ());
+        let loud = pace(&config, &progress).log_std + 1.0;
+        config.steps = 2000;
+        extended(&config, &mut progress, 1000);
+        assert!((pace(&config, &progress).log_std - loud).abs() < 1e-12);
+        let mut earned = Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
+        extended(&config, &mut earned, 1000);
+        assert_eq!(earned.annealed, 200);
     }
 
     proptest! {
@@ -149,17 +179,12 @@ mod tests {
             let mut config = config();
             (config.steps, config.train.anneal_steps) = (steps, anneal_steps);
             let success = |p: &Progress| f64::from((p.step.wrapping_mul(seed | 1) >> 7) as u8) / 255.0;
-            let mut last = f64::INFINITY;
+            let mut last = (0, f64::INFINITY);
             let end = play(&config, success, |progress, pace| {
-                if progress.annealed > 0 {
-                    assert!(pace.log_std <= last + 1e-12, "noise never grows while annealing");
-                    last = pace.log_std;
-                } else {
-                    last = f64::INFINITY;
-                }
+                assert!(progress.annealed < last.0 || pace.log_std <= last.1 + 1e-12, "noise never grows but for a restart");
+                last = (progress.annealed, pace.log_std);
             });
-            // Whole iterations of 10 steps.
-            prop_assert!(end.annealed + 10 > super::anneal_steps(&config).min(end.step / 10 * 10));
+            prop_assert!(end.annealed >= super::anneal_steps(&config));
             prop_assert!(end.step < steps + 10);
         }
     }
