@@ -25,8 +25,9 @@ pub struct Progress {
     pub seconds: f64,
     /// Best validation so far: (success, window reward).
     pub best: Option<(f64, f64)>,
-    /// Validations in a row that reached the stop mark.
-    pub solved: u32,
+    /// Success in the last validations, as many as decide whether to stop.
+    #[serde(default)]
+    pub recent: Vec<f64>,
     /// The next validation is due at this step.
     pub next_validation: u64,
     /// Step of the last validation.

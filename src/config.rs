@@ -71,8 +71,8 @@ pub struct Train {
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
     pub validation_episodes: u64,
-    /// Stop when annealing is over and this share of agents succeeded in the last [`Train::stop_validations`] validations; 0
-    /// never stops early.
+    /// Stop when annealing is over and this share of agents succeeded on average of the last [`Train::stop_validations`]
+    /// validations; 0 never stops early.
     pub stop_success: f64,
     /// See [`Train::stop_success`].
     pub stop_validations: u32,
@@ -94,7 +94,7 @@ impl Default for Train {
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,
-            stop_validations: 2,
+            stop_validations: 4,
             anneal_success: 0.95,
             anneal_steps: 180_000,
         }
@@ -381,7 +381,7 @@ impl Config {
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
-            (&["train.stop_validations"], t.stop_validations >= 1, "at least 1"),
+            (&["train.stop_validations"], (1..=1000).contains(&t.stop_validations), "1 to 1000"),
             (&["simulation.processes"], self.simulation.processes <= 1024, "0 to 1024"),
             (&["simulation.timeout"], (0.1..=86_400.0).contains(&self.simulation.timeout), "0.1 to 86400"),
             (&["network.hidden"], (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),

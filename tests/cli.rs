@@ -159,6 +159,7 @@ fn damaged_checkpoints_are_refused() {
     for name in names {
         assert!(json["metrics"][name]["mean"].is_number(), "{name}");
     }
+    assert!(json["metrics"]["failures"]["crossing"].is_u64());
     let success = &json["metrics"]["success"];
     assert!(
         success["low"].as_f64() <= success["mean"].as_f64() && success["mean"].as_f64() <= success["high"].as_f64()

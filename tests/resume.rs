@@ -12,7 +12,7 @@ use tch::{Kind, Tensor};
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
-         [train]\nenvs = 3\nsegment = 40\nvalidate_every = 200\nvalidation_episodes = 1\n\
+         [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nvalidate_every = 200\nvalidation_episodes = 1\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
@@ -70,6 +70,11 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         drop(first);
         let stored = Checkpoint::load(&file).expect("loaded");
         let (config, scenario) = config(algorithm, encoder, 480);
+        // Other crews would make other episodes of the stored actions.
+        let mut other = config.clone();
+        other.train.fewest_agents = 3;
+        let refused = Trainer::resume(other, scenario.clone(), &stored).err().expect("refused");
+        assert!(refused.to_string().contains("train.fewest_agents"), "{refused}");
         let mut second = Trainer::resume(config, scenario, &stored).expect("resumed");
         for _ in 0..2 {
             second.iterate().expect("an iteration");

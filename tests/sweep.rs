@@ -206,6 +206,31 @@ fn shards_divide_the_grid() {
     assert!(text(&output.stderr).contains("write it as i/n"), "{}", text(&output.stderr));
 }
 
+#[test]
+fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("runs");
+    // The cell that waits comes first in the file.
+    let rule = "[[rule]]\nwhen = { agents = 5 }\nset = { init_from = { agents = 4 } }\n[[evaluate]]\nname = \"range\"";
+    let changes = [
+        ("agents = 4\n", ""),
+        ("steps = 4096", "steps = 256"),
+        ("seed = [0, 1]", "agents = [5, 4]\nseed = [0]"),
+        ("[[evaluate]]\nname = \"range\"", rule),
+    ];
+    let file =
+        sweep_file(folder.path(), &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)));
+    let alone = sweep(&file, &out, &["--cell", "mappo_agents=5/seed_0"]).output().expect("it ran");
+    assert_eq!(alone.status.code(), Some(1), "{}", text(&alone.stderr));
+    assert!(text(&alone.stderr).contains("1 cells wait for others"), "{}", text(&alone.stderr));
+    assert!(text(&alone.stdout).contains("waits for mappo_agents=4/seed_0"), "{}", text(&alone.stdout));
+
+    let both = succeeds(&mut sweep(&file, &out, &["--jobs", "2"]));
+    assert!(text(&both.stdout).contains("2 of 2 cells finished, 0 failed"), "{}", text(&both.stdout));
+    let config = std::fs::read_to_string(out.join("tiny/mappo_agents=5/seed_0/config.toml")).expect("written");
+    assert!(config.contains("init_from = ") && config.contains("tiny/mappo_agents=4/seed_0"), "{config}");
+}
+
 /// On a real Slurm of one machine, from Debian's packages (`scripts/bootstrap --tests` installs them).
 #[test]
 fn slurm_runs_every_cell() {

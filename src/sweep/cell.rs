@@ -22,6 +22,8 @@ pub struct Cell {
     pub values: Vec<(String, Value)>,
     /// Everything, resolved.
     pub config: Config,
+    /// The cell that must be trained first, because this one begins with its policy.
+    pub after: Option<String>,
 }
 
 /// How far a cell is.

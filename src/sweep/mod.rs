@@ -220,9 +220,17 @@ impl Sweep {
         let mut matched = vec![false; parsed.rule.len()];
         let mut cells = Vec::new();
         for values in combinations(&parsed.grid) {
-            let settings = settings_of(&parsed.settings, &parsed.rule, &values, &mut matched);
+            let mut settings = settings_of(&parsed.settings, &parsed.rule, &values, &mut matched);
             let id = cell_id(&values);
             let place = format!("{file}, cell {id}");
+            let mut after = None;
+            if let Some(Value::Table(change)) = settings.get("init_from") {
+                let other = other_cell(&parsed.grid, &values, change)
+                    .map_err(|message| wrong(format!("{place}: {message}")))?;
+                let folder = out.join(name).join(&other).display().to_string();
+                settings.insert("init_from".to_owned(), Value::String(folder));
+                after = Some(other);
+            }
             let layers = Layers {
                 document: Document {
                     name: place.clone(),
@@ -240,7 +248,7 @@ impl Sweep {
             {
                 resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
             }
-            cells.push(Cell { folder: out.join(name).join(&id), id, values, config });
+            cells.push(Cell { folder: out.join(name).join(&id), id, values, config, after });
         }
         if let Some(rule) = matched.iter().position(|matched| !matched) {
             let when = toml::to_string(&parsed.rule[rule].when).unwrap_or_default();
@@ -268,6 +276,14 @@ impl Sweep {
     }
 }
 
+impl Sweep {
+    /// The cell that has to be trained before this one, if it is not.
+    pub fn waits_for(&self, cell: &Cell) -> Option<&Cell> {
+        let first = self.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id))?;
+        (cell.trained().is_none() && first.trained().is_none()).then_some(first)
+    }
+}
+
 /// Metrics for which there may be published values.
 const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
 
@@ -284,6 +300,22 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
             .collect();
     }
     all
+}
+
+/// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
+fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
+    for (key, wanted) in change {
+        let all = grid.get(key).and_then(Value::as_array);
+        if all.is_none_or(|all| !all.contains(wanted)) {
+            return Err(format!("init_from = {{ {key} = {wanted} }}: the grid has no such cell"));
+        }
+    }
+    let other: Vec<(String, Value)> =
+        values.iter().map(|(key, own)| (key.clone(), change.get(key).unwrap_or(own).clone())).collect();
+    if other == values {
+        return Err("init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned());
+    }
+    Ok(cell_id(&other))
 }
 
 /// The common settings, those of the rules that match in order, and the cell's own.
@@ -468,6 +500,27 @@ mod tests {
         let (ruled, free) = (of("mappo_agents=8/seed_1"), of("mappo_agents=4/seed_1"));
         assert_eq!((ruled.train.envs, ruled.ppo.gamma, ruled.agents), (2, 0.9, 8));
         assert_eq!((free.train.envs, free.agents), (4, 4));
+    }
+
+    #[test]
+    fn a_cell_may_begin_with_the_policy_of_another() {
+        let with = |change: &str| FILE.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"));
+        let sweep = parse(&with("agents = 4")).unwrap();
+        let after: Vec<_> =
+            sweep.cells.iter().filter_map(|cell| Some((cell.id.as_str(), cell.after.as_deref()?))).collect();
+        let expected =
+            [0, 1].map(|seed| (format!("mappo_agents=8/seed_{seed}"), format!("mappo_agents=4/seed_{seed}")));
+        assert_eq!(after, expected.each_ref().map(|(cell, first)| (cell.as_str(), first.as_str())));
+        for cell in &sweep.cells {
+            let first = sweep.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+            let path = first.map_or_else(PathBuf::new, |first| first.folder.clone());
+            assert_eq!(cell.config.init_from, path);
+            assert_eq!(sweep.waits_for(cell).map(|first| &first.id), cell.after.as_ref(), "nothing is trained");
+        }
+        let refused = |change: &str| parse(&with(change)).expect_err("must be refused").to_string();
+        assert!(refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell"));
+        assert!(refused("steps = 1").contains("the grid has no such cell"));
+        assert!(refused("agents = 8").contains("names the cell itself"));
     }
 
     #[test]

@@ -38,10 +38,11 @@ pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
 /// Takes a validation's share of successful agents into account.
 pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) {
     let train = &config.train;
-    let solved = train.stop_success > 0.0 && success >= train.stop_success;
-    progress.solved = if solved { progress.solved.saturating_add(1) } else { 0 };
+    progress.recent.push(success);
+    let old = progress.recent.len().saturating_sub(train.stop_validations as usize);
+    progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
-    if success < train.stop_success && annealed(config, progress) {
+    if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
         // Not good enough, or lost on the way: back to exploring, as far as the time that is left allows.
         let left = config.steps.saturating_sub(progress.step);
         (progress.annealing, progress.annealed) = (false, anneal_steps(config).saturating_sub(left));
@@ -60,8 +61,10 @@ pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
 
 /// Whether there is nothing more to learn.
 pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
-    let train = &config.train;
-    train.stop_success > 0.0 && progress.solved >= train.stop_validations && annealed(config, progress)
+    let (train, recent) = (&config.train, &progress.recent);
+    let mean = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
+    let enough = recent.len() >= train.stop_validations as usize;
+    train.stop_success > 0.0 && enough && mean >= train.stop_success && annealed(config, progress)
 }
 
 /// How long annealing takes: at most half of the run.
@@ -135,7 +138,11 @@ mod tests {
         let end = play(&config, success, |progress, _| annealed.push((progress.step, progress.annealed)));
         let at = |step: u64| annealed.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!((at(300), at(350), at(400), at(450)), (0, 50, 50, 100));
-        assert_eq!((end.step, end.annealed), (550, 200), "stops when annealing is over and two validations succeeded");
+        assert_eq!(
+            (end.step, end.annealed),
+            (550, 200),
+            "stops when annealing is over and the last two validations succeeded"
+        );
         let pace = pace(&config, &end);
         assert!((pace.log_std + 2.0).abs() < 1e-12);
         assert!((pace.learning_rate - 1e-4 * (-2.0_f64).exp()).abs() < 1e-12);

@@ -96,6 +96,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         eprintln!("stopped; the same command goes on");
         return Ok(Verdict::Interrupted);
     }
+    let waiting = cells.iter().filter(|(_, cell)| sweep.waits_for(cell).is_some()).count();
+    if waiting > 0 {
+        eprintln!(
+            "{waiting} cells wait for others that failed or are not in this part of the grid; the same command goes on"
+        );
+        return Ok(Verdict::Bad);
+    }
     if failed.is_empty() {
         eprintln!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
     }

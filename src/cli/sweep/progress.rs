@@ -14,7 +14,11 @@ pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
         let (state, trained) = (cell.state(&sweep.evaluations), cell.trained());
         let steps = trained.as_ref().map_or_else(|| cell.steps(), |t| t.steps);
         let minutes = trained.map_or_else(String::new, |t| format!("{:.1}", t.seconds / 60.0));
-        let _ = writeln!(text, "{number:>6}  {:width$}  {:22} {steps:>10} {minutes:>9}", cell.id, name(&state));
+        let _ = write!(text, "{number:>6}  {:width$}  {:22} {steps:>10} {minutes:>9}", cell.id, name(&state));
+        if let Some(first) = sweep.waits_for(cell) {
+            let _ = write!(text, "  waits for {}", first.id);
+        }
+        text.push('\n');
     }
     let count = |wanted: &dyn Fn(&State) -> bool| {
         cells.iter().filter(|(_, cell)| wanted(&cell.state(&sweep.evaluations))).count()

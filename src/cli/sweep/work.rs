@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::IsTerminal as _;
 use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -30,14 +30,29 @@ pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &A
     let count = queue.lock().expect("no worker panics").len();
     eprintln!("{count} of {} cells to do, {jobs} at a time", cells.len());
     let screen = Screen::new(count, jobs);
-    let next = || queue.lock().expect("no worker panics").pop_front();
+    // Cells that are in work: what waits for them may still get its turn.
+    let busy = AtomicUsize::new(0);
+    let next = || loop {
+        let mut queue = queue.lock().expect("no worker panics");
+        if let Some(ready) = queue.iter().position(|cell| sweep.waits_for(cell).is_none()) {
+            busy.fetch_add(1, Ordering::Relaxed);
+            return queue.remove(ready);
+        }
+        if queue.is_empty() || busy.load(Ordering::Relaxed) == 0 || stop.load(Ordering::Relaxed) {
+            return None;
+        }
+        drop(queue);
+        std::thread::sleep(TICK);
+    };
     let worker = |number: usize| -> anyhow::Result<()> {
         while let Some(cell) = next() {
             if stop.load(Ordering::Relaxed) {
                 break;
             }
             let begin = Instant::now();
-            let end = finish(sweep, cell, stop, &mut |what| screen.show(number, cell, what))?;
+            let end = finish(sweep, cell, stop, &mut |what| screen.show(number, cell, what));
+            busy.fetch_sub(1, Ordering::Relaxed);
+            let end = end?;
             screen.done(number, cell, end, begin.elapsed(), time_left(sweep, cells), jobs);
         }
         Ok(())
