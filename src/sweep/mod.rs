@@ -226,7 +226,7 @@ impl Sweep {
             let mut after = None;
             if let Some(Value::Table(change)) = settings.get("init_from") {
                 let other = other_cell(&parsed.grid, &values, change)
-                    .map_err(|message| wrong(format!("{place}: {message}")))?;
+                    .map_err(|message| wrong(format!("cell {id}: {message}")))?;
                 let folder = out.join(name).join(&other).display().to_string();
                 settings.insert("init_from".to_owned(), Value::String(folder));
                 after = Some(other);
