@@ -138,7 +138,8 @@ pub struct Env {
     pub stream_vehicles: usize,
     /// Range d_comm of the physical mask \[m\].
     pub communication_range: f64,
-    /// Share λ of the cooperative mix.
+    /// Share λ of the cooperative mix; the scenario's is for its own number of agents, and follows from it for another
+    /// ([`Config::resolve`]).
     pub cooperation: f64,
     /// Reward per metre.
     pub reward_progress: f64,
@@ -157,8 +158,12 @@ pub struct Env {
 }
 
 impl Env {
-    fn of(scenario: &Scenario) -> Self {
+    fn of(scenario: &Scenario, agents: u32) -> Self {
         let (seen, reward) = (&scenario.observation, &scenario.reward);
+        // Of the mix, an agent's own reward has the share 1 − λ + λ/N, each other's λ/N: among more agents, a larger λ keeps
+        // their ratio.
+        let (lambda, own, n) = (reward.cooperation, f64::from(scenario.agents.default), f64::from(agents.max(1)));
+        let kept = lambda * n / (lambda * n + (1.0 - lambda) * own);
         Self {
             observation: seen.groups,
             detection_range: seen.detection_range,
@@ -166,7 +171,7 @@ impl Env {
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
             communication_range: scenario.communication.range,
-            cooperation: reward.cooperation,
+            cooperation: (kept * 1e6).round() / 1e6,
             reward_progress: reward.progress,
             reward_speed: reward.speed,
             reward_arrive: reward.arrive,
@@ -230,9 +235,12 @@ pub struct Layers {
 impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///
-    /// Where they are not given, lengths follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
-    /// 8/N, `train.validate_every` down to half, `train.envs` and `steps` down to half, `train.validation_episodes` down to a
-    /// quarter and never up, `exploration.explore_steps` up only; `ppo.minibatch` is at most 256 N.
+    /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
+    /// 8/N, `train.validate_every` and `train.validation_episodes` down to a quarter and never up, `steps` and
+    /// `exploration.explore_steps` up only; `train.envs` is 128/N, 16 at 16, at least 8; `ppo.minibatch` at most 256 N.
+    /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
+    /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success,
+    /// which does not last.
     ///
     /// # Errors
     /// [`Error`], naming the place.
@@ -258,7 +266,9 @@ impl Config {
 
         let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
         let agents = agents.unwrap_or(scenario.agents.default);
-        let mut table = Self::defaults(&scenario, word("algorithm").as_deref().unwrap_or(DEFAULT_ALGORITHM), agents);
+        let trained = word("init_from").is_some_and(|from| !from.is_empty());
+        let algorithm = word("algorithm");
+        let mut table = Self::defaults(&scenario, algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM), agents, trained);
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
         for set in &layers.sets {
@@ -317,21 +327,25 @@ impl Config {
         toml::to_string_pretty(self).expect("a configuration is plain data")
     }
 
-    fn defaults(scenario: &Scenario, algorithm: &str, agents: u32) -> Table {
+    fn defaults(scenario: &Scenario, algorithm: &str, agents: u32, trained: bool) -> Table {
         let algo::Settings { network, ppo, exploration, iwol } = algo::Settings::of(algorithm);
         let train = Train::default();
         // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
         // of more; but among more the way takes longer to find.
         let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
+        let envs = train.envs as u64;
         let train = Train {
-            envs: (scaled(train.envs as u64) as usize).max(8),
-            validate_every: scaled(train.validate_every).max(train.validate_every / 2),
+            envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
+            validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
             anneal_steps: scaled(train.anneal_steps),
             ..train
         };
         let exploration = settings::Exploration {
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps),
+            // At the noise of new weights a policy forgets what it knows.
+            log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
+            correlation: if trained { 0.0 } else { exploration.correlation },
             ..exploration
         };
         let ppo = settings::Ppo { minibatch: ppo.minibatch.min(256 * agents.max(1) as usize), ..ppo };
@@ -340,7 +354,7 @@ impl Config {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: scaled(600_000).max(300_000),
+            steps: scaled(600_000).max(600_000),
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train,
@@ -350,7 +364,7 @@ impl Config {
             exploration,
             iwol,
             channel: algo::Channel::default(),
-            env: Env::of(scenario),
+            env: Env::of(scenario, agents),
         };
         Table::try_from(config).expect("a configuration is plain data")
     }
@@ -365,7 +379,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 65] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 66] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -414,6 +428,7 @@ impl Config {
             (&["exploration.log_std_explore"], (-20.0..=5.0).contains(&x.log_std_explore), "-20 to 5"),
             (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
             (&["exploration.spread"], (0.0..=10.0).contains(&x.spread), "0 to 10"),
+            (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
@@ -672,8 +687,25 @@ mod tests {
         assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
+        assert_eq!(at(16).train.envs, eight.train.envs);
+        // The reward of each other agent weighs the same beside one's own.
+        let weight = |c: &Config| {
+            let (n, shared) = (f64::from(c.agents), c.env.cooperation);
+            shared / n / (1.0 - shared + shared / n)
+        };
+        assert_eq!(eight.env.cooperation, 0.35);
+        assert!([&four, &at(16), &most].iter().all(|c| (weight(c) - weight(&eight)).abs() < 1e-6));
         // What is written down is not changed.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
+    }
+
+    #[test]
+    fn a_trained_policy_begins_with_less_noise() {
+        let start = |sets: &[&str]| resolve("", sets).unwrap().exploration.log_std_start;
+        let noise = settings::Exploration::default();
+        assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
+        assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
+        assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! All randomness comes from the seed tree by iteration number, and a checkpoint is taken between iterations with the
 //! worlds' action histories, so that stopping and resuming changes nothing.
 
+mod noise;
 mod run_dir;
 mod schedule;
 
@@ -25,6 +26,7 @@ use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
 
+use noise::Lasting;
 pub use run_dir::RunDir;
 
 /// How training ended.
@@ -224,6 +226,8 @@ impl Trainer {
         let s = self.rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
+        // Each iteration begins anew: what it draws depends on its number alone.
+        let mut lasting = Lasting::new(noise.len(), schedule::correlation(&self.config, &self.progress));
         let quiet = Tensor::from_slice(&self.rollout.quiet);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
@@ -236,7 +240,7 @@ impl Trainer {
             }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
-                rng::fill_normal(&mut rng, &mut noise);
+                noise.copy_from_slice(lasting.next(&mut rng));
                 let width = s.agents * s.actions;
                 for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
                     noise.fill(0.0);

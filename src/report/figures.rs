@@ -13,26 +13,42 @@ use crate::sweep::Sweep;
 /// Width and height of a panel, pixels.
 const PANEL: (u32, u32) = (640, 560);
 
-/// Success, safety and window reward along the axis, each line dodged a little so that no interval hides another; published
-/// values dashed.
+/// Success, safety and window reward along the axis, or success alone in panels of its own; each line dodged a little so that no
+/// interval hides another; published values dashed.
 pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(), Error> {
-    let panels: Vec<Panel> = METRICS.iter().map(|metric| panel(sweep, block, metric)).collect();
-    Ok(figure(path, "", &panels, (PANEL.0 * panels.len() as u32, PANEL.1))?)
+    let mut names: Vec<&str> = Vec::new();
+    for (_, name) in block.series.iter().filter_map(|line| line.panel.as_ref()) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let panels: Vec<Panel> = if names.is_empty() {
+        METRICS.iter().map(|metric| panel(sweep, block, metric, None)).collect()
+    } else {
+        names.into_iter().map(|name| panel(sweep, block, &METRICS[0], Some(name))).collect()
+    };
+    Ok(figure(path, "", &panels, ((PANEL.0 * panels.len() as u32).min(4000), PANEL.1))?)
 }
 
-fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
-    let count = block.series.len();
+fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) -> Panel {
+    let lines: Vec<(&str, &Line<'_>)> = (block.series.iter())
+        .filter_map(|line| match (&line.panel, name) {
+            (Some((label, own)), Some(name)) => (own == name).then_some((label.as_str(), line)),
+            _ => Some((line.label.as_str(), line)),
+        })
+        .collect();
+    let count = lines.len();
     let mut series: Vec<Series> = Vec::new();
-    for (k, line) in block.series.iter().enumerate() {
+    for (k, (label, line)) in lines.iter().enumerate() {
         let dodge = dodge(k, count, block.categories.len());
         let places =
             line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
-        series.push(Series { label: line.label.clone(), points, band: Some(band), style: Style::Whiskers });
+        series.push(Series { label: (*label).to_owned(), points, band: Some(band), style: Style::Whiskers });
     }
     for (reference, points) in references(sweep, block, metric) {
         // Beside the line that it is to be compared with.
-        let partner = block.series.iter().position(|line| line.label == reference.beside);
+        let partner = lines.iter().position(|(label, _)| *label == reference.beside);
         let aside = partner.map_or(0.0, |k| dodge(k, count, block.categories.len()));
         let points = points.into_iter().map(|(x, y)| (x as f64 + aside, y)).collect();
         series.push(Series {
@@ -45,7 +61,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric) -> Panel {
     let unit = if metric.factor == 100.0 { "agents (%)" } else { "reward per agent in 1000 steps" };
     let lowest = series.iter().flat_map(|s| s.points.iter().map(|p| p.1)).fold(f64::INFINITY, f64::min);
     Panel {
-        title: metric.title.trim_end_matches(" %").to_owned(),
+        title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),
         y_label: unit.to_owned(),
         // Where everything succeeds, differences are in the last percent.

@@ -51,6 +51,8 @@ struct Block<'a> {
 #[derive(Debug)]
 struct Line<'a> {
     label: String,
+    /// The label within its panel, and the panel, where the figure has panels of its own.
+    panel: Option<(String, String)>,
     /// One per category.
     rows: Vec<Row<'a>>,
 }
@@ -180,13 +182,15 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
             _ => many().next().map(|key| (*key).to_owned()),
         }
     });
-    if let Some(x) = evaluate.x.as_ref().filter(|x| !varying.contains(&x.as_str())) {
-        return Err(Error::Axis { evaluate: evaluate.name.clone(), key: x.clone() });
+    for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
+        if let Some(key) = key.as_ref().filter(|key| !varying.contains(&key.as_str())) {
+            return Err(Error::Axis { evaluate: evaluate.name.clone(), what, key: key.clone() });
+        }
     }
     let mut categories: Vec<String> = Vec::new();
     // Rows of each line, by place.
-    let mut series: Vec<(String, BTreeMap<usize, Row<'a>>)> = Vec::new();
-    for cell in &sweep.cells {
+    let mut series: Vec<(Line<'a>, BTreeMap<usize, Row<'a>>)> = Vec::new();
+    for cell in sweep.cells.iter().filter(|cell| evaluate.applies(cell)) {
         for combination in evaluate.combinations() {
             let value = |key: &str| {
                 let own = combination.iter().find(|(own, _)| own == key).map(|(_, value)| value);
@@ -194,6 +198,7 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
             };
             let place = x.as_deref().and_then(value).unwrap_or_default();
             let mut parts = Vec::new();
+            let mut panel = None;
             for key in &varying {
                 let short = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
                 let evaluated = combination.iter().any(|(own, _)| own == key);
@@ -203,6 +208,7 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 }
                 match value(key).filter(|_| Some(*key) != x.as_deref()) {
                     Some(value) if *key == "algorithm" => parts.push(value),
+                    Some(value) if evaluate.panels.as_deref() == Some(key) => panel = Some(format!("{short} {value}")),
                     Some(value) => parts.push(format!("{short} {value}")),
                     None => {}
                 }
@@ -212,10 +218,12 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 position(&mut label, part);
             }
             let label = if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
+            let panel = panel.map(|panel| (label.clone(), panel));
+            let label = panel.as_ref().map_or(label, |(label, panel)| format!("{label}, {panel}"));
             let category = position(&mut categories, place);
-            let known = series.iter().position(|(own, _)| *own == label);
+            let known = series.iter().position(|(own, _)| own.label == label);
             let line = known.unwrap_or_else(|| {
-                series.push((label, BTreeMap::new()));
+                series.push((Line { label, panel, rows: Vec::new() }, BTreeMap::new()));
                 series.len() - 1
             });
             let found = read_result(&cell.result(evaluate, &combination))?;
@@ -223,9 +231,9 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
         }
     }
     let count = categories.len();
-    let line = |(label, mut rows): (String, BTreeMap<usize, Row<'a>>)| Line {
-        label,
+    let line = |(line, mut rows): (Line<'a>, BTreeMap<usize, Row<'a>>)| Line {
         rows: (0..count).map(|k| rows.remove(&k).unwrap_or_default()).collect(),
+        ..line
     };
     Ok(Block { evaluate, x, categories, series: series.into_iter().map(line).collect() })
 }
@@ -359,10 +367,12 @@ pub enum Error {
         name: String,
     },
     /// The axis is none of the keys that vary.
-    #[error("[[evaluate]] `{evaluate}`: x = \"{key}\" is no key of a grid that has several values")]
+    #[error("[[evaluate]] `{evaluate}`: {what} = \"{key}\" is no key of a grid that has several values")]
     Axis {
         /// The evaluation.
         evaluate: String,
+        /// What it was given for.
+        what: &'static str,
         /// The key.
         key: String,
     },

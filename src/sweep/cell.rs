@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Error, Evaluate, label, plain};
+use super::{Error, Evaluate, label, plain, value_of};
 use crate::config::Config;
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
@@ -67,7 +67,7 @@ impl Cell {
 
     /// A value of the grid.
     pub fn value(&self, key: &str) -> Option<&Value> {
-        self.values.iter().find(|(own, _)| own == key).map(|(_, value)| value)
+        value_of(&self.values, key)
     }
 
     /// Everything that the cell's processes said.
@@ -126,7 +126,10 @@ impl Cell {
         &'a self,
         evaluations: &'a [Evaluate],
     ) -> impl Iterator<Item = (&'a Evaluate, Vec<(String, Value)>)> {
-        let all = evaluations.iter().flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
+        let all = evaluations
+            .iter()
+            .filter(|e| e.applies(self))
+            .flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
         all.filter(|(evaluate, combination)| !self.is_evaluated(evaluate, combination))
     }
 

@@ -11,6 +11,8 @@
 //! [[rule]]                                # settings of the cells that match
 //! when = { agents = [32, 48] }
 //! set = { "train.envs" = 8 }
+//! [[skip]]                                # combinations that are no cells
+//! when = { agents = 4, seed = 2 }
 //! [[evaluate]]                            # what is played with each policy, for each combination of its own grid
 //! name = "range"
 //! episodes = 200
@@ -68,9 +70,15 @@ pub struct Evaluate {
     /// Settings of the task and of the policy that differ from training's: each combination is an evaluation.
     #[serde(default)]
     pub grid: Table,
+    /// The cells that are evaluated so: those with these values, or one of a list of values [default: all].
+    #[serde(default)]
+    pub when: Table,
     /// The key along the horizontal axis [default: the only key of this grid, or `agents`].
     #[serde(default)]
     pub x: Option<String>,
+    /// A key of which each value gets a panel of its own in the figure, which then shows success alone.
+    #[serde(default)]
+    pub panels: Option<String>,
 }
 
 impl Evaluate {
@@ -80,6 +88,11 @@ impl Evaluate {
 
     fn default_episodes() -> u64 {
         200
+    }
+
+    /// Whether a cell is evaluated so.
+    pub fn applies(&self, cell: &Cell) -> bool {
+        holds(&self.when, |key| cell.value(key))
     }
 
     /// Combinations of this grid, each a list of keys and values; one empty combination without a grid.
@@ -146,6 +159,8 @@ struct File {
     #[serde(default)]
     rule: Vec<Rule>,
     #[serde(default)]
+    skip: Vec<Skip>,
+    #[serde(default)]
     evaluate: Vec<Evaluate>,
     #[serde(default)]
     reference: Vec<Reference>,
@@ -157,6 +172,13 @@ struct File {
 struct Rule {
     when: Table,
     set: Table,
+}
+
+/// Combinations that are no cells.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Skip {
+    when: Table,
 }
 
 impl Sweep {
@@ -218,8 +240,15 @@ impl Sweep {
             }
         }
         let mut matched = vec![false; parsed.rule.len()];
-        let mut cells = Vec::new();
-        for values in combinations(&parsed.grid) {
+        let mut cells: Vec<Cell> = Vec::new();
+        let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&parsed.grid)
+            .into_iter()
+            .partition(|values| parsed.skip.iter().any(|skip| holds(&skip.when, |key| value_of(values, key))));
+        let missed = |skip: &&Skip| !skipped.iter().any(|values| holds(&skip.when, |key| value_of(values, key)));
+        if let Some(skip) = parsed.skip.iter().find(missed) {
+            return Err(wrong(format!("[[skip]]: no combination has {}", listed(&skip.when))));
+        }
+        for values in kept {
             let mut settings = settings_of(&parsed.settings, &parsed.rule, &values, &mut matched);
             let id = cell_id(&values);
             let place = format!("{file}, cell {id}");
@@ -243,20 +272,26 @@ impl Sweep {
             };
             let (config, _) = resolve(&layers)?;
             // A mistake in how it is evaluated should not wait until it is trained.
-            for (evaluate, combination) in
-                evaluations.iter().flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)))
-            {
-                resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
+            let cell = Cell { folder: out.join(name).join(&id), id, values, config, after };
+            for evaluate in evaluations.iter().filter(|evaluate| evaluate.applies(&cell)) {
+                for combination in evaluate.combinations() {
+                    resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
+                }
             }
-            cells.push(Cell { folder: out.join(name).join(&id), id, values, config, after });
+            cells.push(cell);
         }
         if let Some(rule) = matched.iter().position(|matched| !matched) {
-            let when = toml::to_string(&parsed.rule[rule].when).unwrap_or_default();
-            return Err(wrong(format!(
-                "[[rule]] number {}: no cell has {}",
-                rule + 1,
-                when.trim().replace('\n', " and ")
-            )));
+            let when = listed(&parsed.rule[rule].when);
+            return Err(wrong(format!("[[rule]] number {}: no cell has {when}", rule + 1)));
+        }
+        if let Some(evaluate) = evaluations.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
+            let when = listed(&evaluate.when);
+            return Err(wrong(format!("[[evaluate]] `{}`: no cell has {when}", evaluate.name)));
+        }
+        let there = |after: &String| cells.iter().any(|cell| cell.id == *after);
+        if let Some(cell) = cells.iter().find(|cell| !cell.after.as_ref().is_none_or(there)) {
+            let after = cell.after.as_deref().unwrap_or_default();
+            return Err(wrong(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id)));
         }
         cells.sort_by_key(|cell| cell.config.seed);
         for (i, cell) in cells.iter().enumerate() {
@@ -286,6 +321,22 @@ impl Sweep {
 
 /// Metrics for which there may be published values.
 const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
+
+/// Whether all these keys have the value that is wanted, or one of a list.
+fn holds<'a>(when: &Table, value: impl Fn(&str) -> Option<&'a Value>) -> bool {
+    when.iter().all(|(key, wanted)| {
+        value(key).is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
+    })
+}
+
+/// What is wanted, for people.
+fn listed(when: &Table) -> String {
+    toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
+}
+
+fn value_of<'a>(values: &'a [(String, Value)], key: &str) -> Option<&'a Value> {
+    values.iter().find(|(own, _)| own == key).map(|(_, value)| value)
+}
 
 /// All combinations of a grid's values; the last key varies fastest.
 fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
@@ -324,11 +375,7 @@ fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], match
     flatten(common, "", &mut flat);
     flat.extend(values.iter().cloned());
     for (rule, matched) in rules.iter().zip(matched) {
-        let matches = |key: &String, wanted: &Value| {
-            let own = flat.get(key);
-            own.is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
-        };
-        if rule.when.iter().all(|(key, wanted)| matches(key, wanted)) {
+        if holds(&rule.when, |key| flat.get(key)) {
             *matched = true;
             let mut set = BTreeMap::new();
             flatten(&rule.set, "", &mut set);
@@ -521,6 +568,33 @@ mod tests {
         assert!(refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell"));
         assert!(refused("steps = 1").contains("the grid has no such cell"));
         assert!(refused("agents = 8").contains("names the cell itself"));
+    }
+
+    #[test]
+    fn cells_may_be_left_out_and_evaluated_by_choice() {
+        let with = |lines: &str| parse(&FILE.replace("name = \"range\"", lines));
+        let sweep = with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4, 5] }").unwrap();
+        let applies: Vec<&str> = (sweep.cells.iter())
+            .filter(|cell| sweep.evaluations[0].applies(cell))
+            .map(|cell| cell.id.as_str())
+            .collect();
+        assert_eq!(applies, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
+        let message = with("when = { agents = 5 }").expect_err("must be refused").to_string();
+        assert!(message.contains("[[evaluate]] `evaluation`: no cell has agents = 5"), "{message}");
+
+        let skip = |when: &str| parse(&FILE.replace("[[rule]]", &format!("[[skip]]\nwhen = {{ {when} }}\n[[rule]]")));
+        let ids: Vec<String> =
+            skip("agents = 8, seed = [1, 2]").unwrap().cells.into_iter().map(|cell| cell.id).collect();
+        assert_eq!(ids.len(), 6);
+        assert!(
+            !ids.contains(&"mappo_agents=8/seed_1".to_owned()) && ids.contains(&"mappo_agents=8/seed_0".to_owned())
+        );
+        let message = skip("agents = 5").expect_err("must be refused").to_string();
+        assert!(message.contains("[[skip]]: no combination has agents = 5"), "{message}");
+        let chain = FILE.replace("agents = 48 }", "init_from = { agents = 4 } }");
+        let broken = chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
+        let message = parse(&broken).expect_err("must be refused").to_string();
+        assert!(message.contains("a [[skip]] leaves mappo_agents=4/seed_1 out"), "{message}");
     }
 
     #[test]

@@ -12,7 +12,6 @@ use crate::config::Config;
 /// Noise and learning rate.
 pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let (noise, ppo) = (&config.exploration, &config.ppo);
-    let ramp = |at: u64, length: u64| (at as f64 / length.max(1) as f64).min(1.0);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
@@ -22,6 +21,16 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
     Pace { learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow), log_std }
+}
+
+/// Correlation of the noise from step to step: none once annealing has begun.
+pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
+    let searching = !progress.annealing && progress.annealed == 0;
+    if searching { config.exploration.correlation as f32 } else { 0.0 }
+}
+
+fn ramp(at: u64, length: u64) -> f64 {
+    (at as f64 / length.max(1) as f64).min(1.0)
 }
 
 /// Takes an iteration of `steps` environment steps into account.
@@ -165,6 +174,23 @@ mod tests {
         let mut late = Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut late, 0.5);
         assert_eq!(late.annealed, 50);
+    }
+
+    #[test]
+    fn noise_lasts_until_the_way_is_found() {
+        let mut config = config();
+        config.exploration.correlation = 0.5;
+        let mut seen = Vec::new();
+        // Found at 300, lost at 350, and good enough to anneal, but not to stop, from 400 on.
+        let success = |progress: &Progress| match progress.step {
+            300 => 1.0,
+            0..=350 => 0.0,
+            _ => 0.92,
+        };
+        play(&config, success, |progress, _| seen.push((progress.step, correlation(&config, progress))));
+        let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
+        assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
+        assert_eq!(at(560), 0.5, "it looks for a way again");
     }
 
     #[test]
