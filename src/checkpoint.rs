@@ -36,6 +36,15 @@ pub struct Progress {
     pub annealed: u64,
     /// Whether the last validation lets it go on.
     pub annealing: bool,
+    /// How often training has begun again with new weights.
+    #[serde(default)]
+    pub restarts: u64,
+    /// Step at which the present weights were new.
+    #[serde(default)]
+    pub begun: u64,
+    /// Whether they have found a way: a validation let annealing begin.
+    #[serde(default)]
+    pub found: bool,
 }
 
 /// What a checkpoint holds.

@@ -83,6 +83,9 @@ pub struct Train {
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
+    /// When no validation has let annealing begin so many environment steps after training began, it begins again with other new
+    /// weights, if there is time for as many and for annealing; 0: never.
+    pub restart_steps: u64,
 }
 
 impl Default for Train {
@@ -97,6 +100,7 @@ impl Default for Train {
             stop_validations: 4,
             anneal_success: 0.95,
             anneal_steps: 180_000,
+            restart_steps: 0,
         }
     }
 }
@@ -238,9 +242,9 @@ impl Config {
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, `train.validate_every` and `train.validation_episodes` down to a quarter and never up, `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 128/N, 16 at 16, at least 8; `ppo.minibatch` at most 256 N.
+    /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
-    /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success,
-    /// which does not last.
+    /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
     /// # Errors
     /// [`Error`], naming the place.
@@ -339,13 +343,16 @@ impl Config {
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
             anneal_steps: scaled(train.anneal_steps),
+            // Of 16, every second run finds a way in less than this; most others find none in twice as much.
+            restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
             ..train
         };
         let exploration = settings::Exploration {
+            // Among many, quiet worlds only make the search for a way longer.
+            spread: if agents > 8 { 0.0 } else { exploration.spread },
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps),
             // At the noise of new weights a policy forgets what it knows.
             log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
-            correlation: if trained { 0.0 } else { exploration.correlation },
             ..exploration
         };
         let ppo = settings::Ppo { minibatch: ppo.minibatch.min(256 * agents.max(1) as usize), ..ppo };
@@ -379,7 +386,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 66] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 67] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -395,6 +402,7 @@ impl Config {
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
+            (&["train.restart_steps"], t.restart_steps <= 1 << 50, "0 to 2^50"),
             (&["train.stop_validations"], (1..=1000).contains(&t.stop_validations), "1 to 1000"),
             (&["simulation.processes"], self.simulation.processes <= 1024, "0 to 1024"),
             (&["simulation.timeout"], (0.1..=86_400.0).contains(&self.simulation.timeout), "0.1 to 86400"),
@@ -697,6 +705,10 @@ mod tests {
         assert!([&four, &at(16), &most].iter().all(|c| (weight(c) - weight(&eight)).abs() < 1e-6));
         // What is written down is not changed.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
+        let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
+        let own = settings::Exploration::default().spread;
+        assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
+        assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 
     #[test]
@@ -705,6 +717,8 @@ mod tests {
         let noise = settings::Exploration::default();
         assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
         assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
+        let restart = |sets: &[&str]| resolve("agents = 16", sets).unwrap().train.restart_steps;
+        assert!(restart(&[]) > 0 && restart(&["init_from=runs/any"]) == 0, "it would throw the policy away");
         assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
     }
 

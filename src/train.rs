@@ -51,6 +51,8 @@ pub struct Report {
     pub training_success: Option<f64>,
     /// Success of the last validation.
     pub validation_success: Option<f64>,
+    /// How often training has begun again with new weights.
+    pub restarts: u64,
 }
 
 /// Seconds per part of the loop since the last report.
@@ -381,7 +383,8 @@ impl Trainer {
             let seconds = self.progress.seconds - before.1;
             let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
             let training_success = files.iteration(self, &losses, steps_per_second)?;
-            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
+            let (step, restarts) = (self.progress.step, self.progress.restarts);
+            report(&Report { step, steps_per_second, training_success, validation_success, restarts });
         };
         self.checkpoint().save(&dir.last())?;
         if !dir.best().exists() {
@@ -403,8 +406,22 @@ impl Trainer {
             self.progress.best = Some((success, window));
             self.checkpoint().save(&dir.best())?;
         }
+        if schedule::hopeless(&self.config, &self.progress) {
+            self.restart()?;
+        }
         self.checkpoint().save(&dir.last())?;
         Ok(success)
+    }
+
+    /// Begins again with new weights, in the same worlds.
+    fn restart(&mut self) -> Result<(), Error> {
+        schedule::restarted(&mut self.progress);
+        let weights = self.seed.child("weights").index(self.progress.restarts);
+        let config = &self.config;
+        self.learner =
+            algo::build(&config.algorithm, &self.task.spec, &config.settings(), weights, config.device.find()?)?;
+        let _ = self.memory.zero_();
+        Ok(())
     }
 }
 
@@ -474,6 +491,7 @@ impl Files {
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
+            ("restarts", trainer.progress.restarts as f64),
             ("resets/respawns", resets.respawns as f64),
             ("resets/loads", resets.loads as f64),
             ("resets/restarts", resets.restarts as f64),

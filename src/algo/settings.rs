@@ -178,8 +178,8 @@ impl Default for Exploration {
             log_std_explore: -1.0,
             log_std_end: -2.0,
             explore_steps: 250_000,
-            spread: 0.0,
-            correlation: 0.5,
+            spread: 1.2,
+            correlation: 0.0,
             late_steps: 60,
             mean_bias: 0.5,
         }

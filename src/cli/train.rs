@@ -167,6 +167,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     bar.reset_eta();
     let terminal = std::io::stderr().is_terminal();
     let mut last_line = Instant::now();
+    let mut restarts = trainer.progress().restarts;
     let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
         let percent = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s));
         let message = format!(
@@ -175,6 +176,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             percent(report.training_success),
             percent(report.validation_success)
         );
+        if report.restarts > restarts {
+            restarts = report.restarts;
+            let note = format!(
+                "{:>9} steps  no way found in train.restart_steps = {}: new weights ({restarts})",
+                report.step, config.train.restart_steps
+            );
+            bar.suspend(|| eprintln!("{note}"));
+        }
         if terminal {
             bar.set_position(report.step);
             bar.set_message(message);

@@ -15,18 +15,26 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let explored = between(noise.log_std_start, noise.log_std_explore, ramp(progress.step, noise.explore_steps));
+    let explored =
+        between(noise.log_std_start, noise.log_std_explore, ramp(progress.step - progress.begun, noise.explore_steps));
     let log_std = between(explored, noise.log_std_end.min(explored), quiet);
     // A step of the same size changes a policy with less noise by more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
-    Pace { learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow), log_std }
+    // What lasting noise finds in large steps is lost again in them.
+    let lasting = noise.correlation;
+    let found = if searching(progress) { 1.0 } else { ((1.0 - lasting) / (1.0 + lasting)).sqrt() };
+    Pace { learning_rate: ppo.learning_rate * follow * found * between(1.0, ppo.learning_rate_end, slow), log_std }
 }
 
 /// Correlation of the noise from step to step: none once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
-    let searching = !progress.annealing && progress.annealed == 0;
-    if searching { config.exploration.correlation as f32 } else { 0.0 }
+    if searching(progress) { config.exploration.correlation as f32 } else { 0.0 }
+}
+
+/// Whether no validation has succeeded yet, or what was found was not good enough.
+fn searching(progress: &Progress) -> bool {
+    !progress.annealing && progress.annealed == 0
 }
 
 fn ramp(at: u64, length: u64) -> f64 {
@@ -51,6 +59,7 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     let old = progress.recent.len().saturating_sub(train.stop_validations as usize);
     progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
+    progress.found |= progress.annealing;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
         // Not good enough, or lost on the way: back to exploring, as far as the time that is left allows.
         let left = config.steps.saturating_sub(progress.step);
@@ -59,6 +68,20 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.validated = progress.step;
     // The next multiple of the interval.
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
+}
+
+/// Whether new weights are the better choice: these have found no way for long enough, and there is time for others.
+pub(super) fn hopeless(config: &Config, progress: &Progress) -> bool {
+    let patience = config.train.restart_steps;
+    let (waited, left) = (progress.step - progress.begun, config.steps.saturating_sub(progress.step));
+    patience > 0 && !progress.found && progress.annealed == 0 && waited >= patience && left >= patience + anneal_steps(config)
+}
+
+/// New weights take the place of those that found no way.
+pub(super) fn restarted(progress: &mut Progress) {
+    progress.restarts += 1;
+    progress.begun = progress.step;
+    progress.recent.clear();
 }
 
 /// A run that was to take `before` steps goes on with those of `config`: what annealed only because it ended is taken back.
@@ -191,6 +214,42 @@ mod tests {
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
         assert_eq!(at(560), 0.5, "it looks for a way again");
+    }
+
+    #[test]
+    fn a_run_that_finds_no_way_begins_again() {
+        let mut config = config();
+        config.train.restart_steps = 300;
+        let mut progress = Progress::default();
+        let mut began = Vec::new();
+        while progress.step < config.steps {
+            advance(&config, &mut progress, 10);
+            if progress.step % 50 == 0 {
+                // The second weights find a way, but not a good one.
+                let success = if progress.restarts == 1 && progress.step > 500 { 0.92 } else { 0.5 };
+                validated(&config, &mut progress, success);
+                if hopeless(&config, &progress) {
+                    restarted(&mut progress);
+                    began.push(progress.step);
+                    let log_std = pace(&config, &progress).log_std;
+                    assert!((log_std - config.exploration.log_std_start).abs() < 1e-12, "with the noise of new ones");
+                }
+            }
+        }
+        assert_eq!(began, [300]);
+        // Without a way, as long as there is time.
+        config.train.restart_steps = 200;
+        let mut progress = Progress::default();
+        for _ in 0..100 {
+            advance(&config, &mut progress, 10);
+            if hopeless(&config, &progress) {
+                restarted(&mut progress);
+            }
+        }
+        assert_eq!((progress.restarts, progress.begun), (3, 600));
+        assert!(progress.annealed >= 200, "and it ends annealed");
+        config.train.restart_steps = 0;
+        assert!(!hopeless(&config, &Progress { step: 900, ..Progress::default() }));
     }
 
     #[test]
