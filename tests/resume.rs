@@ -133,3 +133,41 @@ fn a_stopped_run_goes_on_in_its_folder() {
         assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
     }
 }
+
+#[test]
+fn a_run_that_begins_again_with_new_weights_can_be_cut_off_anywhere() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Nobody arrives within 60 steps and an untrained policy's speed, so that no weights find a way.
+    let config = || {
+        let (mut config, scenario) = config("mappo", "gru", 600);
+        (config.train.validate_every, config.train.restart_steps, config.train.anneal_steps) = (120, 120, 120);
+        (config, scenario)
+    };
+    let start = |(config, scenario)| Trainer::new(config, scenario).expect("SUMO runs");
+    let whole = RunDir::new(folder.path().join("whole"));
+    let never = AtomicBool::new(false);
+    let mut restarts = Vec::new();
+    start(config()).run(&whole, &never, &mut |report| restarts.push(report.restarts)).expect("trained");
+    // Not later: there has to be time for another search, and for annealing.
+    assert_eq!(restarts, [0, 1, 2, 3, 3]);
+
+    let parts = RunDir::new(folder.path().join("parts"));
+    let mut trainer = start(config());
+    loop {
+        let stop = AtomicBool::new(false);
+        let outcome = trainer.run(&parts, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
+        if outcome.expect("a clean end") == Outcome::Finished {
+            break;
+        }
+        let stored = Checkpoint::load(&parts.last()).expect("a checkpoint");
+        let (config, scenario) = config();
+        trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
+        if stored.progress.step >= 600 && stored.progress.validated >= 600 {
+            break;
+        }
+    }
+    let (a, b) = (Checkpoint::load(&whole.last()).expect("saved"), Checkpoint::load(&parts.last()).expect("saved"));
+    assert_eq!(bits(&a), bits(&b));
+    assert_eq!((a.progress.restarts, a.progress.begun), (3, 360));
+    assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
+}
