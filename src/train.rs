@@ -26,7 +26,7 @@ use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
 
-use noise::Lasting;
+use noise::CorrelatedNoise;
 pub use run_dir::RunDir;
 
 /// How training ended.
@@ -229,7 +229,7 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
         // Each iteration begins anew: what it draws depends on its number alone.
-        let mut lasting = Lasting::new(noise.len(), schedule::correlation(&self.config, &self.progress));
+        let mut correlated = CorrelatedNoise::new(noise.len(), schedule::correlation(&self.config, &self.progress));
         let quiet = Tensor::from_slice(&self.rollout.quiet);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
@@ -242,7 +242,7 @@ impl Trainer {
             }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
-                noise.copy_from_slice(lasting.next(&mut rng));
+                noise.copy_from_slice(correlated.next(&mut rng));
                 let width = s.agents * s.actions;
                 for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
                     noise.fill(0.0);
@@ -491,7 +491,7 @@ impl Files {
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
-            ("restarts", trainer.progress.restarts as f64),
+            ("weights/restarts", trainer.progress.restarts as f64),
             ("resets/respawns", resets.respawns as f64),
             ("resets/loads", resets.loads as f64),
             ("resets/restarts", resets.restarts as f64),

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::train::{Outcome, RunDir, Trainer};
+use iwol_sumo::train::{Outcome, Report, RunDir, Trainer};
 use tch::{Kind, Tensor};
 
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
@@ -141,33 +141,62 @@ fn a_run_that_begins_again_with_new_weights_can_be_cut_off_anywhere() {
     let config = || {
         let (mut config, scenario) = config("mappo", "gru", 600);
         (config.train.validate_every, config.train.restart_steps, config.train.anneal_steps) = (120, 120, 120);
+        config.exploration.correlation = 0.5;
         (config, scenario)
     };
     let start = |(config, scenario)| Trainer::new(config, scenario).expect("SUMO runs");
     let whole = RunDir::new(folder.path().join("whole"));
     let never = AtomicBool::new(false);
     let mut restarts = Vec::new();
-    start(config()).run(&whole, &never, &mut |report| restarts.push(report.restarts)).expect("trained");
+    let mut begun = Vec::new();
+    let mut trainer = start(config());
+    begun.push(bits(&trainer.checkpoint()));
+    let mut see = |report: &Report| {
+        if restarts.last().is_some_and(|last| *last < report.restarts) {
+            // Nothing is written between the beginning with new weights and the iteration that ends here.
+            begun.push(bits(&Checkpoint::load(&whole.last()).expect("a checkpoint")));
+            std::fs::copy(whole.last(), folder.path().join(report.restarts.to_string())).expect("copied");
+        }
+        restarts.push(report.restarts);
+    };
+    trainer.run(&whole, &never, &mut see).expect("trained");
     // Not later: there has to be time for another search, and for annealing.
     assert_eq!(restarts, [0, 1, 2, 3, 3]);
-
-    let parts = RunDir::new(folder.path().join("parts"));
-    let mut trainer = start(config());
-    loop {
-        let stop = AtomicBool::new(false);
-        let outcome = trainer.run(&parts, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
-        if outcome.expect("a clean end") == Outcome::Finished {
-            break;
-        }
-        let stored = Checkpoint::load(&parts.last()).expect("a checkpoint");
-        let (config, scenario) = config();
-        trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
-        if stored.progress.step >= 600 && stored.progress.validated >= 600 {
-            break;
-        }
+    let weights = |bits: &[(String, Vec<u64>)]| -> Vec<_> {
+        bits.iter().filter(|(name, _)| name.starts_with("actor/")).cloned().collect()
+    };
+    let begun: Vec<_> = begun.iter().map(|bits| weights(bits)).collect();
+    assert!(!begun[0].is_empty());
+    for (i, one) in begun.iter().enumerate() {
+        assert!(begun[..i].iter().all(|other| other != one), "weights {i} are not new");
     }
-    let (a, b) = (Checkpoint::load(&whole.last()).expect("saved"), Checkpoint::load(&parts.last()).expect("saved"));
-    assert_eq!(bits(&a), bits(&b));
-    assert_eq!((a.progress.restarts, a.progress.begun), (3, 360));
-    assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
+
+    // Cut off after each iteration, and, from the files kept above, right after each beginning.
+    let whole = Checkpoint::load(&whole.last()).expect("saved");
+    assert_eq!((whole.progress.restarts, whole.progress.begun), (3, 360));
+    let cut = |name: &str, first: Option<&Checkpoint>| {
+        let parts = RunDir::new(folder.path().join(name));
+        let resume = |stored: &Checkpoint| {
+            let (config, scenario) = config();
+            Trainer::resume(config, scenario, stored).expect("resumed")
+        };
+        let mut trainer = first.map_or_else(|| start(config()), resume);
+        loop {
+            let stop = AtomicBool::new(false);
+            let outcome = trainer.run(&parts, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
+            let stored = Checkpoint::load(&parts.last()).expect("a checkpoint");
+            if outcome.expect("a clean end") == Outcome::Finished {
+                assert_eq!(bits(&whole), bits(&stored), "{name}");
+                assert_eq!(
+                    Progress { seconds: 0.0, ..whole.progress.clone() },
+                    Progress { seconds: 0.0, ..stored.progress }
+                );
+                return;
+            }
+            trainer = resume(&stored);
+        }
+    };
+    cut("each", None);
+    let right_after = Checkpoint::load(&folder.path().join("2")).expect("a checkpoint");
+    cut("after", Some(&right_after));
 }

@@ -159,9 +159,10 @@ pub struct Exploration {
     /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
-    /// Correlation of an action's noise with that of the step before, until annealing begins; none after it. Lasting noise of the
-    /// same strength moves a vehicle further from where it would be, and so finds other orders of going first; but vehicles that
-    /// must reckon with it drive slowly.
+    /// Correlation of an action's noise with that of the step before (first-order autoregressive, of the same variance), until
+    /// annealing begins; none after it. Such noise moves a vehicle further from where it would be, and so finds other orders
+    /// of going first; but vehicles that must reckon with it drive slowly. Probabilities stay those of independent noise, which
+    /// makes the policy gradient a biased estimate (Hollenstein et al., AAAI 2024).
     pub correlation: f64,
     /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
     /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.

@@ -59,7 +59,11 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         });
     }
     let unit = if metric.factor == 100.0 { "agents (%)" } else { "reward per agent in 1000 steps" };
-    let lowest = series.iter().flat_map(|s| s.points.iter().map(|p| p.1)).fold(f64::INFINITY, f64::min);
+    // Panels side by side have one scale.
+    let of_all =
+        |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric)?.mean)).collect::<Vec<_>>();
+    let all = block.series.iter().flat_map(of_all).chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
+    let lowest = all.fold(f64::INFINITY, f64::min);
     Panel {
         title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),

@@ -126,7 +126,8 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         document.heading(2, &heading(sweep, block));
         let file = out.join(format!("{}.png", block.evaluate.name));
         figures::results(&file, sweep, block)?;
-        document.figure(&file, &format!("{}: success, safety and window reward", heading(sweep, block)));
+        let shown = if block.evaluate.panels.is_some() { "success" } else { "success, safety and window reward" };
+        document.figure(&file, &format!("{}: {shown}", heading(sweep, block)));
         written.push(file);
         tables::results(&mut document, sweep, block);
         if block.categories.len() > 1 && block.series.len() > 1 {
@@ -206,9 +207,11 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 if let Some(trained) = cell.value(key).filter(|_| evaluated) {
                     parts.push(format!("trained with {short} {}", plain(trained)));
                 }
+                let in_panels = evaluate.panels.as_deref() == Some(key);
                 match value(key).filter(|_| Some(*key) != x.as_deref()) {
+                    Some(value) if in_panels && *key == "algorithm" => panel = Some(value),
+                    Some(value) if in_panels => panel = Some(format!("{short} {value}")),
                     Some(value) if *key == "algorithm" => parts.push(value),
-                    Some(value) if evaluate.panels.as_deref() == Some(key) => panel = Some(format!("{short} {value}")),
                     Some(value) => parts.push(format!("{short} {value}")),
                     None => {}
                 }

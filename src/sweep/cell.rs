@@ -160,7 +160,13 @@ impl Cell {
             super::flatten(&table, "", &mut flat);
             flat
         };
-        let (was, is) = (table(&text), table(&self.config.to_toml()));
+        let (mut was, is) = (table(&text), table(&self.config.to_toml()));
+        // A run may be older than a setting: what it did is what these say.
+        for (key, neutral) in
+            [("exploration.correlation", Value::Float(0.0)), ("train.restart_steps", Value::Integer(0))]
+        {
+            was.entry(key.to_owned()).or_insert(neutral);
+        }
         let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));
         differs.map_or(Ok(()), |key| {
             let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);

@@ -223,6 +223,18 @@ impl Sweep {
                 return Err(wrong(format!("[[evaluate]] `{}`, grid: give a list of values for {key}", evaluate.name)));
             }
         }
+        for evaluate in &evaluations {
+            for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
+                let Some(key) = key else { continue };
+                let several = |table: &Table| table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1);
+                if !several(&parsed.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels {
+                    return Err(wrong(format!(
+                        "[[evaluate]] `{}`: {what} = \"{key}\" is no key of a grid that has several values, or is x and panels at once",
+                        evaluate.name
+                    )));
+                }
+            }
+        }
         for reference in &parsed.reference {
             let alone = reference.x.is_empty() && reference.y.len() == 1;
             if !alone && reference.x.len() != reference.y.len() {
@@ -283,6 +295,9 @@ impl Sweep {
         if let Some(rule) = matched.iter().position(|matched| !matched) {
             let when = listed(&parsed.rule[rule].when);
             return Err(wrong(format!("[[rule]] number {}: no cell has {when}", rule + 1)));
+        }
+        if cells.is_empty() {
+            return Err(wrong("[[skip]] leaves no cell".to_owned()));
         }
         if let Some(evaluate) = evaluations.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
             let when = listed(&evaluate.when);
@@ -618,5 +633,8 @@ mod tests {
             message(("agents = [8, 16]", "agents = [16]")).contains("[[rule]] number 1: no cell has agents = [16]")
         );
         assert!(message(("env.communication_range", "env.comunication_range")).contains("did you mean"));
+        assert!(message(("name = \"range\"", "panels = \"agent\"")).contains("panels = \"agent\" is no key of a grid"));
+        assert!(message(("name = \"range\"", "x = \"agents\"\npanels = \"agents\"")).contains("x and panels at once"));
+        assert!(message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]")).contains("leaves no cell"));
     }
 }

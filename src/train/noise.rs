@@ -1,16 +1,16 @@
-//! Exploration noise that lasts.
+//! Exploration noise that is correlated in time.
 
 use crate::rng::{self, Rng};
 
 /// The noise of a rollout's actions: standard normal at each step, correlated from one to the next.
-pub(super) struct Lasting {
+pub(super) struct CorrelatedNoise {
     correlation: f32,
     values: Vec<f32>,
     drawn: Vec<f32>,
     begun: bool,
 }
 
-impl Lasting {
+impl CorrelatedNoise {
     /// For so many actions per step; `correlation` is from 0 to below 1.
     pub(super) fn new(count: usize, correlation: f32) -> Self {
         Self { correlation, values: vec![0.0; count], drawn: vec![0.0; count], begun: false }
@@ -41,7 +41,7 @@ mod tests {
         fn as_strong_at_every_step_and_correlated_as_asked(correlation in 0.0..0.95_f32, seed in 0..u64::MAX) {
             const COUNT: usize = 20_000;
             let mut rng = Seed::new(seed).rng();
-            let mut noise = Lasting::new(COUNT, correlation);
+            let mut noise = CorrelatedNoise::new(COUNT, correlation);
             let mut before = noise.next(&mut rng).to_vec();
             for _ in 0..4 {
                 let now = noise.next(&mut rng).to_vec();
@@ -59,7 +59,7 @@ mod tests {
     fn without_correlation_it_is_what_is_drawn() {
         let mut drawn = vec![0.0; 7];
         let (mut rng, mut same) = (Seed::new(3).rng(), Seed::new(3).rng());
-        let mut noise = Lasting::new(7, 0.0);
+        let mut noise = CorrelatedNoise::new(7, 0.0);
         for _ in 0..3 {
             rng::fill_normal(&mut same, &mut drawn);
             assert_eq!(noise.next(&mut rng), drawn);

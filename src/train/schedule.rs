@@ -21,10 +21,7 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     // A step of the same size changes a policy with less noise by more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
-    // What lasting noise finds in large steps is lost again in them.
-    let lasting = noise.correlation;
-    let found = if searching(progress) { 1.0 } else { ((1.0 - lasting) / (1.0 + lasting)).sqrt() };
-    Pace { learning_rate: ppo.learning_rate * follow * found * between(1.0, ppo.learning_rate_end, slow), log_std }
+    Pace { learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow), log_std }
 }
 
 /// Correlation of the noise from step to step: none once annealing has begun.
@@ -70,11 +67,16 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
 }
 
+/// A validation with this success is worth going on from.
+const HOPE: f64 = 0.8;
+
 /// Whether new weights are the better choice: these have found no way for long enough, and there is time for others.
 pub(super) fn hopeless(config: &Config, progress: &Progress) -> bool {
     let patience = config.train.restart_steps;
     let (waited, left) = (progress.step - progress.begun, config.steps.saturating_sub(progress.step));
-    patience > 0 && !progress.found && progress.annealed == 0 && waited >= patience && left >= patience + anneal_steps(config)
+    let in_time = waited >= patience && left >= patience + anneal_steps(config);
+    let hope = config.train.anneal_success == 0.0 || progress.recent.last().is_none_or(|success| *success >= HOPE);
+    patience > 0 && in_time && !progress.found && progress.annealed == 0 && !hope
 }
 
 /// New weights take the place of those that found no way.
@@ -86,8 +88,12 @@ pub(super) fn restarted(progress: &mut Progress) {
 
 /// A run that was to take `before` steps goes on with those of `config`: what annealed only because it ended is taken back.
 pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
-    if config.steps > before && !progress.annealing {
-        progress.annealed = 0;
+    if config.steps > before {
+        // Whoever asks for more of this run wants this policy.
+        progress.found = true;
+        if !progress.annealing {
+            progress.annealed = 0;
+        }
     }
 }
 
@@ -216,40 +222,56 @@ mod tests {
         assert_eq!(at(560), 0.5, "it looks for a way again");
     }
 
-    #[test]
-    fn a_run_that_finds_no_way_begins_again() {
-        let mut config = config();
-        config.train.restart_steps = 300;
-        let mut progress = Progress::default();
-        let mut began = Vec::new();
+    /// Plays a run in iterations of 10 steps with a validation after each five; gives it, and where it began again.
+    fn search(config: &Config, success: impl Fn(&Progress) -> f64) -> (Progress, Vec<u64>) {
+        let (mut progress, mut began) = (Progress::default(), Vec::new());
         while progress.step < config.steps {
-            advance(&config, &mut progress, 10);
+            advance(config, &mut progress, 10);
             if progress.step % 50 == 0 {
-                // The second weights find a way, but not a good one.
-                let success = if progress.restarts == 1 && progress.step > 500 { 0.92 } else { 0.5 };
-                validated(&config, &mut progress, success);
-                if hopeless(&config, &progress) {
+                let success = success(&progress);
+                validated(config, &mut progress, success);
+                if hopeless(config, &progress) {
                     restarted(&mut progress);
                     began.push(progress.step);
-                    let log_std = pace(&config, &progress).log_std;
+                    let log_std = pace(config, &progress).log_std;
                     assert!((log_std - config.exploration.log_std_start).abs() < 1e-12, "with the noise of new ones");
                 }
             }
         }
+        (progress, began)
+    }
+
+    #[test]
+    fn a_run_that_finds_no_way_begins_again() {
+        let mut config = config();
+        config.steps = 2000;
+        config.train.restart_steps = 300;
+        // As long as there is time for another search, and for annealing, with which it ends.
+        let (end, began) = search(&config, |_| 0.5);
+        assert_eq!(began, [300, 600, 900, 1200, 1500]);
+        assert_eq!((end.restarts, end.begun, end.annealed), (5, 1500, 200));
+        // Others found a way, and lose it again: they are kept, and search on.
+        let (end, began) = search(&config, |p| if p.restarts == 1 && p.step < 700 { 0.92 } else { 0.5 });
         assert_eq!(began, [300]);
-        // Without a way, as long as there is time.
-        config.train.restart_steps = 200;
-        let mut progress = Progress::default();
-        for _ in 0..100 {
-            advance(&config, &mut progress, 10);
-            if hopeless(&config, &progress) {
-                restarted(&mut progress);
-            }
-        }
-        assert_eq!((progress.restarts, progress.begun), (3, 600));
-        assert!(progress.annealed >= 200, "and it ends annealed");
-        config.train.restart_steps = 0;
-        assert!(!hopeless(&config, &Progress { step: 900, ..Progress::default() }));
+        assert!(end.found);
+        // Close to a way.
+        assert_eq!(search(&config, |p| if p.step < 1000 { 0.85 } else { 0.5 }).1, [1000, 1300]);
+        // Where success is no matter, or not asked for.
+        config.train.anneal_success = 0.0;
+        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
+        (config.train.anneal_success, config.train.restart_steps) = (0.9, 0);
+        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
+    }
+
+    #[test]
+    fn a_run_that_is_made_longer_keeps_its_weights() {
+        let mut config = config();
+        config.train.restart_steps = 300;
+        let mut progress = play(&config, |_| 0.5, |_, _| ());
+        config.steps = 4000;
+        extended(&config, &mut progress, 1000);
+        validated(&config, &mut progress, 0.5);
+        assert!(!hopeless(&config, &progress));
     }
 
     #[test]
