@@ -292,12 +292,12 @@ impl Sweep {
             }
             cells.push(cell);
         }
+        if cells.is_empty() {
+            return Err(wrong("[[skip]] leaves no cell".to_owned()));
+        }
         if let Some(rule) = matched.iter().position(|matched| !matched) {
             let when = listed(&parsed.rule[rule].when);
             return Err(wrong(format!("[[rule]] number {}: no cell has {when}", rule + 1)));
-        }
-        if cells.is_empty() {
-            return Err(wrong("[[skip]] leaves no cell".to_owned()));
         }
         if let Some(evaluate) = evaluations.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
             let when = listed(&evaluate.when);
