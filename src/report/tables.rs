@@ -16,6 +16,10 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     let states: Vec<State> = sweep.cells.iter().map(|cell| cell.state(&sweep.evaluations)).collect();
     let finished = states.iter().filter(|state| **state == State::Finished).count();
     let mut text = format!("{finished} of {} runs are finished", states.len());
+    let trained = states.iter().filter(|state| matches!(state, State::Trained(_))).count();
+    if trained > 0 {
+        let _ = write!(text, ", {trained} more are trained, with evaluations missing");
+    }
     let failed = states.iter().filter(|state| matches!(state, State::Failed(_))).count();
     if failed > 0 {
         let _ = write!(text, ", {failed} failed");
