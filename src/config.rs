@@ -39,7 +39,7 @@ pub struct Config {
     pub init_from: PathBuf,
     /// The training loop.
     pub train: Train,
-    /// Where the worlds run; results do not depend on it.
+    /// Where the worlds run; what is learned does not depend on it, nor any metric but SUMO's own collision counts.
     pub simulation: Simulation,
     /// Networks.
     pub network: settings::Network,
@@ -126,7 +126,7 @@ impl Default for Simulation {
     }
 }
 
-/// The scenario's numbers that a run may change. Defaults are the scenario's own.
+/// The scenario's numbers that a run may change. Defaults are the scenario's own; that of `cooperation` follows from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Env {
