@@ -21,6 +21,7 @@ fn task(agents: u32) -> Arc<Task> {
 
 fn env(agents: u32, worlds: usize) -> VecEnv {
     let options = VecOptions {
+        replay: 0.0,
         worlds,
         driver: Driver::Agents,
         seed: Seed::new(0),

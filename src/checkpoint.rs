@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor};
 
-use crate::env::WorldState;
+use crate::env::{Position, WorldState};
 use crate::record;
 
 /// Version of the layout.
@@ -103,12 +103,14 @@ impl Checkpoint {
         }
         entries.push(("memory".to_owned(), Dtype::F32, vec![self.memory.len()], f32_bytes(&self.memory)));
         let episodes: Vec<(u64, bool)> = self.worlds.iter().map(|world| (world.episode, world.interrupted)).collect();
+        let positions: Vec<&Position> = self.worlds.iter().map(|world| &world.position).collect();
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("algorithm".to_owned(), self.algorithm.clone()),
             ("config".to_owned(), self.config.clone()),
             ("progress".to_owned(), serde_json::to_string(&self.progress).expect("plain data")),
             ("episodes".to_owned(), serde_json::to_string(&episodes).expect("plain data")),
+            ("positions".to_owned(), serde_json::to_string(&positions).expect("plain data")),
         ]);
         let bad = |message: String| Error::Write { path: path.to_owned(), message };
         let views = entries
@@ -150,6 +152,19 @@ impl Checkpoint {
         if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
             return Err(damaged("a counter in it is out of range".to_owned()));
         }
+        // A checkpoint without them is older than replays: its worlds play their streams in order.
+        let stride = episodes.len() as u64;
+        let after = |&(episode, interrupted): &(u64, bool)| {
+            if interrupted { Position::before(episode) } else { Position::before(episode + stride) }
+        };
+        let positions: Vec<Position> = match text("positions") {
+            Ok(text) => serde_json::from_str(&text).map_err(|e| damaged(format!("positions: {e}")))?,
+            Err(_) => episodes.iter().map(after).collect(),
+        };
+        let counters = |p: &Position| [p.next, p.fresh, p.turn].into_iter().chain(p.failed.iter().copied()).max();
+        if positions.len() != episodes.len() || positions.iter().filter_map(counters).any(|n| n > 1 << 60) {
+            return Err(damaged("its positions in the episodes do not fit".to_owned()));
+        }
         let floats = |name: &str| -> Result<Vec<f32>, Error> {
             let view = tensors.tensor(name).map_err(|e| damaged(format!("{name}: {e}")))?;
             if view.dtype() != Dtype::F32 {
@@ -159,9 +174,10 @@ impl Checkpoint {
         };
         let worlds = episodes
             .iter()
+            .zip(positions)
             .enumerate()
-            .map(|(i, &(episode, interrupted))| {
-                Ok(WorldState { episode, interrupted, actions: floats(&format!("world/{i}"))? })
+            .map(|(i, (&(episode, interrupted), position))| {
+                Ok(WorldState { episode, interrupted, actions: floats(&format!("world/{i}"))?, position })
             })
             .collect::<Result<_, Error>>()?;
         let mut learner = Vec::new();

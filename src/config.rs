@@ -67,6 +67,9 @@ pub struct Train {
     /// Each episode of training and validation has a random number of agents, from this one to `agents`, on the same net, so
     /// that the policy drives among any number; 0: always all.
     pub fewest_agents: u32,
+    /// Chance that a world plays an episode of training again that failed before, where it remembers one (the last 16 that failed
+    /// when last played), instead of the next: what seldom goes wrong is seldom seen otherwise.
+    pub replay_failed: f64,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -94,6 +97,7 @@ impl Default for Train {
             envs: 16,
             segment: 128,
             fewest_agents: 0,
+            replay_failed: 0.0,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,
@@ -242,7 +246,7 @@ impl Config {
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter (the latter never up), `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
-    /// `ppo.minibatch` is at most 256 N.
+    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`).
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
@@ -344,6 +348,8 @@ impl Config {
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
             anneal_steps: scaled(train.anneal_steps),
+            // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen.
+            replay_failed: if agents < 8 { 0.5 } else { train.replay_failed },
             // Of 16, every second run finds a way in less than this.
             restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
             ..train
@@ -356,7 +362,8 @@ impl Config {
             log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
             ..exploration
         };
-        let ppo = settings::Ppo { minibatch: ppo.minibatch.min(256 * agents.max(1) as usize), ..ppo };
+        // Each of these many ways is rare: with four times the gradient steps they are learned in a third of the environment steps.
+        let ppo = settings::Ppo { minibatch: ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize), ..ppo };
         let config = Self {
             scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),
@@ -387,7 +394,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 68] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 70] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -401,6 +408,7 @@ impl Config {
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
+            (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
             (&["train.restart_steps"], t.restart_steps <= 1 << 50, "0 to 2^50"),
@@ -451,6 +459,7 @@ impl Config {
             (&["iwol.heads", "iwol.message"], i.heads >= 1 && i.message % i.heads == 0, "a divisor of iwol.message"),
             (&["iwol.temperature"], finite_positive(i.temperature), "above 0"),
             (&["iwol.slope"], i.slope.is_finite(), "a finite number"),
+            (&["iwol.graph_bias"], i.graph_bias.is_finite(), "a finite number"),
             (&["iwol.decoded"], i.decoded > 0.0 && share(i.decoded), "above 0, to 1"),
             (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),
             (&["iwol.lambda_interaction"], finite_range(i.lambda_interaction), "0 or more"),
@@ -697,7 +706,7 @@ mod tests {
         let samples = |c: &Config| c.train.envs * c.agents as usize;
         let (four, eight, most) = (at(4), at(8), at(48));
         assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
-        assert_eq!((samples(&four), four.steps, four.ppo.minibatch), (samples(&eight), 2 * eight.steps, 1024));
+        assert_eq!((samples(&four), four.steps, four.ppo.minibatch), (samples(&eight), 2 * eight.steps, 512));
         assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
@@ -714,6 +723,7 @@ mod tests {
         let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
         let own = settings::Exploration::default().spread;
         assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
+        assert_eq!([&four, &eight, &most].map(|c| c.train.replay_failed), [0.5, 0.0, 0.0]);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 

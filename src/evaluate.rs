@@ -217,6 +217,7 @@ impl Stage<'_> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
         let driver = if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
         let options = VecOptions {
+            replay: 0.0,
             worlds,
             driver,
             seed: self.seed.child("episodes"),
@@ -439,6 +440,7 @@ mod tests {
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
         EpisodeRecord {
+            replayed: false,
             episode,
             episode_length: rewards.len() as u32,
             success: 1.0,

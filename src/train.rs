@@ -129,6 +129,7 @@ impl Trainer {
             driver: Driver::Agents,
             seed: seed.child("episodes"),
             episodes: 0..u64::MAX,
+            replay: config.train.replay_failed,
             hosting: config.hosting(),
         };
         let sizes = Sizes {
@@ -294,7 +295,7 @@ impl Trainer {
     /// Whether a world's episode still goes without noise.
     fn is_late(&self, world: &World) -> bool {
         let late = self.config.exploration.late_steps;
-        let mut rng = self.seed.child("late").index(world.episode()).rng();
+        let mut rng = self.seed.child("late").index(world.turn()).rng();
         late > 0 && rng.random_bool(0.5) && world.step_count() < rng.random_range(0..late)
     }
 
@@ -474,7 +475,7 @@ impl Files {
 
     /// Gives the success of the episodes that the iteration finished.
     fn iteration(&mut self, trainer: &Trainer, losses: &Losses, steps_per_second: f64) -> Result<Option<f64>, Error> {
-        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted).collect();
+        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
         let mean = |of: fn(&EpisodeRecord) -> f64| episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64;
         let mut values: Vec<(&str, f64)> = losses.clone();
         if !episodes.is_empty() {

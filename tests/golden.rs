@@ -128,7 +128,7 @@ fn all_places(f: &Tensor) -> (Tensor, Packing) {
 fn graph_is_a_straight_through_gumbel_softmax() {
     let case = Case::new("graph");
     for slope in [0.2, 1.2] {
-        let (_, graph) = case.network(|path| CommGraph::new(path, 6, 6, slope, 0.7));
+        let (_, graph) = case.network(|path| CommGraph::new(path, 6, 6, slope, 0.0, 0.7));
         let f = case.input("f");
         let (flat, packing) = all_places(&f);
         case.check(&format!("scores_{slope}"), &graph.scores(&flat, &packing));

@@ -29,7 +29,7 @@ fn play(
     steps: u64,
     hosting: Hosting,
 ) -> (Vec<u64>, Vec<EpisodeRecord>) {
-    let options = VecOptions { worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
+    let options = VecOptions { replay: 0.0, worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
     let mut actions = vec![0.0; worlds * task.agents];
     let (mut bits, mut records) = (Vec::new(), Vec::new());
@@ -180,6 +180,7 @@ fn an_episode_of_sumos_own_driver_does_not_depend_on_the_one_before() {
     let task = task(24);
     let second = |first: u64| {
         let options = VecOptions {
+            replay: 0.0,
             worlds: 1,
             driver: Driver::Sumo,
             seed: Seed::new(3),

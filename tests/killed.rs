@@ -59,6 +59,7 @@ fn task() -> Arc<Task> {
 fn a_killed_sumo_costs_its_episode_only() {
     let _alone = ALONE.lock().expect("no test panicked");
     let options = VecOptions {
+        replay: 0.0,
         worlds: 3,
         driver: Driver::Agents,
         seed: Seed::new(1),

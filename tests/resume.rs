@@ -12,7 +12,7 @@ use tch::{Kind, Tensor};
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
-         [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nvalidate_every = 200\nvalidation_episodes = 1\n\
+         [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nreplay_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
@@ -37,10 +37,10 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
         .map(|(name, t)| (name.clone(), value(t).iter().map(|v| v.to_bits()).collect()))
         .collect();
     for world in &checkpoint.worlds {
-        all.push((
-            "world".to_owned(),
-            world.actions.iter().map(|a| u64::from(a.to_bits())).chain([world.episode]).collect(),
-        ));
+        let p = &world.position;
+        let order = [world.episode, p.next, p.fresh, p.turn, u64::from(p.replaying)];
+        let order = order.into_iter().chain(p.failed.iter().copied());
+        all.push(("world".to_owned(), world.actions.iter().map(|a| u64::from(a.to_bits())).chain(order).collect()));
     }
     all.push(("memory".to_owned(), checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect()));
     all.sort();

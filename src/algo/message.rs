@@ -72,7 +72,7 @@ impl MessageTrunk {
         let transformer = GraphTransformer::new(transformer, hidden, message, iwol.rounds, iwol.heads, iwol.mask);
         Self {
             encoder: Encoder::new(path.sub("encoder"), features, network),
-            graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.slope, iwol.temperature),
+            graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.slope, iwol.graph_bias, iwol.temperature),
             transformer,
             hidden,
             physical_mask: iwol.physical_mask,

@@ -218,6 +218,9 @@ pub struct Iwol {
     pub decoded: f64,
     /// Slope of the leaky rectifier in the additive attention (released: 1.2 for driving).
     pub slope: f64,
+    /// Added to the score of every edge: with 3, nineteen of twenty edges exist at the beginning of training, and learning
+    /// cuts them (released: 0, where about half of them exist).
+    pub graph_bias: f64,
     /// Temperature of the Gumbel-softmax.
     pub temperature: f64,
     /// How the graph enters attention: `hard` lets nothing through a cut edge; `logit-mul` multiplies logits (released).
@@ -246,6 +249,7 @@ impl Default for Iwol {
             lambda_interaction: 0.05,
             decoded: 0.25,
             slope: 0.2,
+            graph_bias: 0.0,
             temperature: 1.0,
             mask: MaskMode::Hard,
             physical_mask: true,

@@ -34,6 +34,9 @@ pub struct EpisodeRecord {
     pub failures: Failures,
     /// Cut short because SUMO died; not to be counted.
     pub interrupted: bool,
+    /// It had been played before ([`super::VecOptions::replay`]).
+    #[serde(skip)]
+    pub replayed: bool,
     /// Mean reward over agents in each step.
     #[serde(skip)]
     pub step_rewards: Vec<f32>,

@@ -23,6 +23,8 @@ pub struct VecOptions {
     pub seed: Seed,
     /// Which episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …; when they run out it idles.
     pub episodes: std::ops::Range<u64>,
+    /// Chance that a world plays one of the episodes again that failed, where there is one, instead of the next.
+    pub replay: f64,
     /// Where the worlds run. Nothing but speed depends on it.
     pub hosting: Hosting,
 }
@@ -109,9 +111,7 @@ impl VecEnv {
         }
         for (e, world) in env.worlds_mut().enumerate() {
             world.take_finished();
-            if states[e].interrupted {
-                world.restore_interrupted(states[e].episode);
-            }
+            world.restore(&states[e]);
         }
         if env.resets().loads + env.resets().restarts > 0 {
             return Err(Error::Replay);
@@ -136,6 +136,7 @@ impl VecEnv {
                 let world = |e: usize| {
                     let (episode, stride) = (options.episodes.start + e as u64, options.worlds as u64);
                     World::new(Arc::clone(task), options.driver, options.seed, episode, stride, options.episodes.end)
+                        .with_replay(options.replay)
                 };
                 Ok(Host {
                     simulation,
@@ -190,7 +191,7 @@ impl VecEnv {
 
     /// Lets the coming step start the next episode in every world, whatever is on the road now.
     pub fn reset(&mut self) {
-        self.worlds_mut().for_each(|world| world.reset(world.next_episode()));
+        self.worlds_mut().for_each(World::start_next);
     }
 
     /// Where every world stands in its episodes.

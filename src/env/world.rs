@@ -11,6 +11,7 @@ use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
+use super::order::{Order, Position};
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
 use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
@@ -102,6 +103,8 @@ pub struct WorldState {
     pub actions: Vec<f32>,
     /// SUMO died in the last exchange: `episode` is yet to start.
     pub interrupted: bool,
+    /// Place in the order of episodes.
+    pub position: Position,
 }
 
 /// One world.
@@ -110,12 +113,8 @@ pub struct World {
     task: Arc<Task>,
     driver: Driver,
     seed: Seed,
-    /// Distance between consecutive episode numbers of this world.
-    stride: u64,
-    /// Episodes from this number on are not played.
-    end: u64,
+    order: Order,
     episode: u64,
-    next_episode: u64,
     phase: Phase,
     step: u32,
     /// Agents of the current episode; the first slots are theirs.
@@ -145,11 +144,9 @@ impl World {
         let (o, s) = (task.spec.observation.len(), task.spec.state.len());
         Self {
             driver,
+            order: Order::new(seed, first, stride, end),
             seed,
-            stride,
-            end,
             episode: first,
-            next_episode: first,
             phase: Phase::Idle,
             step: 0,
             crew: n,
@@ -180,6 +177,12 @@ impl World {
         }
     }
 
+    /// The same, which plays an episode that failed again with this chance, where there is one, instead of the next.
+    #[must_use]
+    pub fn with_replay(self, chance: f64) -> Self {
+        Self { order: self.order.with_replay(chance), ..self }
+    }
+
     /// The last frame.
     pub fn frame(&self) -> &Frame {
         &self.frame
@@ -205,9 +208,9 @@ impl World {
         self.episode
     }
 
-    /// Number of the episode after this one.
-    pub(super) fn next_episode(&self) -> u64 {
-        self.next_episode
+    /// Number of the turn under way: that of the episode, as long as none was replayed.
+    pub fn turn(&self) -> u64 {
+        self.order.turn()
     }
 
     /// Step of the current episode.
@@ -244,15 +247,21 @@ impl World {
 
     /// Place in the episodes, for a checkpoint.
     pub fn state(&self) -> WorldState {
+        let position = self.order.position.clone();
         if self.interrupted {
-            return WorldState { episode: self.next_episode, actions: Vec::new(), interrupted: true };
+            return WorldState { episode: position.next, actions: Vec::new(), interrupted: true, position };
         }
-        WorldState { episode: self.episode, actions: self.actions.clone(), interrupted: false }
+        WorldState { episode: self.episode, actions: self.actions.clone(), interrupted: false, position }
     }
 
     /// Lets the coming exchange start `episode`, whatever is on the road now.
     pub fn reset(&mut self, episode: u64) {
-        self.next_episode = episode;
+        self.order.go_to(episode);
+        self.phase = Phase::Ended;
+    }
+
+    /// Lets the coming exchange start the next episode, whatever is on the road now.
+    pub(super) fn start_next(&mut self) {
         self.phase = Phase::Ended;
     }
 
@@ -299,13 +308,12 @@ impl World {
     fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
         let task = Arc::clone(&self.task);
         let fresh = std::mem::take(&mut self.interrupted);
-        if self.next_episode >= self.end {
+        let Some(episode) = self.order.begin() else {
             self.phase = Phase::Idle;
             return;
-        }
+        };
+        self.episode = episode;
         self.respawns += u64::from(!fresh);
-        self.episode = self.next_episode;
-        self.next_episode += self.stride;
         self.step = 0;
         self.total_reward = 0.0;
         self.step_rewards.clear();
@@ -417,7 +425,9 @@ impl World {
         }
         if acting == 0 && self.phase == Phase::Running {
             self.phase = Phase::Ended;
-            self.finished = Some(self.record(false));
+            let record = self.record(false);
+            self.order.ended(self.episode, record.success >= 1.0);
+            self.finished = Some(record);
         }
         Ok(())
     }
@@ -441,7 +451,7 @@ impl World {
             self.frame.terminated.fill(0.0);
             self.frame.start = false;
         } else if self.phase == Phase::Spawning {
-            self.next_episode = self.episode;
+            self.order.repeat(self.episode);
         }
         self.phase = Phase::Ended;
     }
@@ -453,10 +463,13 @@ impl World {
         }
     }
 
-    /// Brings the world back to where [`World::interrupt`] left it before `episode`.
-    pub(super) fn restore_interrupted(&mut self, episode: u64) {
-        self.interrupted = true;
-        self.reset(episode);
+    /// The last touch of bringing the world back to a state, after its actions were played again.
+    pub(super) fn restore(&mut self, state: &WorldState) {
+        if state.interrupted {
+            self.interrupted = true;
+            self.start_next();
+        }
+        self.order.position = state.position.clone();
     }
 
     /// Whether the coming exchange respawns.
@@ -634,6 +647,7 @@ impl World {
             audit: self.pairs.audit(),
             failures,
             interrupted,
+            replayed: self.order.position.replaying,
             step_rewards: std::mem::take(&mut self.step_rewards),
         }
     }

@@ -18,18 +18,19 @@ pub struct CommGraph {
     receiver: Tensor,
     sender: Tensor,
     slope: f64,
+    bias: f64,
     temperature: f64,
 }
 
 impl CommGraph {
     /// A graph over features of width `inputs`, with a trunk of its own of width `hidden`. `slope` is that of the leaky
-    /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `temperature` that
-    /// of the straight-through gradient.
-    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, slope: f64, temperature: f64) -> Self {
+    /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `bias` is added to
+    /// every score, `temperature` is that of the straight-through gradient.
+    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, slope: f64, bias: f64, temperature: f64) -> Self {
         let base = Mlp::new(path.sub("base"), inputs, hidden, 1);
         let init = Init::XavierNormal(SQRT_2);
         let receiver = path.create("receiver", &[1, hidden], init);
-        CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), slope, temperature }
+        CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), slope, bias, temperature }
     }
 
     /// Scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a packing; `e[b, i, j]` speaks for `i` listening to `j`, and the
@@ -38,7 +39,7 @@ impl CommGraph {
         let halves = self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
         let halves = packing.unpack(&halves);
         let sum = halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2);
-        &sum * self.slope + sum.relu() * (1.0 - self.slope)
+        &sum * self.slope + sum.relu() * (1.0 - self.slope) + self.bias
     }
 
     /// The graph `G: [B, N, N]` for features `f: [P, H]`, with values exactly 0 or 1 and the gradient of the
@@ -90,7 +91,7 @@ mod tests {
     }
 
     fn scheduler() -> CommGraph {
-        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 5, 0.2, 1.0)
+        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 5, 0.2, 0.0, 1.0)
     }
 
     #[test]

@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn a_dead_agent_changes_nothing_through_the_learned_graph() {
         let mut params = Params::new(Device::Cpu);
-        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 1.0);
+        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
         let network = transformer(MaskMode::Hard);
         let physical = silenced(4);
         let _ = physical.select(1, 4).fill_(0.0);

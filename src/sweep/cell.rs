@@ -162,9 +162,12 @@ impl Cell {
         };
         let (mut was, is) = (table(&text), table(&self.config.to_toml()));
         // A run may be older than a setting: what it did is what these say.
-        for (key, neutral) in
-            [("exploration.correlation", Value::Float(0.0)), ("train.restart_steps", Value::Integer(0))]
-        {
+        for (key, neutral) in [
+            ("exploration.correlation", Value::Float(0.0)),
+            ("iwol.graph_bias", Value::Float(0.0)),
+            ("train.replay_failed", Value::Float(0.0)),
+            ("train.restart_steps", Value::Integer(0)),
+        ] {
             was.entry(key.to_owned()).or_insert(neutral);
         }
         let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));

@@ -194,7 +194,8 @@ fn env(worlds: usize, processes: usize) -> VecEnv {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
     let task = Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task"));
     let hosting = Hosting { processes, timeout: Duration::from_millis(500), ..Hosting::default() };
-    let options = VecOptions { worlds, driver: Driver::Agents, seed: Seed::new(1), episodes: 0..u64::MAX, hosting };
+    let options =
+        VecOptions { replay: 0.0, worlds, driver: Driver::Agents, seed: Seed::new(1), episodes: 0..u64::MAX, hosting };
     VecEnv::new(&task, &options).expect("SUMO runs")
 }
 

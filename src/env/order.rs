@@ -1,0 +1,169 @@
+//! Which episode a world plays next: the next one of its stream or, in training and now and then, one that failed before
+//! (prioritised level replay with failure as the score: Jiang et al., ICML 2021).
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::rng::{self, Seed};
+
+/// Most failed episodes that a world remembers.
+const MEMORY: usize = 16;
+
+/// Where a world stands in its order of episodes.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Position {
+    /// Episode that comes next.
+    pub next: u64,
+    /// First episode of the stream that has not been played.
+    pub fresh: u64,
+    /// Counts the episodes begun, replayed ones too, in steps of the stream's.
+    pub turn: u64,
+    /// Whether the episode under way had been played before.
+    pub replaying: bool,
+    /// Episodes that failed when last played, oldest first.
+    pub failed: Vec<u64>,
+}
+
+impl Position {
+    /// Of a world that replays nothing, before `episode`.
+    pub(crate) fn before(episode: u64) -> Self {
+        Self { next: episode, fresh: episode, turn: episode, replaying: false, failed: Vec::new() }
+    }
+}
+
+/// A world's order of episodes.
+#[derive(Debug, Clone)]
+pub(super) struct Order {
+    seed: Seed,
+    /// Distance between consecutive episode numbers of this world.
+    stride: u64,
+    /// Episodes from this number on are not played.
+    end: u64,
+    /// Chance that a failed episode follows, where there is one.
+    replay: f64,
+    pub(super) position: Position,
+}
+
+impl Order {
+    /// Episodes `first, first + stride, …` below `end` of the stream `seed`.
+    pub(super) fn new(seed: Seed, first: u64, stride: u64, end: u64) -> Self {
+        Self { seed: seed.child("replay"), stride, end, replay: 0.0, position: Position::before(first) }
+    }
+
+    pub(super) fn with_replay(self, replay: f64) -> Self {
+        Self { replay, ..self }
+    }
+
+    /// Goes on with `episode` and those that follow it in the stream.
+    pub(super) fn go_to(&mut self, episode: u64) {
+        self.position = Position { failed: std::mem::take(&mut self.position.failed), ..Position::before(episode) };
+    }
+
+    /// Takes back the begin of `episode`: it comes next.
+    pub(super) fn repeat(&mut self, episode: u64) {
+        self.position.next = episode;
+        if !self.position.replaying {
+            self.position.fresh = episode;
+        }
+    }
+
+    /// Number of the turn under way: that of its episode, as long as none was replayed.
+    pub(super) fn turn(&self) -> u64 {
+        self.position.turn.saturating_sub(self.stride)
+    }
+
+    /// The episode that begins now; `None` when all have been played.
+    pub(super) fn begin(&mut self) -> Option<u64> {
+        let Position { next, fresh, turn, replaying, .. } = &mut self.position;
+        if *next >= self.end {
+            return None;
+        }
+        let episode = *next;
+        *replaying = episode < *fresh;
+        if !*replaying {
+            *fresh = episode + self.stride;
+        }
+        *turn += self.stride;
+        *next = *fresh;
+        Some(episode)
+    }
+
+    /// `episode` came to its end; chooses the one after it.
+    pub(super) fn ended(&mut self, episode: u64, solved: bool) {
+        if self.replay <= 0.0 {
+            return;
+        }
+        let turn = self.turn();
+        let Position { next, failed, .. } = &mut self.position;
+        failed.retain(|&other| other != episode);
+        if !solved {
+            failed.push(episode);
+            if failed.len() > MEMORY {
+                failed.remove(0);
+            }
+        }
+        let mut rng = self.seed.index(turn).rng();
+        if !failed.is_empty() && rng.random_bool(self.replay) {
+            *next = failed[rng::below(&mut rng, failed.len())];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn play(order: &mut Order, turns: usize, solved: impl Fn(u64) -> bool) -> Vec<(u64, bool)> {
+        let turn = |order: &mut Order| {
+            let episode = order.begin()?;
+            order.ended(episode, solved(episode));
+            Some((episode, order.position.replaying))
+        };
+        (0..turns).map_while(|_| turn(order)).collect()
+    }
+
+    #[test]
+    fn without_replay_the_stream_is_played_in_order() {
+        let mut order = Order::new(Seed::new(1), 2, 3, 12);
+        order.begin();
+        order.repeat(2);
+        assert_eq!(play(&mut order, 9, |_| false), [(2, false), (5, false), (8, false), (11, false)]);
+        assert_eq!(order.position.failed, [0; 0]);
+    }
+
+    #[test]
+    fn failed_episodes_come_back_until_they_are_solved() {
+        let mut order = Order::new(Seed::new(1), 0, 4, u64::MAX).with_replay(0.5);
+        let hard = |episode: u64| episode != 8 && episode != 40;
+        let begun = play(&mut order, 400, hard);
+        let fresh: Vec<u64> = begun.iter().filter(|b| !b.1).map(|b| b.0).collect();
+        assert!(fresh.iter().copied().eq((0..fresh.len() as u64).map(|k| 4 * k)), "nothing of the stream is left out");
+        let again = |episode| begun.iter().filter(|b| b.1 && b.0 == episode).count();
+        assert!(begun.iter().all(|b| !b.1 || b.0 == 8 || b.0 == 40), "what was solved is not replayed");
+        assert!(again(8) > 60 && again(40) > 60 && again(8) + again(40) < 240, "{} {}", again(8), again(40));
+        assert_eq!(order.position.failed.len(), 2);
+        play(&mut order, 100, |_| true);
+        assert_eq!(order.position.failed, [0; 0], "solved ones are forgotten");
+    }
+
+    #[test]
+    fn few_are_remembered_and_none_twice() {
+        let mut order = Order::new(Seed::new(3), 1, 2, u64::MAX).with_replay(0.3);
+        play(&mut order, 200, |_| false);
+        let mut failed = order.position.failed.clone();
+        assert_eq!(failed.len(), MEMORY);
+        failed.sort_unstable();
+        failed.dedup();
+        assert_eq!(failed.len(), MEMORY);
+    }
+
+    #[test]
+    fn goes_on_from_a_position_as_without_a_break() {
+        let solved = |episode: u64| !episode.is_multiple_of(3);
+        let mut order = Order::new(Seed::new(5), 0, 2, u64::MAX).with_replay(0.5);
+        play(&mut order, 37, solved);
+        let mut other = Order::new(Seed::new(5), 0, 2, u64::MAX).with_replay(0.5);
+        other.position = order.position.clone();
+        assert_eq!(play(&mut order, 50, solved), play(&mut other, 50, solved));
+    }
+}
