@@ -84,8 +84,8 @@ def step(orders, vehicles):
     unknown = set()
     for call, names, *columns in orders:
         if call == "vehicle.add":
-            routes, types, positions, speeds = columns
-            columns = routes, types, repeat("now"), repeat("first"), positions, speeds
+            routes, types, lanes, positions, speeds = columns
+            columns = routes, types, repeat("now"), lanes, positions, speeds
         elif call == "vehicle.moveToXY":
             # No edge is hinted at, and no lane of it.
             columns = repeat(""), repeat(-1), *columns

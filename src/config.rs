@@ -246,7 +246,8 @@ impl Config {
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter (the latter never up), `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
-    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`).
+    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`)
+    /// and annealing goes on from 90 % of success.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
@@ -350,6 +351,8 @@ impl Config {
             anneal_steps: scaled(train.anneal_steps),
             // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen.
             replay_failed: if agents < 8 { 0.5 } else { train.replay_failed },
+            // They also wait for ever for a success that only less noise brings.
+            anneal_success: if agents < 8 { 0.9 } else { train.anneal_success },
             // Of 16, every second run finds a way in less than this.
             restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
             ..train
@@ -363,7 +366,13 @@ impl Config {
             ..exploration
         };
         // Each of these many ways is rare: with four times the gradient steps they are learned in a third of the environment steps.
-        let ppo = settings::Ppo { minibatch: ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize), ..ppo };
+        let ppo = settings::Ppo {
+            minibatch: ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize),
+            // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
+            // in twenty costs.
+            gamma: if agents < 8 { 0.998 } else { ppo.gamma },
+            ..ppo
+        };
         let config = Self {
             scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),
@@ -723,7 +732,8 @@ mod tests {
         let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
         let own = settings::Exploration::default().spread;
         assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
-        assert_eq!([&four, &eight, &most].map(|c| c.train.replay_failed), [0.5, 0.0, 0.0]);
+        let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.ppo.gamma);
+        assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.9, 0.998), (0.0, 0.95, 0.99), (0.0, 0.95, 0.99)]);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 

@@ -28,8 +28,10 @@ const RETRIES: u32 = 2;
 
 /// Who drives.
 pub enum Policy<'a> {
-    /// The same throttle in every step.
+    /// The same throttle in every step, straight on.
     Throttle(f32),
+    /// Pure pursuit of the route at a speed \[m/s\].
+    Pursuit(f64),
     /// Standard normal actions (clipped by the environment), as an untrained policy gives.
     Gaussian,
     /// Actions uniform in −1..1.
@@ -41,7 +43,7 @@ pub enum Policy<'a> {
 }
 
 /// Names of the policies that need no training, as on the command line.
-pub const POLICIES: [&str; 4] = ["throttle:<a>", "gaussian", "uniform", "sumo"];
+pub const POLICIES: [&str; 5] = ["throttle:<a>", "pursuit:<speed>", "gaussian", "uniform", "sumo"];
 
 impl Policy<'static> {
     /// A policy that needs no training, by its name on the command line.
@@ -50,6 +52,10 @@ impl Policy<'static> {
             "gaussian" => Some(Self::Gaussian),
             "uniform" => Some(Self::Uniform),
             "sumo" => Some(Self::Sumo),
+            _ if name.starts_with("pursuit:") => {
+                let speed: f64 = name.strip_prefix("pursuit:")?.parse().ok()?;
+                (speed > 0.0 && speed.is_finite()).then_some(Self::Pursuit(speed))
+            }
             _ => {
                 let throttle: f32 = name.strip_prefix("throttle:")?.parse().ok()?;
                 (-1.0..=1.0).contains(&throttle).then_some(Self::Throttle(throttle))
@@ -339,7 +345,24 @@ impl<'a> PolicyDriver<'a> {
         let mut thoughts = Thoughts::default();
         let width = self.task.agents * self.task.spec.actions;
         match self.policy {
-            Policy::Throttle(throttle) => self.actions.fill(*throttle),
+            Policy::Throttle(throttle) => {
+                // Where there are two, the first one steers.
+                let actions = self.task.spec.actions;
+                for action in self.actions.chunks_mut(actions) {
+                    action.fill(0.0);
+                    action[actions - 1] = *throttle;
+                }
+            }
+            Policy::Pursuit(speed) => {
+                let actions = self.task.spec.actions;
+                for (world, acts) in worlds.zip(self.actions.chunks_mut(width)) {
+                    for (i, action) in acts.chunks_mut(actions).enumerate() {
+                        let [steer, throttle] = world.pursuit(i, *speed);
+                        action[0] = steer as f32;
+                        action[actions - 1] = throttle as f32;
+                    }
+                }
+            }
             Policy::Sumo => {}
             Policy::Gaussian | Policy::Uniform => {
                 for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {

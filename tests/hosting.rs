@@ -102,10 +102,10 @@ fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleSt
     for step in 0..60_u32 {
         let mut commands = Vec::new();
         for (world, slot) in (0..worlds).flat_map(|w| (0..8).map(move |s| (w, s))) {
-            let place = task.places[slot as usize];
+            let place = &task.places[slot as usize];
             let front = place.pos + half;
             if step == 0 {
-                let route = place.route as u32;
+                let route = place.routes[0] as u32;
                 commands.push(Command::Add {
                     world,
                     slot,
@@ -117,7 +117,7 @@ fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleSt
                 commands.push(Command::SpeedMode { world, slot, mode: 32 });
             } else {
                 let way = f64::from(step) * (5.0 + 0.37 * f64::from(slot)) * interval;
-                let ([x, y], heading, _) = task.routes[place.route].path.body(front + way, 2.0 * half);
+                let ([x, y], heading, _) = task.routes[place.routes[0]].path.body(front + way, 2.0 * half);
                 commands.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
             }
         }

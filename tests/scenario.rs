@@ -9,8 +9,8 @@ use std::{
 
 use iwol_sumo::{
     scenario::{
-        AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward,
-        Route, Scenario, SpawnRow, Termination, Vehicle,
+        AgentRange, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
+        Scenario, SpawnRow, Termination, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
 };
@@ -102,7 +102,7 @@ fn spawn_places_and_finish_lines_of_the_30_m_net_are_those_of_the_task() {
     let map = net::Net::load(&net.file).unwrap();
     let (mut starts, mut ways) = (Vec::new(), Vec::new());
     for place in net.places() {
-        let route = &scenario.routes[place.route];
+        let route = &scenario.routes[place.routes[0]];
         let path = map.route_path(&route.edges).unwrap();
         let start = path.arc(0, place.pos).unwrap();
         let finish = path.arc(route.edges.len() - 1, route.arrival_pos).unwrap();
@@ -271,7 +271,7 @@ prop_compose! {
     ) -> Vec<Net> {
         let mut nets: Vec<Net> = rows.into_iter().map(|(file, rows)| Net {
             file: Path::new("some/folder").join(format!("../a&<\"'> {file}.net.xml")),
-            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { route, first, spacing, count }).collect(),
+            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { routes: [route].into(), first, spacing, count }).collect(),
         }).collect();
         nets.sort_by_key(Net::capacity);
         nets
@@ -308,11 +308,11 @@ prop_compose! {
             description: words.join(" "),
             agents: AgentRange { min, max, default: min },
             nets,
-            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, arrival_pos }).collect(),
+            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
-                mode: ControlMode::Throttle, interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
+                interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake, steering: None,
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],

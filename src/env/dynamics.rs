@@ -8,7 +8,7 @@
 use crate::scenario::{Control, Vehicle};
 
 /// Substeps per second of the integration.
-const RATE: f64 = 50.0;
+pub(super) const RATE: f64 = 50.0;
 
 /// Way \[m\] and final speed \[m/s\] of one decision interval from speed `v` \[m/s\] under `action` (clipped to -1..=1;
 /// NaN counts as 0).
@@ -27,7 +27,7 @@ pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f6
 /// Acceleration \[m/s²\] of a moving vehicle under `action`.
 pub fn acceleration(control: &Control, action: f64) -> f64 {
     let action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
-    if action > 0.0 {
+    if action > 0.0 || control.steering.is_some_and(|s| s.reverse) {
         return control.accel * action;
     }
     let magnitude = -action;
@@ -47,16 +47,15 @@ pub fn acceleration(control: &Control, action: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::ControlMode;
 
     fn law() -> (Control, Vehicle) {
         (
             Control {
-                mode: ControlMode::Throttle,
                 interval: 0.1,
                 accel: 2.909,
                 drag: 0.364,
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
+                steering: None,
             },
             Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
         )

@@ -20,6 +20,9 @@ pub(super) const SPEED: f64 = 22.2;
 /// Count that reads as one.
 pub(super) const COUNT: f64 = 12.0;
 
+/// Ways ahead of the points of its route that an agent that steers sees \[m\].
+const PREVIEW: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
+
 const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("to_conflict_far", "50 m", -1.0, 1.0),
     ("to_conflict_near", "15 m", -1.0, 1.0),
@@ -45,6 +48,21 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             ("lateral", "1.75 m, positive left", -1.0, 1.0),
         ],
     );
+    if scenario.control.steering.is_some() {
+        features.push(
+            "steering",
+            1,
+            &[
+                ("last_steer", "1, positive left", -1.0, 1.0),
+                ("heading_error_sin", "1, heading left of the route's", -1.0, 1.0),
+                ("heading_error_cos", "1", -1.0, 1.0),
+                ("yaw_rate", "1 rad/s", -1.0, 1.0),
+                ("reverse_speed", "5 m/s, backwards", 0.0, 1.0),
+                ("lateral_far", "10 m, positive left", -1.0, 1.0),
+            ],
+        );
+        features.push("preview", PREVIEW.len(), &[("forward", "32 m", -1.0, 1.0), ("left", "16 m", -1.0, 1.0)]);
+    }
     if settings.groups.nearest() {
         features.push(
             "neighbour",
@@ -116,6 +134,22 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
         (route.arrival - own.s) / 100.0,
         own.lateral / 1.75,
     ]);
+    if scenario.control.steering.is_some() {
+        let error = own.pose.heading - route.path.at(own.s).1;
+        w.put([
+            own.steer,
+            error.sin(),
+            error.cos(),
+            own.motion.yaw_rate,
+            (-own.speed).max(0.0) / 5.0,
+            own.lateral / 10.0,
+        ]);
+        for ahead in PREVIEW {
+            let ([x, y], _) = route.path.at(own.s + ahead);
+            let (dx, dy) = (x - own.pose.x, y - own.pose.y);
+            w.put([(dx * cos + dy * sin) / 32.0, (dy * cos - dx * sin) / 16.0]);
+        }
+    }
     let view = View { scenario, routes, traffic, slot };
     let groups = scenario.observation.groups;
     if groups.nearest() {

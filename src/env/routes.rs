@@ -7,6 +7,8 @@ use crate::sumo::net::Path;
 pub struct RouteGeometry {
     /// Centre line.
     pub path: Path,
+    /// Lane of the first edge on which it begins, as SUMO counts them.
+    pub first_lane: u32,
     /// An agent whose centre is here or further has arrived.
     pub arrival: f64,
     /// Routes that cross or merge with this one, in the order in which this one meets them.
@@ -64,7 +66,7 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeome
         }
     }
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    RouteGeometry { path: path.clone(), arrival, conflicts, apart, shared }
+    RouteGeometry { path: path.clone(), first_lane: 0, arrival, conflicts, apart, shared }
 }
 
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
@@ -72,10 +74,9 @@ fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
         return vec![Shared { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 }];
     }
     let mut stretches = Vec::new();
-    for (i, edge) in own.edges.iter().enumerate() {
-        if let Some(j) = other.edges.iter().position(|e| e == edge) {
-            let from = other.edge_start[j];
-            stretches.push(Shared { from, to: from + other.edge_length[j], shift: own.edge_start[i] - from });
+    for (lane, start, _) in own.lane_stretches() {
+        if let Some((_, from, to)) = other.lane_stretches().find(|stretch| stretch.0 == lane) {
+            stretches.push(Shared { from, to, shift: start - from });
         }
     }
     stretches

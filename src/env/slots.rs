@@ -5,6 +5,7 @@
 
 use super::failures::Crash;
 use super::geometry::Pose;
+use super::steering::Motion;
 
 /// A vehicle this far behind a meeting point has left it, body and all \[m\].
 pub(super) const CLEARED: f64 = 7.0;
@@ -28,11 +29,18 @@ pub(super) struct Slot {
     pub(super) speed: f64,
     /// Offset from the lane's centre line, positive to the left \[m\].
     pub(super) lateral: f64,
+    /// Last throttle.
     pub(super) action: f64,
+    /// Last steering command, where it steers.
+    pub(super) steer: f64,
+    /// Where it steers: what moves it.
+    pub(super) motion: Motion,
     /// Segment of the route's polyline where the vehicle was last.
     pub(super) segment: usize,
     /// SUMO has been given the vehicle and has not been told to remove it.
     pub(super) added: bool,
+    /// It has been put beside its route: SUMO may have given it another.
+    pub(super) astray: bool,
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
@@ -61,8 +69,11 @@ pub(super) const EMPTY: Slot = Slot {
     speed: 0.0,
     lateral: 0.0,
     action: 0.0,
+    steer: 0.0,
+    motion: Motion::at(Pose { x: 0.0, y: 0.0, heading: 0.0 }),
     segment: 0,
     added: false,
+    astray: false,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },

@@ -1,5 +1,6 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
+use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
 use crate::scenario::{Scenario, SpawnPlace};
@@ -36,6 +37,8 @@ pub struct Task {
     pub routes: Vec<RouteGeometry>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
+    /// Where vehicles that steer may drive.
+    pub(super) road: Road,
     /// Where each route lies in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
     /// Corners of the net's bounding box: `[x_min, y_min, x_max, y_max]` \[m\].
@@ -53,9 +56,15 @@ impl Task {
         let net = Net::load(&choice.file)?;
         let mut paths = Vec::with_capacity(scenario.routes.len());
         for route in &scenario.routes {
-            paths.push(net.route_path(&route.edges)?);
+            paths.push(net.route_path_from(&route.edges, route.lane)?);
         }
-        let routes = (0..paths.len()).map(|a| geometry(&paths, a, scenario.routes[a].arrival_pos)).collect::<Vec<_>>();
+        let routes = (0..paths.len())
+            .map(|a| {
+                let mut route = geometry(&paths, a, scenario.routes[a].arrival_pos);
+                route.first_lane = paths[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
+                route
+            })
+            .collect::<Vec<_>>();
         let junctions = paths.iter().map(|path| junction_stretches(&net, path)).collect();
         let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for point in paths.iter().flat_map(|path| &path.points) {
@@ -66,7 +75,7 @@ impl Task {
         }
         let spec = EnvSpec {
             agents: agents as usize,
-            actions: 1,
+            actions: if scenario.control.steering.is_some() { 2 } else { 1 },
             observation: observation::describe(scenario),
             state: state::describe(scenario),
         };
@@ -75,6 +84,7 @@ impl Task {
             fewest: agents as usize,
             places: choice.places().collect(),
             routes,
+            road: Road::new(&net, scenario.vehicle.length, scenario.vehicle.width),
             junctions,
             spec,
             bounds,
@@ -92,6 +102,16 @@ impl Task {
     /// The net.
     pub fn net_file(&self) -> &std::path::Path {
         &self.net_file
+    }
+
+    /// How SUMO is to find the lane of a front bumper at `front` \[m\], of a vehicle on a route that was last on one of its segments:
+    /// among the edges of its route (1), which is three times as fast, but never finds a lane over a junction (SUMO 1.15), or exactly
+    /// where it is, on any lane or none (2).
+    pub fn keep_route(&self, route: usize, front: [f64; 2], segment: usize) -> u8 {
+        let path = &self.routes[route].path;
+        let (s, lateral, segment) = path.project(front, segment);
+        let over_junction = self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s));
+        if over_junction || lateral.abs() > path.widths[segment] / 2.0 { 2 } else { 1 }
     }
 
     /// What a simulation of `worlds` worlds of this task needs to start.
@@ -124,7 +144,12 @@ impl Task {
                 .scenario
                 .routes
                 .iter()
-                .map(|route| Route { id: route.id.clone(), edges: route.edges.clone() })
+                .zip(&self.routes)
+                .map(|(route, geometry)| Route {
+                    id: route.id.clone(),
+                    edges: route.edges.clone(),
+                    lane: geometry.first_lane,
+                })
                 .collect(),
         }
     }

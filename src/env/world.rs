@@ -13,6 +13,7 @@ use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
+use super::steering::Motion;
 use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
 use crate::rng::{self, Seed};
@@ -23,6 +24,8 @@ use crate::sumo::{Command, Snapshot};
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
+/// How far ahead on its route the point lies that pure pursuit steers for \[m\].
+const LOOK_AHEAD: f64 = 4.0;
 /// SUMO's speed mode with every check off.
 const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
@@ -80,6 +83,12 @@ pub struct AgentView {
     pub fate: Fate,
     /// Of its centre, the last one where it is gone.
     pub pose: Pose,
+    /// Its route's number.
+    pub route: usize,
+    /// Position of its centre along that \[m\].
+    pub position: f64,
+    /// Offset from the route's centre line, positive to the left \[m\].
+    pub lateral: f64,
     /// \[m/s\]
     pub speed: f64,
     /// What the last step gave it, without the cooperative mix.
@@ -235,9 +244,28 @@ impl World {
             wreck: slot.status == Status::Wreck,
             fate: slot.fate,
             pose: slot.pose,
+            route: slot.route,
+            position: slot.s,
+            lateral: slot.lateral,
             speed: slot.speed,
             reward: *reward,
         })
+    }
+
+    /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: the wheels point to the circle
+    /// through a point ahead on the route, and throttle closes the gap in speed within half a second.
+    pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
+        let (task, own) = (&*self.task, &self.traffic.slots[slot]);
+        let control = &task.scenario.control;
+        let throttle = ((speed - own.speed) / (0.5 * control.accel)).clamp(-1.0, 1.0);
+        let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
+            return [0.0, throttle];
+        };
+        let ([x, y], _) = task.routes[own.route].path.at(own.s + LOOK_AHEAD);
+        let (dx, dy) = (x - own.pose.x, y - own.pose.y);
+        let bearing = dy.atan2(dx) - own.pose.heading;
+        let wheel = (2.0 * steering.wheelbase * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
+        [(wheel / steering.max_angle).clamp(-1.0, 1.0), throttle]
     }
 
     /// Whether there is nothing left to play.
@@ -277,13 +305,26 @@ impl World {
                     let at = i as u32;
                     match slot.status {
                         Status::Active if self.driver == Driver::Agents => {
-                            let action = f64::from(actions[i * task.spec.actions]);
-                            slot.action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
                             let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
-                            let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
-                            slot.speed = speed;
-                            // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
-                            commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
+                            let actions = &actions[i * task.spec.actions..(i + 1) * task.spec.actions];
+                            let action = |k: usize| {
+                                let action = f64::from(actions[k]);
+                                if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }
+                            };
+                            if let Some(steering) = &control.steering {
+                                (slot.steer, slot.action) = (action(0), action(1));
+                                slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
+                                slot.speed = slot.motion.speed;
+                                let moves = moves(task, world, at, slot);
+                                slot.astray |= matches!(moves[1], Command::MoveTo { keep_route: 2, .. });
+                                commands.extend(moves);
+                            } else {
+                                slot.action = action(0);
+                                let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
+                                slot.speed = speed;
+                                // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
+                                commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
+                            }
                         }
                         Status::Wreck if slot.wreck_steps == 0 => {
                             slot.status = Status::Empty;
@@ -292,7 +333,11 @@ impl World {
                         }
                         Status::Wreck => {
                             slot.wreck_steps -= 1;
-                            commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                            if task.scenario.control.steering.is_some() {
+                                commands.extend(moves(task, world, at, slot));
+                            } else {
+                                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                            }
                         }
                         Status::Empty if slot.added => {
                             slot.added = false;
@@ -339,17 +384,20 @@ impl World {
                 *slot = EMPTY;
                 continue;
             }
-            let place = task.places[places[i]];
+            let place = &task.places[places[i]];
+            let choice = place.routes.len();
+            let route = place.routes[if choice > 1 { rng::below(&mut rng, choice) } else { 0 }];
             let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
             let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
-            let path = &task.routes[place.route].path;
+            let path = &task.routes[route].path;
             let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
             let pose = Pose::beside(point, heading, lateral);
             *slot = Slot {
                 status: Status::Active,
-                route: place.route,
+                route,
                 pose,
                 before: pose,
+                motion: Motion::at(pose),
                 s,
                 lateral,
                 added: true,
@@ -358,7 +406,7 @@ impl World {
             commands.push(Command::Add {
                 world,
                 slot: at,
-                route: place.route as u32,
+                route: route as u32,
                 vehicle_type,
                 depart_pos: s + half,
                 depart_speed: 0.0,
@@ -487,7 +535,14 @@ impl World {
             if slot.status == Status::Empty {
                 continue;
             }
+            let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
+                // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
+                if slot.departed && steers && slot.astray {
+                    slot.added = false;
+                    slot.pose = slot.motion.pose;
+                    continue;
+                }
                 // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
                 if slot.departed || self.driver == Driver::Agents {
                     return Err(Error::Vanished { slot: i, step: self.step });
@@ -499,6 +554,11 @@ impl World {
                 slot.speed = vehicle.speed;
             }
             let path = &task.routes[slot.route].path;
+            if steers {
+                slot.pose = slot.motion.pose;
+                (slot.s, slot.lateral, slot.segment) = path.project([slot.pose.x, slot.pose.y], slot.segment);
+                continue;
+            }
             let front = path.arc_of_distance(vehicle.distance);
             let (point, heading, segment) = path.body(front, 2.0 * half);
             let (sin, cos) = heading.sin_cos();
@@ -528,9 +588,14 @@ impl World {
         for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
             let route = &task.routes[slot.route];
             let lane = route.path.widths[slot.segment];
+            let steers = scenario.control.steering.is_some() && self.driver == Driver::Agents;
             let fate = Fate {
-                arrived: slot.s >= route.arrival,
-                out_of_road: slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN,
+                arrived: slot.s >= route.arrival && (!steers || slot.lateral.abs() <= lane / 2.0),
+                out_of_road: if steers {
+                    !slot.added || task.road.left_by(&slot.pose)
+                } else {
+                    slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN
+                },
                 crashed: self.partners[i].is_some(),
             };
             slot.fate = fate;
@@ -555,7 +620,11 @@ impl World {
                 self.frame.terminated[i] = 1.0;
                 slot.status = if fate.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
+                if !slot.added {
+                    slot.status = Status::Empty;
+                }
                 slot.speed = 0.0;
+                slot.motion = Motion::at(slot.pose);
             }
         }
         self.total_reward += sum / self.crew as f64;
@@ -651,4 +720,17 @@ impl World {
             step_rewards: std::mem::take(&mut self.step_rewards),
         }
     }
+}
+
+/// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that.
+fn moves(task: &Task, world: u32, slot: u32, vehicle: &Slot) -> [Command; 2] {
+    let Pose { x, y, heading } = vehicle.motion.pose;
+    let (sin, cos) = heading.sin_cos();
+    let half = task.scenario.vehicle.length / 2.0;
+    let [x, y] = [x + half * cos, y + half * sin];
+    let keep_route = task.keep_route(vehicle.route, [x, y], vehicle.segment);
+    [
+        Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
+        Command::MoveTo { world, slot, x, y, heading, keep_route },
+    ]
 }

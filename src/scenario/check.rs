@@ -47,7 +47,7 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> Res
 fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Result<Vec<Path>, Error> {
     let mut paths = Vec::new();
     for (route, at) in scenario.routes.iter().zip(&places.routes) {
-        let path = map.route_path(&route.edges).map_err(|source| {
+        let path = map.route_path_from(&route.edges, route.lane).map_err(|source| {
             let (line, column) = reader.position(at.edges);
             Error::Route {
                 path: scenario.path.clone(),
@@ -92,14 +92,16 @@ fn spawns(
     let half = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
     let mut taken = Vec::new();
     for (row, &offset) in net.spawns.iter().zip(rows) {
-        let route = &scenario.routes[row.route];
-        let lane = paths[row.route].lanes[0];
+        // They begin on one lane; the shortest way is to the nearest finish on it.
+        let route = &scenario.routes[row.routes[0]];
+        let lane = paths[row.routes[0]].lanes[0];
         let length = map.lanes[lane].length;
-        let end = match route.arrival_pos {
+        let ends = row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
             _ if route.edges.len() > 1 => length,
             pos if pos < 0.0 => length + pos,
             pos => pos,
-        };
+        });
+        let end = ends.fold(length, f64::min);
         for pos in (0..row.count).map(|i| row.first + row.spacing * f64::from(i)) {
             if pos - half < -SLACK || pos + half > end + SLACK {
                 let (line, column) = reader.position(offset);

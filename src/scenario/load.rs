@@ -8,8 +8,8 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Communication, Control, ControlMode, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
-    Scenario, SpawnRow, Termination, Vehicle, check,
+    AgentRange, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
+    SpawnRow, Steering, Termination, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -189,7 +189,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         self.expect(node, &[], &["route"])?;
         let (mut routes, mut places, mut ids) = (Vec::new(), Vec::new(), HashSet::new());
         for route in self.few(node, MAX_ROUTES)? {
-            self.leaf(route, &["id", "edges", "arrivalPos"])?;
+            self.leaf(route, &["id", "edges", "lane", "arrivalPos"])?;
             let id = self.text(route, "id")?;
             if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
                 return Err(self.value(route, "id", "a word without spaces, quotes and any of |\\;,<>&"));
@@ -201,7 +201,11 @@ impl<'a, 'input> Reader<'a, 'input> {
             if !(1..=MAX_EDGES).contains(&edges.len()) {
                 return Err(self.value(route, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
             }
-            routes.push(Route { id: id.into(), edges, arrival_pos: self.any(route, "arrivalPos")? });
+            let lane = match route.attribute("lane") {
+                None => None,
+                Some(_) => Some(self.whole(route, "lane", 0, 63)?),
+            };
+            routes.push(Route { id: id.into(), edges, lane, arrival_pos: self.any(route, "arrivalPos")? });
             places.push(RoutePlaces {
                 edges: Self::offset(route, "edges"),
                 arrival_pos: Self::offset(route, "arrivalPos"),
@@ -252,19 +256,29 @@ impl<'a, 'input> Reader<'a, 'input> {
         room: u32,
     ) -> Result<SpawnRow, Error> {
         self.leaf(node, &["route", "first", "spacing", "count"])?;
-        let id = self.text(node, "route")?;
-        let Some(&route) = index.get(id) else {
-            let (line, column) = self.position(Self::offset(node, "route"));
-            let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
-            let value = shorten(id);
-            return Err(Error::Reference { path: self.path.into(), line, column, key: "route", value, nearest });
-        };
+        let mut drawn = Vec::new();
+        for id in self.text(node, "route")?.split_whitespace() {
+            let Some(&route) = index.get(id) else {
+                let (line, column) = self.position(Self::offset(node, "route"));
+                let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
+                let value = shorten(id);
+                return Err(Error::Reference { path: self.path.into(), line, column, key: "route", value, nearest });
+            };
+            let begins = |r: &Route| (r.edges[0].clone(), r.lane);
+            if drawn.first().is_some_and(|&first: &usize| begins(&routes[first]) != begins(&routes[route])) {
+                return Err(self.value(node, "route", "routes that begin on the same edge and the same `lane`"));
+            }
+            drawn.push(route);
+        }
+        if drawn.is_empty() {
+            return Err(self.value(node, "route", "the id of a route, or several separated by spaces"));
+        }
         let count = self.whole(node, "count", 1, MAX_PLACES)?;
         if count > room {
             return Err(self.value(node, "count", format!("at most {MAX_PLACES} places in a net")));
         }
         Ok(SpawnRow {
-            route,
+            routes: drawn.into(),
             first: self.not_negative(node, "first")?,
             spacing: self.positive(node, "spacing")?,
             count,
@@ -272,19 +286,46 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     fn control(&self, node: Node<'a, 'input>) -> Result<Control, Error> {
-        self.leaf(node, &["mode", "interval", "accel", "drag", "brake"])?;
-        let mode = match self.text(node, "mode")? {
-            "throttle" => ControlMode::Throttle,
-            _ => return Err(self.value(node, "mode", "throttle")),
+        let attributes = &["mode", "interval", "accel", "drag", "brake"];
+        let steered = match self.text(node, "mode")? {
+            "throttle" => false,
+            "steering" => true,
+            _ => return Err(self.value(node, "mode", "throttle or steering")),
         };
+        self.expect(node, attributes, if steered { &["steering"] } else { &[] })?;
         let in_milliseconds = |v: f64| (v * 1000.0 - (v * 1000.0).round()).abs() < 1e-6;
         let interval = |v: f64| (0.001..=10.0).contains(&v) && in_milliseconds(v);
+        let interval = self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?;
+        let steering = if steered { Some(self.steering(self.child(node, "steering")?, interval)?) } else { None };
         Ok(Control {
-            mode,
-            interval: self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?,
+            interval,
+            steering,
             accel: self.positive(node, "accel")?,
             drag: self.not_negative(node, "drag")?,
             brake: self.brake(node)?,
+        })
+    }
+
+    fn steering(&self, node: Node<'a, 'input>, interval: f64) -> Result<Steering, Error> {
+        self.leaf(
+            node,
+            &["maxAngle", "wheelbase", "offset", "slip", "deadTime", "lag", "maxLateralAcceleration", "reverse"],
+        )?;
+        let angle = |v: f64| v > 0.0 && v <= 80.0;
+        let within = |v: f64| (0.0..=interval).contains(&v);
+        Ok(Steering {
+            max_angle: self.number(node, "maxAngle", "an angle above 0, at most 80", angle)?.to_radians(),
+            wheelbase: self.positive(node, "wheelbase")?,
+            offset: self.not_negative(node, "offset")?,
+            slip: self.number(node, "slip", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
+            dead_time: self.number(node, "deadTime", &format!("0 to {interval}, the interval"), within)?,
+            lag: self.positive(node, "lag")?,
+            max_lateral: self.positive(node, "maxLateralAcceleration")?,
+            reverse: match self.text(node, "reverse")? {
+                "true" => true,
+                "false" => false,
+                _ => return Err(self.value(node, "reverse", "true or false")),
+            },
         })
     }
 

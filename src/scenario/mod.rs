@@ -11,6 +11,7 @@ mod write;
 pub use error::Error;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -65,11 +66,11 @@ pub struct Net {
     pub spawns: Vec<SpawnRow>,
 }
 
-/// Equally spaced spawn places at the start of a route.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Equally spaced spawn places at the start of routes.
+#[derive(Debug, Clone, PartialEq)]
 pub struct SpawnRow {
-    /// Index into [`Scenario::routes`].
-    pub route: usize,
+    /// Indices into [`Scenario::routes`], all of which begin on one lane. One of them is drawn in each episode.
+    pub routes: Arc<[usize]>,
     /// Position of the first place on the route's first edge \[m\].
     pub first: f64,
     /// Distance between places \[m\].
@@ -79,10 +80,10 @@ pub struct SpawnRow {
 }
 
 /// One spawn place.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SpawnPlace {
-    /// Index into [`Scenario::routes`].
-    pub route: usize,
+    /// As in [`SpawnRow::routes`].
+    pub routes: Arc<[usize]>,
     /// Position on the route's first edge \[m\].
     pub pos: f64,
 }
@@ -94,6 +95,9 @@ pub struct Route {
     pub id: String,
     /// Edge ids in driving order.
     pub edges: Vec<String>,
+    /// Lane of the first edge, counted from the right and starting at 0; without it, the rightmost from which the route can be
+    /// driven without changing lanes.
+    pub lane: Option<u32>,
     /// Where the agent has arrived, on the last edge \[m\]; a negative value counts from its end.
     pub arrival_pos: f64,
 }
@@ -121,8 +125,6 @@ pub struct Jitter {
 /// How actions become motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Control {
-    /// Kind of control.
-    pub mode: ControlMode,
     /// Decision interval \[s\]; also SUMO's step length.
     pub interval: f64,
     /// Acceleration at full throttle \[m/s²\].
@@ -131,13 +133,30 @@ pub struct Control {
     pub drag: f64,
     /// Braking curve: (action magnitude, deceleration \[m/s²\]), ascending; linear between, from the origin.
     pub brake: Vec<(f64, f64)>,
+    /// How the vehicle steers, as a first action before throttle and brake. Without it, that is the only action, and SUMO keeps the
+    /// vehicle on its route.
+    pub steering: Option<Steering>,
 }
 
-/// Kind of control.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ControlMode {
-    /// One action, throttle and brake; SUMO keeps the vehicle on its route.
-    Throttle,
+/// How a vehicle steers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Steering {
+    /// Angle of the front wheels at full lock \[rad\].
+    pub max_angle: f64,
+    /// Distance between the axles \[m\].
+    pub wheelbase: f64,
+    /// The centre turns on a circle of radius √((wheelbase / tan δ)² + offset²), δ: angle of the front wheels \[m\].
+    pub offset: f64,
+    /// The vehicle moves at this many times δ to its heading.
+    pub slip: f64,
+    /// Time until the wheels begin to follow a command \[s\], at most the decision interval.
+    pub dead_time: f64,
+    /// Time constant with which they follow \[s\].
+    pub lag: f64,
+    /// Lateral acceleration that the tyres hold \[m/s²\].
+    pub max_lateral: f64,
+    /// Whether a negative throttle drives backwards: then it is thrust, and nothing brakes or drags.
+    pub reverse: bool,
 }
 
 /// How an agent sees others.
@@ -236,7 +255,8 @@ impl Net {
     /// The places, row by row.
     pub fn places(&self) -> impl Iterator<Item = SpawnPlace> + '_ {
         self.spawns.iter().flat_map(|row| {
-            (0..row.count).map(|i| SpawnPlace { route: row.route, pos: row.first + row.spacing * f64::from(i) })
+            (0..row.count)
+                .map(|i| SpawnPlace { routes: Arc::clone(&row.routes), pos: row.first + row.spacing * f64::from(i) })
         })
     }
 }

@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{ControlMode, Scenario};
+use super::Scenario;
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -28,7 +28,8 @@ impl Scenario {
         writeln!(xml, "    <routes>")?;
         for route in &self.routes {
             let (id, edges) = (escape(&route.id), escape(&route.edges.join(" ")));
-            writeln!(xml, "        <route id=\"{id}\" edges=\"{edges}\" arrivalPos=\"{}\"/>", route.arrival_pos)?;
+            let lane = route.lane.map_or(String::new(), |lane| format!(" lane=\"{lane}\""));
+            writeln!(xml, "        <route id=\"{id}\" edges=\"{edges}\"{lane} arrivalPos=\"{}\"/>", route.arrival_pos)?;
         }
         writeln!(xml, "    </routes>\n    <nets>")?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
@@ -36,9 +37,10 @@ impl Scenario {
             let file = net.file.strip_prefix(folder).unwrap_or(&net.file);
             writeln!(xml, "        <net file=\"{}\">", escape(&file.to_string_lossy()))?;
             for row in &net.spawns {
-                let route = self.routes.get(row.route).map_or("", |route| route.id.as_str());
+                let ids = row.routes.iter().filter_map(|&i| self.routes.get(i)).map(|route| route.id.as_str());
+                let route = ids.collect::<Vec<_>>().join(" ");
                 let (first, spacing, count) = (row.first, row.spacing, row.count);
-                write!(xml, "            <spawn route=\"{}\" first=\"{first}\" ", escape(route))?;
+                write!(xml, "            <spawn route=\"{}\" first=\"{first}\" ", escape(&route))?;
                 writeln!(xml, "spacing=\"{spacing}\" count=\"{count}\"/>")?;
             }
             writeln!(xml, "        </net>")?;
@@ -49,14 +51,27 @@ impl Scenario {
         let j = self.jitter;
         writeln!(xml, "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>", j.longitudinal, j.lateral)?;
         let c = &self.control;
-        let ControlMode::Throttle = c.mode;
+        let mode = if c.steering.is_some() { "steering" } else { "throttle" };
         write!(
             xml,
-            "    <control mode=\"throttle\" interval=\"{}\" accel=\"{}\" drag=\"{}\" ",
+            "    <control mode=\"{mode}\" interval=\"{}\" accel=\"{}\" drag=\"{}\" ",
             c.interval, c.accel, c.drag
         )?;
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
-        writeln!(xml, "brake=\"{}\"/>", brake.join(" "))?;
+        write!(xml, "brake=\"{}\"", brake.join(" "))?;
+        if let Some(s) = c.steering {
+            write!(
+                xml,
+                ">\n        <steering maxAngle=\"{}\" wheelbase=\"{}\" ",
+                s.max_angle.to_degrees(),
+                s.wheelbase
+            )?;
+            write!(xml, "offset=\"{}\" slip=\"{}\" deadTime=\"{}\" ", s.offset, s.slip, s.dead_time)?;
+            write!(xml, "lag=\"{}\" maxLateralAcceleration=\"{}\" ", s.lag, s.max_lateral)?;
+            writeln!(xml, "reverse=\"{}\"/>\n    </control>", s.reverse)?;
+        } else {
+            writeln!(xml, "/>")?;
+        }
         let o = self.observation;
         write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
         write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;

@@ -25,6 +25,7 @@ use super::{
 pub(super) struct TileRoute {
     pub(super) id: String,
     pub(super) edges: Vec<String>,
+    pub(super) lane: u32,
 }
 
 /// A vehicle of ours.
@@ -39,7 +40,7 @@ pub(super) struct Vehicle<'a> {
 
 /// Takes checked commands, by SUMO's names.
 pub(super) trait Orders {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64);
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64);
     fn remove(&mut self, vehicle: Vehicle<'_>);
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
@@ -95,10 +96,10 @@ impl Fleet {
         let routes = (0..worlds).flat_map(|world| {
             config.routes.iter().map(move |route| {
                 if worlds == 1 {
-                    return TileRoute { id: route.id.clone(), edges: route.edges.clone() };
+                    return TileRoute { id: route.id.clone(), edges: route.edges.clone(), lane: route.lane };
                 }
                 let edges = route.edges.iter().map(|edge| tiled_id(world, edge)).collect();
-                TileRoute { id: tiled_id(world, &route.id), edges }
+                TileRoute { id: tiled_id(world, &route.id), edges, lane: route.lane }
             })
         });
         Ok(Fleet {
@@ -198,7 +199,7 @@ impl Fleet {
                         let known = self.config.vehicle_types.len();
                         Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
                     })?;
-                    orders.add(self.named(vehicle), &route.id, &kind.id, depart_pos, depart_speed);
+                    orders.add(self.named(vehicle), route, &kind.id, depart_pos, depart_speed);
                     self.next_departed[vehicle] = depart_pos;
                     self.next[vehicle] = true;
                 }

@@ -17,7 +17,7 @@ use pyo3::{
 use super::{
     Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     constants::{self as c, Domain},
-    fleet::{Fleet, Orders, Vehicle},
+    fleet::{Fleet, Orders, TileRoute, Vehicle},
 };
 
 static OCCUPIED: AtomicBool = AtomicBool::new(false);
@@ -287,9 +287,9 @@ impl Columns {
                 Kind::Add => {
                     let (routes, types): (Vec<&str>, Vec<&str>) =
                         texts.by_ref().take(run.len()).map(|[route, kind]| (route.as_str(), kind.as_str())).unzip();
-                    // SUMO wants these two as text.
+                    // SUMO wants these three as text.
                     let written = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k].to_string()));
-                    orders.append(("vehicle.add", vehicles, routes, types, written(0)?, written(1)?))?;
+                    orders.append(("vehicle.add", vehicles, routes, types, written(2)?, written(0)?, written(1)?))?;
                 }
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
@@ -311,9 +311,9 @@ impl Columns {
 }
 
 impl Orders for Columns {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64) {
-        self.rows.push((Kind::Add, vehicle.index, [position, speed, 0.0, 0.0]));
-        self.texts.push([route.to_owned(), vehicle_type.to_owned()]);
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64) {
+        self.rows.push((Kind::Add, vehicle.index, [position, speed, f64::from(route.lane), 0.0]));
+        self.texts.push([route.id.clone(), vehicle_type.to_owned()]);
     }
 
     fn remove(&mut self, vehicle: Vehicle<'_>) {

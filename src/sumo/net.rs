@@ -190,7 +190,15 @@ impl Net {
     /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], [`NetError::NotConnected`],
     /// [`NetError::LaneChange`] or [`NetError::LongRoute`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
-        let lanes = self.route_lanes(edges)?;
+        self.route_path_from(edges, None)
+    }
+
+    /// The same from one lane of the first edge, counted from the right and starting at 0.
+    ///
+    /// # Errors
+    /// As [`Net::route_path`], with [`NetError::LaneChange`] where the route cannot be driven from there.
+    pub fn route_path_from(&self, edges: &[String], lane: Option<u32>) -> Result<Path, NetError> {
+        let lanes = self.route_lanes(edges, lane)?;
         let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
         if points > MAX_POINTS {
             return Err(NetError::LongRoute { path: self.path.clone(), points, limit: MAX_POINTS });
@@ -199,7 +207,7 @@ impl Net {
     }
 
     /// The lanes of a route in driving order, internal ones between those of the route's edges.
-    fn route_lanes(&self, edges: &[String]) -> Result<Vec<usize>, NetError> {
+    fn route_lanes(&self, edges: &[String], first: Option<u32>) -> Result<Vec<usize>, NetError> {
         let Some(last) = edges.len().checked_sub(1) else {
             return Err(NetError::EmptyRoute { path: self.path.clone() });
         };
@@ -223,7 +231,8 @@ impl Net {
             }
         }
         let lane_change = || NetError::LaneChange { path: self.path.clone(), route: shorten(&edges.join(" ")) };
-        let good = |lane: &usize| ways.first().is_none_or(|ways| ways.contains_key(lane));
+        let wanted = |lane: usize| first.is_none_or(|first| self.lanes[lane].index == first);
+        let good = |lane: &usize| wanted(*lane) && ways.first().is_none_or(|ways| ways.contains_key(lane));
         let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
         for way in &ways {

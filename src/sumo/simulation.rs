@@ -113,6 +113,8 @@ pub struct Route {
     pub id: String,
     /// Edge ids in driving order.
     pub edges: Vec<String>,
+    /// Lane of the first edge on which vehicles depart, from the right, starting at 0.
+    pub lane: u32,
 }
 
 /// What a host needs to start.

@@ -16,7 +16,7 @@ use super::{
         simulation::{VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
         vehicle::{Addition, Placement, VAR_DISTANCE, VAR_SPEED},
     },
-    fleet::{Fleet, Orders, Vehicle},
+    fleet::{Fleet, Orders, TileRoute, Vehicle},
     process::{Options, Process},
     reply::{Report, Sink, read_collision_count, read_value},
 };
@@ -33,7 +33,7 @@ pub struct TraciSimulation {
     process: Process,
     version: Version,
     batch: Batch,
-    texts: [String; 2],
+    texts: [String; 3],
     awaiting: bool,
     exchanges: u64,
 }
@@ -129,18 +129,19 @@ impl TraciSimulation {
 struct Message<'a> {
     batch: &'a mut Batch,
     /// Position and speed at departure, as SUMO wants them written.
-    texts: &'a mut [String; 2],
+    texts: &'a mut [String; 3],
 }
 
 impl Orders for Message<'_> {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &str, vehicle_type: &str, position: f64, speed: f64) {
-        for (text, number) in self.texts.iter_mut().zip([position, speed]) {
+    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64) {
+        for (text, number) in self.texts.iter_mut().zip([position, speed, f64::from(route.lane)]) {
             text.clear();
             // Writing to a `String` cannot fail.
             let _ = write!(text, "{number}");
         }
-        let [depart_pos, depart_speed] = &*self.texts;
-        let addition = Addition { vehicle_type, depart_pos, depart_speed, ..Addition::on_route(route) };
+        let [depart_pos, depart_speed, depart_lane] = &*self.texts;
+        let addition =
+            Addition { vehicle_type, depart_lane, depart_pos, depart_speed, ..Addition::on_route(&route.id) };
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 

@@ -52,11 +52,11 @@ impl Workload {
                 if step > 0 {
                     out.push(Command::Remove { world, slot });
                 }
-                let place = self.task.places[slot as usize];
+                let place = &self.task.places[slot as usize];
                 out.push(Command::Add {
                     world,
                     slot,
-                    route: place.route as u32,
+                    route: place.routes[0] as u32,
                     vehicle_type: 0,
                     depart_pos: place.pos + self.half(),
                     depart_speed: 0.0,
@@ -71,11 +71,11 @@ impl Workload {
                     out.push(Command::SetSpeed { world, slot, speed: Self::speed(slot, episode_step) });
                 }
                 Control::Steering => {
-                    let place = self.task.places[slot as usize];
+                    let place = &self.task.places[slot as usize];
                     let way: f64 = (1..=episode_step).map(|t| Self::speed(slot, t)).sum();
                     let front = place.pos + self.half() + way * self.task.scenario.control.interval;
                     let ([x, y], heading, _) =
-                        self.task.routes[place.route].path.body(front, self.task.scenario.vehicle.length);
+                        self.task.routes[place.routes[0]].path.body(front, self.task.scenario.vehicle.length);
                     out.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
                 }
             }
@@ -84,7 +84,7 @@ impl Workload {
 
     /// x + y + navigational angle + speed of a vehicle: a number that shows whether two clients did the same.
     pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
-        let path = &self.task.routes[self.task.places[slot].route].path;
+        let path = &self.task.routes[self.task.places[slot].routes[0]].path;
         let ([x, y], heading, _) = path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
         x + y + (90.0 - heading.to_degrees()).rem_euclid(360.0) + vehicle.speed
     }

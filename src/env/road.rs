@@ -1,0 +1,233 @@
+//! The road surface: where lanes are, and the lines at their sides that a vehicle must not touch.
+//!
+//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost; lanes over a junction
+//! have no lines but to the right of a right turn from the rightmost lane. A vehicle whose centre is on no lane has left the road, too.
+
+use std::collections::HashMap;
+
+use super::geometry::Pose;
+use crate::sumo::net::{EdgeFunction, Net};
+
+/// Cells of the grid in which lines and lanes are looked up \[m\].
+const CELL: f64 = 8.0;
+/// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator.
+const BESIDE: f64 = 0.6;
+/// A body touches a line from this distance on \[m\], as measured there.
+const TOUCH: f64 = 0.035;
+
+type Point = [f64; 2];
+
+/// A lane's piece of centre line and half its width \[m\].
+#[derive(Debug, Clone, Copy)]
+struct Strip {
+    ends: [Point; 2],
+    half: f64,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Cell {
+    strips: Vec<u32>,
+    lines: Vec<u32>,
+}
+
+/// Lanes and lines of a net, for lookups around a vehicle.
+#[derive(Debug, Clone)]
+pub(super) struct Road {
+    strips: Vec<Strip>,
+    lines: Vec<[Point; 2]>,
+    cells: HashMap<[i32; 2], Cell>,
+    /// Half the diagonal of a vehicle \[m\].
+    reach: f64,
+    half: [f64; 2],
+}
+
+impl Road {
+    /// The roads of `net`, for vehicles of `length` and `width` \[m\].
+    pub(super) fn new(net: &Net, length: f64, width: f64) -> Self {
+        let mut road = Self {
+            strips: Vec::new(),
+            lines: Vec::new(),
+            cells: HashMap::new(),
+            reach: length.hypot(width) / 2.0 + TOUCH,
+            half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
+        };
+        for edge in net.edges.iter().filter(|edge| edge.function != EdgeFunction::Other) {
+            for lane in &net.lanes[edge.lanes.clone()] {
+                let strip = |pair: &[Point]| Strip { ends: [pair[0], pair[1]], half: lane.width / 2.0 };
+                road.strips.extend(lane.shape.windows(2).map(strip));
+            }
+            if edge.function == EdgeFunction::Normal {
+                let (right, left) = (&net.lanes[edge.lanes.start], &net.lanes[edge.lanes.end - 1]);
+                road.line(&right.shape, -right.width / 2.0);
+                road.line(&left.shape, left.width / 2.0);
+            }
+        }
+        for connection in net.connections.iter().filter(|c| c.dir == "r" && net.lanes[c.from].index == 0) {
+            if let Some(lane) = connection.via.map(|lane| &net.lanes[lane]) {
+                road.line(&lane.shape, -lane.width / 2.0);
+            }
+        }
+        for i in 0..road.strips.len() {
+            let Strip { ends, half } = road.strips[i];
+            for cell in cells_around(ends, half + BESIDE) {
+                road.cells.entry(cell).or_default().strips.push(i as u32);
+            }
+        }
+        for i in 0..road.lines.len() {
+            for cell in cells_around(road.lines[i], road.reach) {
+                road.cells.entry(cell).or_default().lines.push(i as u32);
+            }
+        }
+        road
+    }
+
+    /// A line beside a centre line, `offset` metres to its left.
+    fn line(&mut self, centre: &[Point], offset: f64) {
+        let beside = parallel(centre, offset);
+        self.lines.extend(beside.windows(2).map(|pair| [pair[0], pair[1]]));
+    }
+
+    /// Whether a vehicle has left the road: it touches a line, or its centre is on no lane.
+    pub(super) fn left_by(&self, pose: &Pose) -> bool {
+        let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
+        let on_lane = cell.strips.iter().any(|&i| {
+            let Strip { ends, half } = self.strips[i as usize];
+            distance(ends, [pose.x, pose.y]) <= half + BESIDE
+        });
+        !on_lane || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
+    }
+
+    /// Whether a vehicle's box, a touch larger, meets a segment.
+    fn touches(&self, pose: &Pose, line: [Point; 2]) -> bool {
+        let (sin, cos) = pose.heading.sin_cos();
+        let own = |p: Point| {
+            let (dx, dy) = (p[0] - pose.x, p[1] - pose.y);
+            [dx * cos + dy * sin, dy * cos - dx * sin]
+        };
+        let ([a, b], mut span) = (line.map(own), (0.0_f64, 1.0_f64));
+        for axis in 0..2 {
+            let (from, way, half) = (a[axis], b[axis] - a[axis], self.half[axis]);
+            if way == 0.0 {
+                if from.abs() > half {
+                    return false;
+                }
+                continue;
+            }
+            let (enter, leave) = ((-half - from) / way, (half - from) / way);
+            span = (span.0.max(enter.min(leave)), span.1.min(enter.max(leave)));
+        }
+        span.0 <= span.1
+    }
+}
+
+/// The polyline at `offset` metres to the left of another.
+fn parallel(points: &[Point], offset: f64) -> Vec<Point> {
+    let normal = |a: Point, b: Point| {
+        let length = (b[0] - a[0]).hypot(b[1] - a[1]).max(f64::MIN_POSITIVE);
+        [(a[1] - b[1]) / length, (b[0] - a[0]) / length]
+    };
+    let last = points.len() - 1;
+    let beside = |i: usize| {
+        let before = normal(points[i.max(1) - 1], points[i.max(1)]);
+        let after = normal(points[i.min(last - 1)], points[i.min(last - 1) + 1]);
+        // At a bend, the point where both parallels meet.
+        let scale = offset / (1.0 + before[0] * after[0] + before[1] * after[1]).max(0.1);
+        [points[i][0] + scale * (before[0] + after[0]), points[i][1] + scale * (before[1] + after[1])]
+    };
+    (0..points.len()).map(beside).collect()
+}
+
+fn cell_of(point: Point) -> [i32; 2] {
+    point.map(|v| (v / CELL).floor() as i32)
+}
+
+/// Cells that hold a point within `margin` of a segment's bounding box.
+fn cells_around(ends: [Point; 2], margin: f64) -> impl Iterator<Item = [i32; 2]> {
+    let bound = |axis: usize| {
+        let (a, b) = (ends[0][axis], ends[1][axis]);
+        [a.min(b) - margin, a.max(b) + margin]
+    };
+    let ([x0, x1], [y0, y1]) = (bound(0), bound(1));
+    let ([i0, j0], [i1, j1]) = (cell_of([x0, y0]), cell_of([x1, y1]));
+    (i0..=i1).flat_map(move |i| (j0..=j1).map(move |j| [i, j]))
+}
+
+/// Distance of a point from a segment \[m\].
+fn distance([a, b]: [Point; 2], p: Point) -> f64 {
+    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+    let along = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
+    let t = along.clamp(0.0, 1.0);
+    (p[0] - a[0] - t * dx).hypot(p[1] - a[1] - t * dy)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const LENGTH: f64 = 4.515;
+    const WIDTH: f64 = 1.852;
+
+    fn road() -> Road {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH)
+    }
+
+    #[test]
+    fn a_vehicle_may_stray_as_far_as_measured() {
+        let road = road();
+        // Eastbound, in the middle of its arm, whose centre line is y = 0 in the shipped net's coordinates plus an offset.
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        let net = Net::load(&path).unwrap();
+        let edge = net.edge_index("west_in").unwrap();
+        let lane = &net.lanes[net.edges[edge].lanes.start];
+        let y = lane.shape[0][1];
+        let x = f64::midpoint(lane.shape[0][0], lane.shape[1][0]);
+        let left = |lateral: f64, heading: f64| road.left_by(&Pose { x, y: y + lateral, heading });
+        for side in [-1.0, 1.0] {
+            assert!(!left(side * 0.78, 0.0) && left(side * 0.80, 0.0));
+        }
+        assert!(!left(0.0, 0.3) && left(0.0, 0.6), "a vehicle across its lane touches the lines");
+        assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
+    }
+
+    #[test]
+    fn no_line_crosses_a_way_over_the_junction() {
+        let road = road();
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        let net = Net::load(&path).unwrap();
+        for [from, to] in [["west_in", "east_out"], ["south_in", "north_out"]] {
+            let way = net.route_path(&[from.to_owned(), to.to_owned()]).unwrap();
+            for k in 0..=(way.length() / 0.5) as usize {
+                let ([x, y], heading) = way.at(0.5 * k as f64);
+                assert!(!road.left_by(&Pose { x, y, heading }), "on the way from {from} to {to}, at {x} {y}");
+            }
+        }
+    }
+
+    proptest! {
+        /// A segment meets a box when a thin box along it does.
+        #[test]
+        fn touching_agrees_with_boxes(x in -6.0..6.0f64, y in -6.0..6.0f64, h in -4.0..4.0f64, g in -4.0..4.0f64) {
+            let road = road();
+            let pose = Pose { x, y, heading: h };
+            let (sin, cos) = g.sin_cos();
+            let long = road.half[0];
+            let line = [[-long * cos, -long * sin], [long * cos, long * sin]];
+            let oracle = (0..=4000).any(|k| {
+                let t = f64::from(k) / 2000.0 - 1.0;
+                let (px, py) = (t * long * cos - x, t * long * sin - y);
+                let (s, c) = h.sin_cos();
+                (px * c + py * s).abs() <= road.half[0] && (py * c - px * s).abs() <= road.half[1]
+            });
+            let found = road.touches(&pose, line);
+            // The fan may miss a corner that is cut by less than its spacing.
+            prop_assert!(found || !oracle);
+            let smaller = Road { half: road.half.map(|v| v - 0.005), ..road };
+            prop_assert!(oracle || !smaller.touches(&pose, line));
+        }
+    }
+}
