@@ -246,8 +246,8 @@ impl Config {
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter (the latter never up), `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
-    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`)
-    /// and annealing goes on from 90 % of success.
+    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`),
+    /// annealing goes on from 90 % of success, and `ppo.gamma` is 0.998.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
@@ -365,7 +365,7 @@ impl Config {
             log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
             ..exploration
         };
-        // Each of these many ways is rare: with four times the gradient steps they are learned in a third of the environment steps.
+        // More gradient steps for these many ways; 256 samples were too few.
         let ppo = settings::Ppo {
             minibatch: ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize),
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash

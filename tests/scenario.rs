@@ -142,20 +142,38 @@ fn finish_lines_and_queues_scale_with_the_arms() {
 }
 
 #[test]
-fn the_schema_declares_the_keys_of_the_shipped_scenario_and_no_others() {
+fn the_schema_declares_the_keys_of_the_shipped_scenarios_and_no_others() {
     let text = fs::read_to_string(root().join("scenarios/scenario.xsd")).unwrap();
     let schema = roxmltree::Document::parse(&text).unwrap();
     let declarations = schema.descendants().filter(|n| matches!(n.tag_name().name(), "element" | "attribute"));
     let declared: BTreeSet<&str> = declarations.filter_map(|n| n.attribute("name")).collect();
 
-    let text = shipped_text();
-    let scenario = roxmltree::Document::parse(&text).unwrap();
     let mut used = BTreeSet::new();
-    for node in scenario.descendants().filter(roxmltree::Node::is_element) {
-        used.insert(node.tag_name().name());
-        used.extend(node.attributes().filter(|a| a.namespace().is_none()).map(|a| a.name()));
+    for path in all_shipped() {
+        let text = fs::read_to_string(&path).unwrap();
+        let scenario = roxmltree::Document::parse(&text).unwrap();
+        for node in scenario.descendants().filter(roxmltree::Node::is_element) {
+            used.insert(node.tag_name().name().to_owned());
+            let attributes = node.attributes().filter(|a| a.namespace().is_none());
+            used.extend(attributes.map(|a| a.name().to_owned()));
+        }
     }
-    assert_eq!(declared, used);
+    assert_eq!(declared, used.iter().map(String::as_str).collect());
+}
+
+fn all_shipped() -> Vec<PathBuf> {
+    let files = fs::read_dir(root().join("scenarios")).unwrap().map(|entry| entry.unwrap().path());
+    let scenarios: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "xml")).collect();
+    assert!(scenarios.len() >= 3, "{scenarios:?}");
+    scenarios
+}
+
+#[test]
+fn every_shipped_scenario_survives_its_xml() {
+    for path in all_shipped() {
+        let scenario = Scenario::load(&path).unwrap();
+        assert_eq!(Scenario::parse(&scenario.to_xml(), &path).unwrap(), scenario);
+    }
 }
 
 /// Message and causes of the error that the shipped scenario gives when `from` is replaced by `to`, and its hint.
@@ -188,7 +206,7 @@ fn misspelt_names_are_pointed_at() {
     insta::assert_snapshot!(mistake("<spawn route=\"westbound\"", "<spawn route=\"westbund\""), @"task.xml:27:20: route `westbund` is not the id of a route; did you mean `westbound`?");
     insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"100\">far</communication>"), @"task.xml:74:32: unknown text `far` in <communication>");
     insta::assert_snapshot!(mistake("xsi:noNamespace", "xmlns:o=\"o\" o:a=\"1\" xsi:noNamespace"), @"task.xml:8:97: unknown attribute `a` in <scenario> (hint: valid in <scenario>: name)");
-    insta::assert_snapshot!(mistake("mode=\"throttle\"", "mode=\"thrttle\""), @"task.xml:59:14: `thrttle` is not a valid mode of <control>, allowed: throttle");
+    insta::assert_snapshot!(mistake("mode=\"throttle\"", "mode=\"thrttle\""), @"task.xml:59:14: `thrttle` is not a valid mode of <control>, allowed: throttle or steering");
 }
 
 #[test]

@@ -72,7 +72,6 @@ fn sumo_finds_every_vehicle_where_it_was_put() {
         }
         let (mut compared, mut on_junction) = (0, 0);
         for number in 0..3 {
-            // Every vehicle alone, so that crashes end nobody's way early.
             for (t, poses) in episode(&task, 6.0, number).iter().enumerate() {
                 for (slot, placed) in poses.iter().enumerate() {
                     let id = format!("e{number}s{slot}");
@@ -89,7 +88,7 @@ fn sumo_finds_every_vehicle_where_it_was_put() {
                     }
                     let angle = (90.0 - heading.to_degrees()).rem_euclid(360.0);
                     sumo.vehicle().set_speed(&id, 0.0).unwrap();
-                    let keep_route = task.keep_route(*route, *front, geometry.path.nearest(*front).2);
+                    let keep_route = task.place(*route, *front, geometry.path.nearest(*front).2).keep_route();
                     let placement = Placement { angle, keep_route, ..Placement::default() };
                     sumo.vehicle().move_to_xy(&id, *front, &placement).unwrap();
                 }

@@ -33,7 +33,7 @@ pub use metrics::EpisodeRecord;
 pub use order::Position;
 pub use routes::{Conflict, RouteGeometry};
 pub use slots::Fate;
-pub use task::Task;
+pub use task::{Place, Task};
 pub use vec::{Resets, VecEnv, VecOptions};
 pub use world::{AgentView, Driver, Frame, World, WorldState};
 
@@ -161,6 +161,18 @@ pub enum Error {
     /// The net cannot be read or driven.
     #[error(transparent)]
     Net(#[from] sumo::net::NetError),
+    /// Vehicles that steer need the net's lanes at hand, and there are too many.
+    #[error(
+        "{net}: lanes of {metres:.0} m and lines beside them are too much for steering control, which takes {limit:.0} m"
+    )]
+    Long {
+        /// The net's file.
+        net: String,
+        /// Length of lanes and lines \[m\].
+        metres: f64,
+        /// Longest \[m\].
+        limit: f64,
+    },
     /// SUMO failed and a fresh one did too.
     #[error("world {world}, episode {episode}, step {step}")]
     Sumo {

@@ -125,7 +125,7 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
     let (sin, cos) = own.pose.heading.sin_cos();
     let to_conflict = route.to_first_conflict(own.s);
     w.put([
-        own.speed / SPEED,
+        own.speed.max(0.0) / SPEED,
         own.action,
         cos,
         sin,
@@ -263,7 +263,7 @@ fn put_vehicles(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item 
     let mut written = 0;
     for (u, j) in vehicles.take(count) {
         let other = &traffic.slots[j];
-        w.put([u / FAR, u / NEAR, other.speed / SPEED, moving(other.status), 1.0]);
+        w.put([u / FAR, u / NEAR, other.speed.max(0.0) / SPEED, moving(other.status), 1.0]);
         written += 1;
     }
     w.skip((count - written) * VEHICLE.len());

@@ -62,6 +62,7 @@ impl Order {
     /// Takes back the begin of `episode`: it comes next.
     pub(super) fn repeat(&mut self, episode: u64) {
         self.position.next = episode;
+        self.position.turn -= self.stride;
         if !self.position.replaying {
             self.position.fresh = episode;
         }
@@ -127,6 +128,7 @@ mod tests {
         let mut order = Order::new(Seed::new(1), 2, 3, 12);
         order.begin();
         order.repeat(2);
+        assert_eq!(order.position, Position::before(2));
         assert_eq!(play(&mut order, 9, |_| false), [(2, false), (5, false), (8, false), (11, false)]);
         assert_eq!(order.position.failed, [0; 0]);
     }

@@ -3,13 +3,16 @@
 //! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost; lanes over a junction
 //! have no lines but to the right of a right turn from the rightmost lane. A vehicle whose centre is on no lane has left the road, too.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
+use super::Error;
 use super::geometry::Pose;
 use crate::sumo::net::{EdgeFunction, Net};
 
 /// Cells of the grid in which lines and lanes are looked up \[m\].
 const CELL: f64 = 8.0;
+/// Longest lanes and lines, together \[m\].
+const LONGEST: f64 = 5e6;
 /// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator.
 const BESIDE: f64 = 0.6;
 /// A body touches a line from this distance on \[m\], as measured there.
@@ -43,7 +46,10 @@ pub(super) struct Road {
 
 impl Road {
     /// The roads of `net`, for vehicles of `length` and `width` \[m\].
-    pub(super) fn new(net: &Net, length: f64, width: f64) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Long`].
+    pub(super) fn new(net: &Net, length: f64, width: f64) -> Result<Self, Error> {
         let mut road = Self {
             strips: Vec::new(),
             lines: Vec::new(),
@@ -67,18 +73,23 @@ impl Road {
                 road.line(&lane.shape, -lane.width / 2.0);
             }
         }
+        let lengths = road.strips.iter().map(|strip| strip.ends).chain(road.lines.iter().copied());
+        let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
+        if metres.is_nan() || metres > LONGEST {
+            return Err(Error::Long { net: net.path.display().to_string(), metres, limit: LONGEST });
+        }
         for i in 0..road.strips.len() {
             let Strip { ends, half } = road.strips[i];
-            for cell in cells_around(ends, half + BESIDE) {
+            for cell in cells_along(ends, half + BESIDE) {
                 road.cells.entry(cell).or_default().strips.push(i as u32);
             }
         }
         for i in 0..road.lines.len() {
-            for cell in cells_around(road.lines[i], road.reach) {
+            for cell in cells_along(road.lines[i], road.reach) {
                 road.cells.entry(cell).or_default().lines.push(i as u32);
             }
         }
-        road
+        Ok(road)
     }
 
     /// A line beside a centre line, `offset` metres to its left.
@@ -141,15 +152,18 @@ fn cell_of(point: Point) -> [i32; 2] {
     point.map(|v| (v / CELL).floor() as i32)
 }
 
-/// Cells that hold a point within `margin` of a segment's bounding box.
-fn cells_around(ends: [Point; 2], margin: f64) -> impl Iterator<Item = [i32; 2]> {
-    let bound = |axis: usize| {
-        let (a, b) = (ends[0][axis], ends[1][axis]);
-        [a.min(b) - margin, a.max(b) + margin]
-    };
-    let ([x0, x1], [y0, y1]) = (bound(0), bound(1));
-    let ([i0, j0], [i1, j1]) = (cell_of([x0, y0]), cell_of([x1, y1]));
-    (i0..=i1).flat_map(move |i| (j0..=j1).map(move |j| [i, j]))
+/// Cells that hold a point within `margin` of a segment.
+fn cells_along([a, b]: [Point; 2], margin: f64) -> BTreeSet<[i32; 2]> {
+    let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / CELL).ceil().max(1.0);
+    let reach = margin + CELL / 2.0;
+    let mut cells = BTreeSet::new();
+    for k in 0..=steps as u32 {
+        let t = f64::from(k) / steps;
+        let [x, y] = [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
+        let ([i0, j0], [i1, j1]) = (cell_of([x - reach, y - reach]), cell_of([x + reach, y + reach]));
+        cells.extend((i0..=i1).flat_map(|i| (j0..=j1).map(move |j| [i, j])));
+    }
+    cells
 }
 
 /// Distance of a point from a segment \[m\].
@@ -173,7 +187,7 @@ mod tests {
 
     fn road() -> Road {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH)
+        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH).expect("a small net")
     }
 
     #[test]

@@ -41,6 +41,8 @@ pub(super) struct Slot {
     pub(super) added: bool,
     /// It has been put beside its route: SUMO may have given it another.
     pub(super) astray: bool,
+    /// SUMO has it on no road any more.
+    pub(super) lost: bool,
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
@@ -74,6 +76,7 @@ pub(super) const EMPTY: Slot = Slot {
     segment: 0,
     added: false,
     astray: false,
+    lost: false,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },

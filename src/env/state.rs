@@ -71,7 +71,7 @@ pub(super) fn write(
         centred(own.pose.y, y0, y1),
         cos,
         sin,
-        own.speed / SPEED,
+        own.speed.max(0.0) / SPEED,
         own.action,
         (route.arrival - own.s) / 100.0,
     ]);
@@ -102,7 +102,7 @@ fn put(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, u
     let mut written = 0;
     for (distance, j) in vehicles.take(count) {
         let other = &traffic.slots[j];
-        w.put([distance / 50.0, other.speed / SPEED, other.action, moving(other.status), 1.0]);
+        w.put([distance / 50.0, other.speed.max(0.0) / SPEED, other.action, moving(other.status), 1.0]);
         written += 1;
     }
     w.skip((count - written) * VEHICLE.len());

@@ -44,7 +44,7 @@ impl Motion {
         for k in 0..substeps as u32 {
             let late = (f64::from(k) + 0.5) * dt < steering.dead_time;
             let command = if late { self.command } else { steer };
-            let next = wheel + (command * steering.max_angle - wheel) * follow;
+            let next = wheel + (command * steering.max_angle.to_radians() - wheel) * follow;
             let mean = f64::midpoint(wheel, next);
             wheel = next;
             speed = (speed + gain).clamp(backwards, vehicle.max_speed);
@@ -82,7 +82,7 @@ mod tests {
 
     fn law(reverse: bool) -> (Control, Steering, Vehicle) {
         let steering = Steering {
-            max_angle: 40_f64.to_radians(),
+            max_angle: 40.0,
             wheelbase: 2.469,
             offset: 2.05,
             slip: 0.4,
@@ -145,6 +145,8 @@ mod tests {
         };
         assert_eq!(advance(false, -1.0).speed, 0.0);
         assert_eq!(advance(false, -1.0).pose, Pose::default());
+        let back = advance(true, -1.0);
+        assert!((back.speed + 0.2909).abs() < 1e-12 && back.pose.x < 0.0, "{back:?}");
     }
 
     proptest! {

@@ -22,6 +22,25 @@ pub(super) struct JunctionStretch {
     pub(super) unregulated: bool,
 }
 
+/// Where a vehicle is on its route.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// On its lane, on a road.
+    Road,
+    /// On its lane, over a junction.
+    Junction,
+    /// Beside its lane.
+    Beside,
+}
+
+impl Place {
+    /// SUMO's bits for finding the lane of a vehicle that is put there: among the edges of its route (1), which is three times as
+    /// fast, but never finds a lane over a junction (SUMO 1.15), or exactly where it is, on any lane or none (2).
+    pub fn keep_route(self) -> u8 {
+        if self == Self::Road { 1 } else { 2 }
+    }
+}
+
 /// Everything about a task that no episode changes; shared by all worlds.
 #[derive(Debug, Clone)]
 pub struct Task {
@@ -37,8 +56,8 @@ pub struct Task {
     pub routes: Vec<RouteGeometry>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
-    /// Where vehicles that steer may drive.
-    pub(super) road: Road,
+    /// Where vehicles may drive, if they steer.
+    pub(super) road: Option<Road>,
     /// Where each route lies in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
     /// Corners of the net's bounding box: `[x_min, y_min, x_max, y_max]` \[m\].
@@ -73,6 +92,8 @@ impl Task {
                 bounds[axis + 2] = bounds[axis + 2].max(point[axis]);
             }
         }
+        let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
+        let road = scenario.control.steering.map(|_| Road::new(&net, length, width)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
             actions: if scenario.control.steering.is_some() { 2 } else { 1 },
@@ -84,7 +105,7 @@ impl Task {
             fewest: agents as usize,
             places: choice.places().collect(),
             routes,
-            road: Road::new(&net, scenario.vehicle.length, scenario.vehicle.width),
+            road,
             junctions,
             spec,
             bounds,
@@ -104,14 +125,17 @@ impl Task {
         &self.net_file
     }
 
-    /// How SUMO is to find the lane of a front bumper at `front` \[m\], of a vehicle on a route that was last on one of its segments:
-    /// among the edges of its route (1), which is three times as fast, but never finds a lane over a junction (SUMO 1.15), or exactly
-    /// where it is, on any lane or none (2).
-    pub fn keep_route(&self, route: usize, front: [f64; 2], segment: usize) -> u8 {
+    /// Where the front bumper of a vehicle on a route is that was last on one of the route's segments, `front` in metres.
+    pub fn place(&self, route: usize, front: [f64; 2], segment: usize) -> Place {
         let path = &self.routes[route].path;
         let (s, lateral, segment) = path.project(front, segment);
-        let over_junction = self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s));
-        if over_junction || lateral.abs() > path.widths[segment] / 2.0 { 2 } else { 1 }
+        if lateral.abs() > path.widths[segment] / 2.0 {
+            Place::Beside
+        } else if self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s)) {
+            Place::Junction
+        } else {
+            Place::Road
+        }
     }
 
     /// What a simulation of `worlds` worlds of this task needs to start.

@@ -14,7 +14,7 @@ use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
 use super::steering::Motion;
-use super::task::{AGENT_TYPE, SUMO_TYPE, Task};
+use super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
 use crate::rng::{self, Seed};
 use crate::scenario::Reward;
@@ -265,7 +265,7 @@ impl World {
         let (dx, dy) = (x - own.pose.x, y - own.pose.y);
         let bearing = dy.atan2(dx) - own.pose.heading;
         let wheel = (2.0 * steering.wheelbase * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
-        [(wheel / steering.max_angle).clamp(-1.0, 1.0), throttle]
+        [(wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0), throttle]
     }
 
     /// Whether there is nothing left to play.
@@ -315,9 +315,7 @@ impl World {
                                 (slot.steer, slot.action) = (action(0), action(1));
                                 slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
                                 slot.speed = slot.motion.speed;
-                                let moves = moves(task, world, at, slot);
-                                slot.astray |= matches!(moves[1], Command::MoveTo { keep_route: 2, .. });
-                                commands.extend(moves);
+                                commands.extend(moves(task, world, at, slot));
                             } else {
                                 slot.action = action(0);
                                 let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
@@ -333,10 +331,11 @@ impl World {
                         }
                         Status::Wreck => {
                             slot.wreck_steps -= 1;
-                            if task.scenario.control.steering.is_some() {
-                                commands.extend(moves(task, world, at, slot));
-                            } else {
-                                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                            match &task.scenario.control.steering {
+                                // SUMO knows no vehicle any more.
+                                Some(_) if slot.lost => {}
+                                Some(_) => commands.extend(moves(task, world, at, slot)),
+                                None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
                             }
                         }
                         Status::Empty if slot.added => {
@@ -538,8 +537,8 @@ impl World {
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
                 // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
-                if slot.departed && steers && slot.astray {
-                    slot.added = false;
+                if slot.departed && steers && (slot.astray || slot.status == Status::Wreck) {
+                    slot.lost = true;
                     slot.pose = slot.motion.pose;
                     continue;
                 }
@@ -592,7 +591,7 @@ impl World {
             let fate = Fate {
                 arrived: slot.s >= route.arrival && (!steers || slot.lateral.abs() <= lane / 2.0),
                 out_of_road: if steers {
-                    !slot.added || task.road.left_by(&slot.pose)
+                    slot.lost || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
                 } else {
                     slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN
                 },
@@ -620,7 +619,7 @@ impl World {
                 self.frame.terminated[i] = 1.0;
                 slot.status = if fate.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
-                if !slot.added {
+                if slot.lost {
                     slot.status = Status::Empty;
                 }
                 slot.speed = 0.0;
@@ -723,12 +722,15 @@ impl World {
 }
 
 /// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that.
-fn moves(task: &Task, world: u32, slot: u32, vehicle: &Slot) -> [Command; 2] {
+fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> [Command; 2] {
     let Pose { x, y, heading } = vehicle.motion.pose;
     let (sin, cos) = heading.sin_cos();
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [x + half * cos, y + half * sin];
-    let keep_route = task.keep_route(vehicle.route, [x, y], vehicle.segment);
+    let place = task.place(vehicle.route, [x, y], vehicle.segment);
+    vehicle.astray |= place == Place::Beside;
+    // Where it was beside its route, SUMO may have given it another.
+    let keep_route = if vehicle.astray { Place::Beside } else { place }.keep_route();
     [
         Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
         Command::MoveTo { world, slot, x, y, heading, keep_route },

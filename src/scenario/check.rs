@@ -95,6 +95,22 @@ fn spawns(
         // They begin on one lane; the shortest way is to the nearest finish on it.
         let route = &scenario.routes[row.routes[0]];
         let lane = paths[row.routes[0]].lanes[0];
+        if let Some(&other) = row.routes.iter().find(|&&other| paths[other].lanes[0] != lane) {
+            let (line, column) = reader.position(offset);
+            return Err(Error::Value {
+                path: scenario.path.clone(),
+                line,
+                column,
+                element: "spawn".into(),
+                key: "route",
+                value: shorten(&scenario.routes[other].id),
+                allowed: format!(
+                    "a route that begins on lane `{}`, as `{}` does; say so with its `lane`",
+                    shorten(&map.lanes[lane].id),
+                    shorten(&route.id)
+                ),
+            });
+        }
         let length = map.lanes[lane].length;
         let ends = row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
             _ if route.edges.len() > 1 => length,

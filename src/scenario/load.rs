@@ -311,10 +311,10 @@ impl<'a, 'input> Reader<'a, 'input> {
             node,
             &["maxAngle", "wheelbase", "offset", "slip", "deadTime", "lag", "maxLateralAcceleration", "reverse"],
         )?;
-        let angle = |v: f64| v > 0.0 && v <= 80.0;
+        let angle = |v: f64| (0.1..=80.0).contains(&v);
         let within = |v: f64| (0.0..=interval).contains(&v);
         Ok(Steering {
-            max_angle: self.number(node, "maxAngle", "an angle above 0, at most 80", angle)?.to_radians(),
+            max_angle: self.number(node, "maxAngle", "an angle from 0.1 to 80", angle)?,
             wheelbase: self.positive(node, "wheelbase")?,
             offset: self.not_negative(node, "offset")?,
             slip: self.number(node, "slip", "0 to 1", |v| (0.0..=1.0).contains(&v))?,

@@ -141,7 +141,7 @@ pub struct Control {
 /// How a vehicle steers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Steering {
-    /// Angle of the front wheels at full lock \[rad\].
+    /// Angle of the front wheels at full lock \[deg\].
     pub max_angle: f64,
     /// Distance between the axles \[m\].
     pub wheelbase: f64,

@@ -60,12 +60,7 @@ impl Scenario {
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
         write!(xml, "brake=\"{}\"", brake.join(" "))?;
         if let Some(s) = c.steering {
-            write!(
-                xml,
-                ">\n        <steering maxAngle=\"{}\" wheelbase=\"{}\" ",
-                s.max_angle.to_degrees(),
-                s.wheelbase
-            )?;
+            write!(xml, ">\n        <steering maxAngle=\"{}\" wheelbase=\"{}\" ", s.max_angle, s.wheelbase)?;
             write!(xml, "offset=\"{}\" slip=\"{}\" deadTime=\"{}\" ", s.offset, s.slip, s.dead_time)?;
             write!(xml, "lag=\"{}\" maxLateralAcceleration=\"{}\" ", s.lag, s.max_lateral)?;
             writeln!(xml, "reverse=\"{}\"/>\n    </control>", s.reverse)?;
