@@ -17,6 +17,17 @@ pub(super) enum Status {
     Wreck,
 }
 
+/// Where SUMO has a vehicle that steers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Track {
+    /// On its route.
+    Route,
+    /// It has been beside its route: SUMO may have given it another.
+    Astray,
+    /// On no road any more.
+    Lost,
+}
+
 #[derive(Debug, Clone)]
 pub(super) struct Slot {
     pub(super) status: Status,
@@ -39,10 +50,8 @@ pub(super) struct Slot {
     pub(super) segment: usize,
     /// SUMO has been given the vehicle and has not been told to remove it.
     pub(super) added: bool,
-    /// It has been put beside its route: SUMO may have given it another.
-    pub(super) astray: bool,
-    /// SUMO has it on no road any more.
-    pub(super) lost: bool,
+    /// Where SUMO has it, of those that steer.
+    pub(super) track: Track,
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
@@ -75,8 +84,7 @@ pub(super) const EMPTY: Slot = Slot {
     motion: Motion::at(Pose { x: 0.0, y: 0.0, heading: 0.0 }),
     segment: 0,
     added: false,
-    astray: false,
-    lost: false,
+    track: Track::Route,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },

@@ -12,7 +12,7 @@ use super::failures::{Crash, Failures, UPSTREAM};
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
-use super::slots::{EMPTY, Fate, Slot, Status, Traffic};
+use super::slots::{EMPTY, Fate, Slot, Status, Track, Traffic};
 use super::steering::Motion;
 use super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
 use super::{Error, dynamics, observation, state};
@@ -333,7 +333,7 @@ impl World {
                             slot.wreck_steps -= 1;
                             match &task.scenario.control.steering {
                                 // SUMO knows no vehicle any more.
-                                Some(_) if slot.lost => {}
+                                Some(_) if slot.track == Track::Lost => {}
                                 Some(_) => commands.extend(moves(task, world, at, slot)),
                                 None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
                             }
@@ -537,8 +537,8 @@ impl World {
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
                 // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
-                if slot.departed && steers && (slot.astray || slot.status == Status::Wreck) {
-                    slot.lost = true;
+                if slot.departed && steers && (slot.track != Track::Route || slot.status == Status::Wreck) {
+                    slot.track = Track::Lost;
                     slot.pose = slot.motion.pose;
                     continue;
                 }
@@ -591,7 +591,7 @@ impl World {
             let fate = Fate {
                 arrived: slot.s >= route.arrival && (!steers || slot.lateral.abs() <= lane / 2.0),
                 out_of_road: if steers {
-                    slot.lost || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
+                    slot.track == Track::Lost || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
                 } else {
                     slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN
                 },
@@ -619,7 +619,7 @@ impl World {
                 self.frame.terminated[i] = 1.0;
                 slot.status = if fate.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
-                if slot.lost {
+                if slot.track == Track::Lost {
                     slot.status = Status::Empty;
                 }
                 slot.speed = 0.0;
@@ -728,9 +728,11 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> [Command; 2]
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [x + half * cos, y + half * sin];
     let place = task.place(vehicle.route, [x, y], vehicle.segment);
-    vehicle.astray |= place == Place::Beside;
+    if place == Place::Beside {
+        vehicle.track = Track::Astray;
+    }
     // Where it was beside its route, SUMO may have given it another.
-    let keep_route = if vehicle.astray { Place::Beside } else { place }.keep_route();
+    let keep_route = if vehicle.track == Track::Route { place } else { Place::Beside }.keep_route();
     [
         Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
         Command::MoveTo { world, slot, x, y, heading, keep_route },
