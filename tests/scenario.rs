@@ -211,8 +211,8 @@ fn misspelt_names_are_pointed_at() {
 
 #[test]
 fn missing_and_doubled_parts_are_named() {
-    insta::assert_snapshot!(mistake(" width=\"1.852\"", ""), @"task.xml:52:5: <vehicle> lacks the attribute `width` (hint: scenarios/intersection.xml shows every element and attribute)");
-    insta::assert_snapshot!(mistake("<jitter longitudinal=\"1\" lateral=\"0.25\"/>", ""), @"task.xml:8:1: <scenario> lacks the element `jitter` (hint: scenarios/intersection.xml shows every element and attribute)");
+    insta::assert_snapshot!(mistake(" width=\"1.852\"", ""), @"task.xml:52:5: <vehicle> lacks the attribute `width` (hint: scenarios/intersection.xml shows every element and attribute, scenarios/intersection_turns.xml those of steering)");
+    insta::assert_snapshot!(mistake("<jitter longitudinal=\"1\" lateral=\"0.25\"/>", ""), @"task.xml:8:1: <scenario> lacks the element `jitter` (hint: scenarios/intersection.xml shows every element and attribute, scenarios/intersection_turns.xml those of steering)");
     insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"1\"/><communication range=\"2\"/>"), @"task.xml:74:31: a second element <communication>");
     insta::assert_snapshot!(mistake("<route id=\"westbound\"", "<route id=\"eastbound\""), @"task.xml:17:16: a second route with the id `eastbound`");
     insta::assert_snapshot!(mistake("</scenario>", ""), @"task.xml:1:1: cannot be read as XML: the root node was opened but never closed");

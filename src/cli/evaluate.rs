@@ -87,7 +87,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let mut policies = Vec::new();
     for name in &args.policy {
         let policy = Policy::by_name(name).with_context(|| {
-            format!("there is no policy `{name}`; choose one of {} with a in -1..1", POLICIES.join(", "))
+            format!(
+                "there is no policy `{name}`; choose one of {} with a in -1..1 and speed in m/s, above 0",
+                POLICIES.join(", ")
+            )
         })?;
         policies.push((name.clone(), policy));
     }

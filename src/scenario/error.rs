@@ -228,7 +228,7 @@ impl Error {
             Self::Unknown { parent, valid, .. } if !valid.is_empty() => {
                 Some(format!("valid in {parent}: {}", valid.join(", ")))
             }
-            Self::Missing { .. } => Some("scenarios/intersection.xml shows every element and attribute".into()),
+            Self::Missing { .. } => Some("scenarios/intersection.xml shows every element and attribute, scenarios/intersection_turns.xml those of steering".into()),
             Self::Net { source, .. } | Self::Route { source, .. } => source.hint(),
             Self::Place { .. } | Self::Overlap { .. } => {
                 Some("move the places, lower their number, or make the longitudinal jitter smaller".into())
