@@ -69,6 +69,9 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         first.checkpoint().save(&file).expect("saved");
         drop(first);
         let stored = Checkpoint::load(&file).expect("loaded");
+        let position = |world: usize| &stored.worlds[world].position;
+        assert!((0..3).any(|e| !position(e).failed.is_empty()), "episodes that failed are remembered");
+        assert!((0..3).any(|e| position(e).turn > position(e).fresh), "and at least one was played again");
         let (config, scenario) = config(algorithm, encoder, 480);
         // Other crews would make other episodes of the stored actions.
         let mut other = config.clone();
