@@ -9,7 +9,7 @@ use std::{
 
 use iwol_sumo::{
     scenario::{
-        AgentRange, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
+        AgentRange, Border, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
         Scenario, SpawnRow, Termination, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
@@ -45,7 +45,7 @@ fn the_shipped_scenario_is_the_task() {
     assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
     assert_eq!(scenario.control.brake, [(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)]);
     assert_eq!((scenario.control.interval, scenario.control.accel, scenario.control.drag), (0.1, 2.909, 0.364));
-    assert_eq!(scenario.termination, Termination { horizon: 1000, wreck_time: 2.5 });
+    assert_eq!(scenario.termination, Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line });
 }
 
 #[test]
@@ -326,7 +326,7 @@ prop_compose! {
             description: words.join(" "),
             agents: AgentRange { min, max, default: min },
             nets,
-            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos }).collect(),
+            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: counts[0] % 2 == 0, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
@@ -337,7 +337,7 @@ prop_compose! {
                 conflict_streams: counts[1], stream_vehicles: counts[2],
             },
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
-            termination: Termination { horizon, wreck_time: p[8] },
+            termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },
             communication: Communication { range: p[9] },
         }
     }

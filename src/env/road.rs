@@ -1,20 +1,26 @@
 //! The road surface: where lanes are, and the lines at their sides that a vehicle must not touch.
 //!
-//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost; lanes over a junction
-//! have no lines but to the right of a right turn from the rightmost lane. A vehicle whose centre is on no lane has left the road, too.
+//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost. Over a junction, a way
+//! from the rightmost lane into the rightmost has a border to its right where no other way crosses that: it leads along the outside. A
+//! vehicle whose centre is on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line between two directions
+//! is left, and no corner of a vehicle may be beyond the kerb.
 
 use std::collections::{BTreeSet, HashMap};
 
 use super::Error;
 use super::geometry::Pose;
-use crate::sumo::net::{EdgeFunction, Net};
+use super::routes::crossing;
+use crate::scenario::Border;
+use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 
 /// Cells of the grid in which lines and lanes are looked up \[m\].
 const CELL: f64 = 8.0;
 /// Longest lanes and lines, together \[m\].
 const LONGEST: f64 = 5e6;
-/// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator.
-const BESIDE: f64 = 0.6;
+/// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator. There is also the kerb.
+pub(super) const BESIDE: f64 = 0.6;
+/// Borders of two edges whose ends are this close are one line \[m\].
+const SAME: f64 = 0.1;
 /// A body touches a line from this distance on \[m\], as measured there.
 const TOUCH: f64 = 0.035;
 
@@ -42,6 +48,7 @@ pub(super) struct Road {
     /// Half the diagonal of a vehicle \[m\].
     reach: f64,
     half: [f64; 2],
+    border: Border,
 }
 
 impl Road {
@@ -49,29 +56,24 @@ impl Road {
     ///
     /// # Errors
     /// [`Error::Long`].
-    pub(super) fn new(net: &Net, length: f64, width: f64) -> Result<Self, Error> {
+    pub(super) fn new(net: &Net, length: f64, width: f64, border: Border) -> Result<Self, Error> {
         let mut road = Self {
             strips: Vec::new(),
             lines: Vec::new(),
             cells: HashMap::new(),
             reach: length.hypot(width) / 2.0 + TOUCH,
             half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
+            border,
         };
         for edge in net.edges.iter().filter(|edge| edge.function != EdgeFunction::Other) {
             for lane in &net.lanes[edge.lanes.clone()] {
                 let strip = |pair: &[Point]| Strip { ends: [pair[0], pair[1]], half: lane.width / 2.0 };
                 road.strips.extend(lane.shape.windows(2).map(strip));
             }
-            if edge.function == EdgeFunction::Normal {
-                let (right, left) = (&net.lanes[edge.lanes.start], &net.lanes[edge.lanes.end - 1]);
-                road.line(&right.shape, -right.width / 2.0);
-                road.line(&left.shape, left.width / 2.0);
-            }
         }
-        for connection in net.connections.iter().filter(|c| c.dir == "r" && net.lanes[c.from].index == 0) {
-            if let Some(lane) = connection.via.map(|lane| &net.lanes[lane]) {
-                road.line(&lane.shape, -lane.width / 2.0);
-            }
+        match border {
+            Border::Line => road.draw_all(net),
+            Border::Kerb => road.draw_between_directions(net),
         }
         let lengths = road.strips.iter().map(|strip| strip.ends).chain(road.lines.iter().copied());
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
@@ -92,20 +94,61 @@ impl Road {
         Ok(road)
     }
 
-    /// A line beside a centre line, `offset` metres to its left.
-    fn line(&mut self, centre: &[Point], offset: f64) {
-        let beside = parallel(centre, offset);
-        self.lines.extend(beside.windows(2).map(|pair| [pair[0], pair[1]]));
+    /// The lines at both sides of edges, and along the outside of junctions.
+    fn draw_all(&mut self, net: &Net) {
+        for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
+            let (right, left) = (&net.lanes[edge.lanes.start], &net.lanes[edge.lanes.end - 1]);
+            self.line(&parallel(&right.shape, -right.width / 2.0));
+            self.line(&parallel(&left.shape, left.width / 2.0));
+        }
+        for lane in outer_ways(net) {
+            self.line(&parallel(&lane.shape, -lane.width / 2.0));
+        }
     }
 
-    /// Whether a vehicle has left the road: it touches a line, or its centre is on no lane.
+    /// The lines that are the left border of two edges.
+    fn draw_between_directions(&mut self, net: &Net) {
+        let left = |edge: &Edge| {
+            let lane = &net.lanes[edge.lanes.end - 1];
+            parallel(&lane.shape, lane.width / 2.0)
+        };
+        let lefts: Vec<_> = net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal).map(left).collect();
+        let ends = |line: &[Point]| [line[0], line[line.len() - 1]];
+        let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
+        for (i, line) in lefts.iter().enumerate() {
+            let [first, last] = ends(line);
+            let back = |other: &Vec<Point>| near(ends(other)[0], last) && near(ends(other)[1], first);
+            if lefts[..i].iter().any(back) {
+                self.line(line);
+            }
+        }
+    }
+
+    fn line(&mut self, points: &[Point]) {
+        self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
+    }
+
+    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or one of its corners is beyond the kerb.
     pub(super) fn left_by(&self, pose: &Pose) -> bool {
         let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
-        let on_lane = cell.strips.iter().any(|&i| {
+        let (sin, cos) = pose.heading.sin_cos();
+        let corner = |along: f64, across: f64| {
+            let (along, across) = (along * (self.half[0] - TOUCH), across * (self.half[1] - TOUCH));
+            [pose.x + along * cos - across * sin, pose.y + along * sin + across * cos]
+        };
+        let beyond_kerb =
+            || [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().any(|&(a, b)| !self.on_lane(corner(a, b)));
+        !self.on_lane([pose.x, pose.y])
+            || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
+            || (self.border == Border::Kerb && beyond_kerb())
+    }
+
+    fn on_lane(&self, point: Point) -> bool {
+        let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
+        strips.iter().any(|&i| {
             let Strip { ends, half } = self.strips[i as usize];
-            distance(ends, [pose.x, pose.y]) <= half + BESIDE
-        });
-        !on_lane || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
+            distance(ends, point) <= half + BESIDE
+        })
     }
 
     /// Whether a vehicle's box, a touch larger, meets a segment.
@@ -129,6 +172,23 @@ impl Road {
         }
         span.0 <= span.1
     }
+}
+
+/// Ways over junctions that lead along their outside, the road's border to their right.
+fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
+    let outermost = |lane: usize| net.lanes[lane].index == 0;
+    let joins = net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
+    let ways = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
+    ways.filter(|way| {
+        let border = parallel(&way.shape, -way.width / 2.0);
+        let inside = |lane: &&Lane| net.edges[lane.edge].function == EdgeFunction::Internal;
+        !net.lanes.iter().filter(inside).any(|other| meet(&border, &other.shape))
+    })
+}
+
+/// Whether two polylines cross.
+fn meet(a: &[Point], b: &[Point]) -> bool {
+    a.windows(2).any(|a| b.windows(2).any(|b| crossing(a[0], a[1], b[0], b[1]).is_some()))
 }
 
 /// The polyline at `offset` metres to the left of another.
@@ -187,7 +247,8 @@ mod tests {
 
     fn road() -> Road {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH).expect("a small net")
+        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH, Border::Line)
+            .expect("a small net")
     }
 
     #[test]

@@ -111,7 +111,7 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
 }
 
 /// Where segments `ab` and `cd` cross, as fractions of both; parallel segments do not.
-fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
+pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
     let (r, s) = ([b[0] - a[0], b[1] - a[1]], [d[0] - c[0], d[1] - c[1]]);
     let cross = r[0] * s[1] - r[1] * s[0];
     if cross.abs() < 1e-12 {

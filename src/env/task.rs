@@ -54,6 +54,8 @@ pub struct Task {
     pub places: Vec<SpawnPlace>,
     /// Routes in the scenario's order.
     pub routes: Vec<RouteGeometry>,
+    /// For every route whose destination is reserved, the first one that ends on the same edge.
+    pub(super) reserved: Vec<Option<usize>>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
     /// Where vehicles may drive, if they steer.
@@ -84,6 +86,9 @@ impl Task {
                 route
             })
             .collect::<Vec<_>>();
+        let end = |route: &crate::scenario::Route| route.edges.last().cloned();
+        let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
+        let reserved = scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
         let junctions = paths.iter().map(|path| junction_stretches(&net, path)).collect();
         let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for point in paths.iter().flat_map(|path| &path.points) {
@@ -93,7 +98,11 @@ impl Task {
             }
         }
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
-        let road = scenario.control.steering.map(|_| Road::new(&net, length, width)).transpose()?;
+        let road = scenario
+            .control
+            .steering
+            .map(|_| Road::new(&net, length, width, scenario.termination.border))
+            .transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
             actions: if scenario.control.steering.is_some() { 2 } else { 1 },
@@ -105,6 +114,7 @@ impl Task {
             fewest: agents as usize,
             places: choice.places().collect(),
             routes,
+            reserved,
             road,
             junctions,
             spec,

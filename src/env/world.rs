@@ -4,6 +4,8 @@
 //! agents are observed but do not act: a truncated agent's last observation, from which its return is bootstrapped.
 //! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
 
+mod motion;
+
 use std::sync::Arc;
 
 use super::audit::{Ours, Pairs, Sumos};
@@ -12,24 +14,19 @@ use super::failures::{Crash, Failures, UPSTREAM};
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
-use super::slots::{EMPTY, Fate, Slot, Status, Track, Traffic};
+use super::road::BESIDE;
+use super::slots::{Fate, Slot, Status, Track, Traffic};
 use super::steering::Motion;
-use super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
-use super::{Error, dynamics, observation, state};
-use crate::rng::{self, Seed};
+use super::task::Task;
+use super::{Error, observation, state};
+use crate::rng::Seed;
 use crate::scenario::Reward;
-use crate::sumo::{Command, Snapshot};
+use crate::sumo::Snapshot;
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
-/// How far ahead on its route the point lies that pure pursuit steers for \[m\].
-const LOOK_AHEAD: f64 = 4.0;
-/// SUMO's speed mode with every check off.
-const NO_CHECKS: i32 = 32;
-/// SUMO's speed mode of its own driver.
-const SUMO_CHECKS: i32 = 31;
 
 /// Who chooses the speeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -252,22 +249,6 @@ impl World {
         })
     }
 
-    /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: the wheels point to the circle
-    /// through a point ahead on the route, and throttle closes the gap in speed within half a second.
-    pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
-        let (task, own) = (&*self.task, &self.traffic.slots[slot]);
-        let control = &task.scenario.control;
-        let throttle = ((speed - own.speed) / (0.5 * control.accel)).clamp(-1.0, 1.0);
-        let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
-            return [0.0, throttle];
-        };
-        let ([x, y], _) = task.routes[own.route].path.at(own.s + LOOK_AHEAD);
-        let (dx, dy) = (x - own.pose.x, y - own.pose.y);
-        let bearing = dy.atan2(dx) - own.pose.heading;
-        let wheel = (2.0 * steering.wheelbase * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
-        [(wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0), throttle]
-    }
-
     /// Whether there is nothing left to play.
     pub fn is_idle(&self) -> bool {
         self.phase == Phase::Idle
@@ -291,131 +272,6 @@ impl World {
     /// Lets the coming exchange start the next episode, whatever is on the road now.
     pub(super) fn start_next(&mut self) {
         self.phase = Phase::Ended;
-    }
-
-    /// Commands of the coming exchange; `actions` is `[N, A]`, of which only active agents' entries count.
-    pub fn act(&mut self, world: u32, actions: &[f32], commands: &mut Vec<Command>) {
-        match self.phase {
-            Phase::Idle | Phase::Spawning => {}
-            Phase::Ended => self.spawn(world, commands),
-            Phase::Running => {
-                self.actions.extend_from_slice(actions);
-                let task = &*self.task;
-                for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
-                    let at = i as u32;
-                    match slot.status {
-                        Status::Active if self.driver == Driver::Agents => {
-                            let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
-                            let actions = &actions[i * task.spec.actions..(i + 1) * task.spec.actions];
-                            let action = |k: usize| {
-                                let action = f64::from(actions[k]);
-                                if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }
-                            };
-                            if let Some(steering) = &control.steering {
-                                (slot.steer, slot.action) = (action(0), action(1));
-                                slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
-                                slot.speed = slot.motion.speed;
-                                commands.extend(moves(task, world, at, slot));
-                            } else {
-                                slot.action = action(0);
-                                let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
-                                slot.speed = speed;
-                                // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
-                                commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
-                            }
-                        }
-                        Status::Wreck if slot.wreck_steps == 0 => {
-                            slot.status = Status::Empty;
-                            slot.added = false;
-                            commands.push(Command::Remove { world, slot: at });
-                        }
-                        Status::Wreck => {
-                            slot.wreck_steps -= 1;
-                            match &task.scenario.control.steering {
-                                // SUMO knows no vehicle any more.
-                                Some(_) if slot.track == Track::Lost => {}
-                                Some(_) => commands.extend(moves(task, world, at, slot)),
-                                None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
-                            }
-                        }
-                        Status::Empty if slot.added => {
-                            slot.added = false;
-                            commands.push(Command::Remove { world, slot: at });
-                        }
-                        _ => {}
-                    }
-                }
-            }
-        }
-    }
-
-    fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
-        let task = Arc::clone(&self.task);
-        let fresh = std::mem::take(&mut self.interrupted);
-        let Some(episode) = self.order.begin() else {
-            self.phase = Phase::Idle;
-            return;
-        };
-        self.episode = episode;
-        self.respawns += u64::from(!fresh);
-        self.step = 0;
-        self.total_reward = 0.0;
-        self.step_rewards.clear();
-        self.pairs.clear();
-        self.actions.clear();
-        let mut rng = self.seed.index(self.episode).rng();
-        let mut places: Vec<usize> = (0..task.places.len()).collect();
-        rng::shuffle(&mut rng, &mut places);
-        let half = task.scenario.vehicle.length / 2.0;
-        let (vehicle_type, mode) = match self.driver {
-            Driver::Agents => (AGENT_TYPE, NO_CHECKS),
-            Driver::Sumo => (SUMO_TYPE, SUMO_CHECKS),
-        };
-        // A draw only where there is a choice, so that the others stay as they are.
-        let choice = task.agents - task.fewest;
-        self.crew = task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
-            let at = i as u32;
-            if slot.added {
-                commands.push(Command::Remove { world, slot: at });
-            }
-            if i >= self.crew {
-                *slot = EMPTY;
-                continue;
-            }
-            let place = &task.places[places[i]];
-            let choice = place.routes.len();
-            let route = place.routes[if choice > 1 { rng::below(&mut rng, choice) } else { 0 }];
-            let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
-            let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
-            let path = &task.routes[route].path;
-            let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
-            let pose = Pose::beside(point, heading, lateral);
-            *slot = Slot {
-                status: Status::Active,
-                route,
-                pose,
-                before: pose,
-                motion: Motion::at(pose),
-                s,
-                lateral,
-                added: true,
-                ..EMPTY
-            };
-            commands.push(Command::Add {
-                world,
-                slot: at,
-                route: route as u32,
-                vehicle_type,
-                depart_pos: s + half,
-                depart_speed: 0.0,
-            });
-            commands.push(Command::SpeedMode { world, slot: at, mode });
-            if self.driver == Driver::Agents {
-                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
-            }
-        }
-        self.phase = Phase::Spawning;
     }
 
     /// Takes in what the exchange brought, as world number `world` of the snapshot.
@@ -524,50 +380,6 @@ impl World {
         self.phase == Phase::Ended
     }
 
-    /// Reads every vehicle's pose from the snapshot.
-    fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
-        let task = &*self.task;
-        let first = world as usize * task.agents;
-        let half = task.scenario.vehicle.length / 2.0;
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
-            slot.before = slot.pose;
-            if slot.status == Status::Empty {
-                continue;
-            }
-            let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
-            let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
-                // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
-                if slot.departed && steers && (slot.track != Track::Route || slot.status == Status::Wreck) {
-                    slot.track = Track::Lost;
-                    slot.pose = slot.motion.pose;
-                    continue;
-                }
-                // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
-                if slot.departed || self.driver == Driver::Agents {
-                    return Err(Error::Vanished { slot: i, step: self.step });
-                }
-                continue;
-            };
-            slot.departed = true;
-            if self.driver == Driver::Sumo {
-                slot.speed = vehicle.speed;
-            }
-            let path = &task.routes[slot.route].path;
-            if steers {
-                slot.pose = slot.motion.pose;
-                (slot.s, slot.lateral, slot.segment) = path.project([slot.pose.x, slot.pose.y], slot.segment);
-                continue;
-            }
-            let front = path.arc_of_distance(vehicle.distance);
-            let (point, heading, segment) = path.body(front, 2.0 * half);
-            let (sin, cos) = heading.sin_cos();
-            slot.pose = Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
-            slot.s = front - half;
-            slot.segment = segment;
-        }
-        Ok(())
-    }
-
     /// One step of a running episode: motion, ends and rewards.
     fn advance(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         for (old, slot) in self.positions.iter_mut().zip(&self.traffic.slots) {
@@ -611,7 +423,9 @@ impl World {
                 scenario.reward.crash
             } else {
                 let way = slot.s - self.positions[i];
-                scenario.reward.progress * way + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT
+                let reward = scenario.reward.progress * way + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT;
+                let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
+                if off { scenario.routes[slot.route].off_lane * reward } else { reward }
             };
             self.own_rewards[i] = reward;
             sum += reward;
@@ -719,22 +533,4 @@ impl World {
             step_rewards: std::mem::take(&mut self.step_rewards),
         }
     }
-}
-
-/// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that.
-fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> [Command; 2] {
-    let Pose { x, y, heading } = vehicle.motion.pose;
-    let (sin, cos) = heading.sin_cos();
-    let half = task.scenario.vehicle.length / 2.0;
-    let [x, y] = [x + half * cos, y + half * sin];
-    let place = task.place(vehicle.route, [x, y], vehicle.segment);
-    if place == Place::Beside {
-        vehicle.track = Track::Astray;
-    }
-    // Where it was beside its route, SUMO may have given it another.
-    let keep_route = if vehicle.track == Track::Route { place } else { Place::Beside }.keep_route();
-    [
-        Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
-        Command::MoveTo { world, slot, x, y, heading, keep_route },
-    ]
 }

@@ -8,8 +8,8 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route, Scenario,
-    SpawnRow, Steering, Termination, Vehicle, check,
+    AgentRange, Border, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
+    Scenario, SpawnRow, Steering, Termination, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -104,7 +104,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
         let reward = self.leaf(part("reward")?, REWARD)?;
-        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime"])?;
+        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border"])?;
         let communication = self.leaf(part("communication")?, &["range"])?;
 
         let scenario = Scenario {
@@ -142,10 +142,20 @@ impl<'a, 'input> Reader<'a, 'input> {
             termination: Termination {
                 horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
                 wreck_time: self.not_negative(termination, "wreckTime")?,
+                border: self.border(termination)?,
             },
             communication: Communication { range: self.not_negative(communication, "range")? },
         };
         Ok((scenario, places))
+    }
+
+    fn border(&self, node: Node<'a, 'input>) -> Result<Border, Error> {
+        if !node.has_attribute("border") {
+            return Ok(Border::Line);
+        }
+        let name = self.text(node, "border")?;
+        let known = Border::NAMES.iter().find(|entry| entry.0 == name);
+        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "border", "line or kerb"))
     }
 
     fn groups(&self, node: Node<'a, 'input>) -> Result<ObservationGroups, Error> {
@@ -189,7 +199,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         self.expect(node, &[], &["route"])?;
         let (mut routes, mut places, mut ids) = (Vec::new(), Vec::new(), HashSet::new());
         for route in self.few(node, MAX_ROUTES)? {
-            self.leaf(route, &["id", "edges", "lane", "arrivalPos"])?;
+            self.leaf(route, &["id", "edges", "lane", "arrivalPos", "reserved", "offLane"])?;
             let id = self.text(route, "id")?;
             if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
                 return Err(self.value(route, "id", "a word without spaces, quotes and any of |\\;,<>&"));
@@ -205,7 +215,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 None => None,
                 Some(_) => Some(self.whole(route, "lane", 0, 63)?),
             };
-            routes.push(Route { id: id.into(), edges, lane, arrival_pos: self.any(route, "arrivalPos")? });
+            let reserved = route.has_attribute("reserved") && self.flag(route, "reserved")?;
+            let off_lane = if route.has_attribute("offLane") { self.any(route, "offLane")? } else { 1.0 };
+            let arrival_pos = self.any(route, "arrivalPos")?;
+            routes.push(Route { id: id.into(), edges, lane, arrival_pos, reserved, off_lane });
             places.push(RoutePlaces {
                 edges: Self::offset(route, "edges"),
                 arrival_pos: Self::offset(route, "arrivalPos"),
@@ -238,6 +251,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             if spawns.is_empty() {
                 return Err(self.missing(net, "element", "spawn"));
             }
+            self.destinations(net, &spawns, routes)?;
             let at = NetPlaces { file: Self::offset(net, "file"), spawns: places };
             nets.push((Net { file: folder.join(file), spawns }, at));
         }
@@ -246,6 +260,20 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
         nets.sort_by_key(|(net, _)| net.capacity());
         Ok(nets.into_iter().unzip())
+    }
+
+    /// Whoever must have a reserved destination finds one, whatever the others have drawn.
+    fn destinations(&self, net: Node<'a, 'input>, rows: &[SpawnRow], routes: &[Route]) -> Result<(), Error> {
+        let reserved = |&i: &usize| routes[i].reserved;
+        let wanted: u32 = rows.iter().filter(|row| row.routes.iter().any(reserved)).map(|row| row.count).sum();
+        for (row, node) in rows.iter().zip(net.children().filter(Node::is_element)) {
+            let ends: HashSet<_> = row.routes.iter().map(|&i| routes[i].edges.last()).collect();
+            if row.routes.iter().all(reserved) && (ends.len() as u32) < wanted {
+                let allowed = format!("reserved routes to {wanted} edges or more: so many vehicles may want one");
+                return Err(self.value(node, "route", allowed));
+            }
+        }
+        Ok(())
     }
 
     fn spawn(
@@ -321,12 +349,16 @@ impl<'a, 'input> Reader<'a, 'input> {
             dead_time: self.number(node, "deadTime", &format!("0 to {interval}, the interval"), within)?,
             lag: self.positive(node, "lag")?,
             max_lateral: self.positive(node, "maxLateralAcceleration")?,
-            reverse: match self.text(node, "reverse")? {
-                "true" => true,
-                "false" => false,
-                _ => return Err(self.value(node, "reverse", "true or false")),
-            },
+            reverse: self.flag(node, "reverse")?,
         })
+    }
+
+    fn flag(&self, node: Node<'a, 'input>, key: &'static str) -> Result<bool, Error> {
+        match self.text(node, key)? {
+            "true" => Ok(true),
+            "false" => Ok(false),
+            _ => Err(self.value(node, key, "true or false")),
+        }
     }
 
     fn brake(&self, node: Node<'a, 'input>) -> Result<Vec<(f64, f64)>, Error> {

@@ -100,6 +100,10 @@ pub struct Route {
     pub lane: Option<u32>,
     /// Where the agent has arrived, on the last edge \[m\]; a negative value counts from its end.
     pub arrival_pos: f64,
+    /// Its last edge is a destination for one vehicle: an episode draws no two reserved routes that end on the same edge.
+    pub reserved: bool,
+    /// Progress and speed count this many times while the vehicle is off the route's lanes.
+    pub off_lane: f64,
 }
 
 /// The agents' vehicle.
@@ -236,6 +240,28 @@ pub struct Termination {
     pub horizon: u32,
     /// A crashed vehicle stays as an obstacle for this time \[s\].
     pub wreck_time: f64,
+    /// What ends the road for a vehicle that steers.
+    pub border: Border,
+}
+
+/// What ends the road for a vehicle that steers. Whoever's centre is on no lane has left it, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Border {
+    /// The lines at both sides of a road.
+    Line,
+    /// The line between two directions, and the kerb, a little beyond the outermost lanes: no line keeps lanes of one direction, or
+    /// places to park, apart.
+    Kerb,
+}
+
+impl Border {
+    /// As in XML.
+    pub const NAMES: [(&str, Self); 2] = [("line", Self::Line), ("kerb", Self::Kerb)];
+
+    /// The name in XML.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
+    }
 }
 
 /// Who can hear whom.

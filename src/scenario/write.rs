@@ -29,7 +29,13 @@ impl Scenario {
         for route in &self.routes {
             let (id, edges) = (escape(&route.id), escape(&route.edges.join(" ")));
             let lane = route.lane.map_or(String::new(), |lane| format!(" lane=\"{lane}\""));
-            writeln!(xml, "        <route id=\"{id}\" edges=\"{edges}\"{lane} arrivalPos=\"{}\"/>", route.arrival_pos)?;
+            let reserved = if route.reserved { " reserved=\"true\"" } else { "" };
+            write!(xml, "        <route id=\"{id}\" edges=\"{edges}\"{lane} ")?;
+            write!(xml, "arrivalPos=\"{}\"{reserved}", route.arrival_pos)?;
+            if route.off_lane != 1.0 {
+                write!(xml, " offLane=\"{}\"", route.off_lane)?;
+            }
+            writeln!(xml, "/>")?;
         }
         writeln!(xml, "    </routes>\n    <nets>")?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
@@ -75,7 +81,8 @@ impl Scenario {
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
         writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;
         let t = self.termination;
-        writeln!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"/>", t.horizon, t.wreck_time)?;
+        write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\" ", t.horizon, t.wreck_time)?;
+        writeln!(xml, "border=\"{}\"/>", t.border.name())?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;
         writeln!(xml, "</scenario>")
     }
