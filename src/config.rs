@@ -146,6 +146,8 @@ pub struct Env {
     pub conflict_streams: usize,
     /// Vehicles per stream in the observation.
     pub stream_vehicles: usize,
+    /// Vehicles on crossing or merging routes in the observation.
+    pub encounters: usize,
     /// Range d_comm of the physical mask \[m\].
     pub communication_range: f64,
     /// Share λ of the cooperative mix; the scenario's is for its own number of agents, and follows from it for another
@@ -180,6 +182,7 @@ impl Env {
             neighbours: seen.neighbours,
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
+            encounters: seen.encounters,
             communication_range: scenario.communication.range,
             cooperation: (kept * 1e6).round() / 1e6,
             reward_progress: reward.progress,
@@ -199,6 +202,7 @@ impl Env {
         seen.neighbours = self.neighbours;
         seen.conflict_streams = self.conflict_streams;
         seen.stream_vehicles = self.stream_vehicles;
+        seen.encounters = self.encounters;
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;
         reward.progress = self.reward_progress;
@@ -349,7 +353,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 70] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 72] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -407,6 +411,7 @@ impl Config {
             (&["exploration.spread"], (0.0..=10.0).contains(&x.spread), "0 to 10"),
             (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
+            (&["exploration.steering"], finite_positive(x.steering), "above 0"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
@@ -426,6 +431,7 @@ impl Config {
             (&["env.neighbours"], e.neighbours <= 16, "0 to 16"),
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
+            (&["env.encounters"], e.encounters <= 16, "0 to 16"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),
             (&["env.cooperation"], share(e.cooperation), "0 to 1"),
             (&["env.reward_progress"], e.reward_progress.is_finite(), "a finite number"),

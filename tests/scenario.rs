@@ -334,7 +334,7 @@ prop_compose! {
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
-                conflict_streams: counts[1], stream_vehicles: counts[2],
+                conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
             },
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
             termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },

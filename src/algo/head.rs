@@ -12,22 +12,32 @@ use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
+    /// Logarithm of each action's noise relative to the throttle's, `[A]`.
+    relative: Tensor,
     mode: NoiseMode,
 }
 
 impl GaussianHead {
     pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: i64, exploration: &Exploration) -> Self {
         let mean = Linear::new(path.sub("mean"), inputs, actions, Init::Orthogonal(0.01));
-        let _ = no_grad(|| mean.bias().shallow_clone().fill_(exploration.mean_bias));
+        // The throttle comes last, after the steering of those that steer.
+        let _ = no_grad(|| mean.bias().narrow(0, actions - 1, 1).fill_(exploration.mean_bias));
         let log_std = path.create("log_std", &[actions], Init::Zeros);
-        let _ = no_grad(|| log_std.shallow_clone().fill_(exploration.log_std_start));
-        Self { mean, log_std, mode: exploration.mode }
+        let relative = log_std.detach().zeros_like();
+        let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering.ln());
+        let head = Self { mean, log_std, relative, mode: exploration.mode };
+        head.set(exploration.log_std_start);
+        head
+    }
+
+    fn set(&self, log_std: f64) {
+        no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative + log_std)));
     }
 
     /// Imposes the logarithm of the standard deviation, unless it is learned.
     pub(super) fn impose(&self, log_std: f64) {
         if self.mode == NoiseMode::Schedule {
-            let _ = no_grad(|| self.log_std.shallow_clone().fill_(log_std));
+            self.set(log_std);
         }
     }
 

@@ -4,6 +4,8 @@
 //! - `conflict`: the vehicle ahead, and for each route that crosses or merges with the agent's own, the vehicles next to
 //!   the meeting point: a description that does not depend on the number of vehicles and reads the same from every arm.
 //!
+//! Beside either, `encounters` describes vehicles whose routes meet the agent's, one by one: for scenarios with many routes.
+//!
 //! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros.
 
 use super::routes::RouteGeometry;
@@ -27,6 +29,18 @@ const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("to_conflict_far", "50 m", -1.0, 1.0),
     ("to_conflict_near", "15 m", -1.0, 1.0),
     ("speed", "22.2 m/s", 0.0, 1.0),
+    ("moving", "flag", 0.0, 1.0),
+    ("present", "flag", 0.0, 1.0),
+];
+
+pub(super) const ENCOUNTER: [(&str, &str, f32, f32); 9] = [
+    ("own_far", "50 m", -1.0, 1.0),
+    ("own_near", "15 m", -1.0, 1.0),
+    ("other_far", "50 m", -1.0, 1.0),
+    ("other_near", "15 m", -1.0, 1.0),
+    ("speed", "22.2 m/s", 0.0, 1.0),
+    ("heading_cos", "1, to the agent's", -1.0, 1.0),
+    ("heading_sin", "1, left of the agent's", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
 ];
@@ -77,6 +91,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             ],
         );
     }
+    features.push("encounter", settings.encounters, &ENCOUNTER);
     if !settings.groups.conflict() {
         return features;
     }
@@ -155,6 +170,7 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
+    put_encounters(&mut w, routes, traffic, slot, scenario.observation.encounters, |j| view.seen(j));
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -256,6 +272,54 @@ impl View<'_> {
         let distances = others.map(|(r, j)| (self.routes[r].to_first_conflict(traffic.slots[j].s), j));
         let near = distances.filter(|&(u, j)| u > -2.0 * CLEARED && self.seen(j));
         put_vehicles(w, traffic, near, settings.stream_vehicles);
+    }
+}
+
+/// The `count` vehicles that will soonest be with the agent of `slot` where their routes meet.
+pub(super) fn put_encounters(
+    w: &mut Writer,
+    routes: &[RouteGeometry],
+    traffic: &Traffic,
+    slot: usize,
+    count: usize,
+    seen: impl Fn(usize) -> bool,
+) {
+    let own = &traffic.slots[slot];
+    let mut soonest = [(f64::INFINITY, 0.0, 0.0, usize::MAX); 16];
+    let count = count.min(soonest.len());
+    for (j, other) in traffic.slots.iter().enumerate().filter(|_| count > 0) {
+        if j == slot || other.status == Status::Empty || !seen(j) {
+            continue;
+        }
+        let Some(meeting) = routes[own.route].meeting(other.route) else { continue };
+        let (own_way, other_way) = (meeting.own - own.s, meeting.other - other.s);
+        if own_way < -CLEARED || other_way < -CLEARED {
+            continue;
+        }
+        let entry = (own_way.max(other_way), own_way, other_way, j);
+        if entry.0 < soonest[count - 1].0 {
+            let at = soonest[..count].partition_point(|other| other.0 <= entry.0);
+            soonest[at..count].rotate_right(1);
+            soonest[at] = entry;
+        }
+    }
+    for &(_, own_way, other_way, j) in &soonest[..count] {
+        let Some(other) = traffic.slots.get(j) else {
+            w.skip(ENCOUNTER.len());
+            continue;
+        };
+        let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
+        w.put([
+            own_way / FAR,
+            own_way / NEAR,
+            other_way / FAR,
+            other_way / NEAR,
+            other.speed.max(0.0) / SPEED,
+            cos,
+            sin,
+            moving(other.status),
+            1.0,
+        ]);
     }
 }
 

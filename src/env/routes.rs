@@ -15,6 +15,8 @@ pub struct RouteGeometry {
     pub conflicts: Vec<Conflict>,
     /// Routes that never meet this one.
     pub apart: Vec<usize>,
+    /// For every route, its entry in [`RouteGeometry::conflicts`], if it has one.
+    meetings: Vec<Option<usize>>,
     /// For every route: stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
 }
@@ -45,6 +47,11 @@ impl RouteGeometry {
         self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
     }
 
+    /// Where `route` meets this one.
+    pub fn meeting(&self, route: usize) -> Option<Conflict> {
+        self.meetings[route].map(|i| self.conflicts[i])
+    }
+
     /// Distance from `s` to the first conflict point, or to the arrival where there is none \[m\].
     pub fn to_first_conflict(&self, s: f64) -> f64 {
         self.conflicts.first().map_or(self.arrival, |c| c.own) - s
@@ -66,7 +73,11 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeome
         }
     }
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    RouteGeometry { path: path.clone(), first_lane: 0, arrival, conflicts, apart, shared }
+    let mut meetings = vec![None; paths.len()];
+    for (i, conflict) in conflicts.iter().enumerate() {
+        meetings[conflict.route] = Some(i);
+    }
+    RouteGeometry { path: path.clone(), first_lane: 0, arrival, conflicts, apart, meetings, shared }
 }
 
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
@@ -91,7 +102,9 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
             if shared.iter().any(|k| (k.from..=k.to).contains(&middle)) {
                 continue;
             }
-            if let Some((t, u)) = crossing(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j]) {
+            let [a, b] = [own.points[i - 1], own.points[i]];
+            let [c, d] = [other.points[j - 1], other.points[j]];
+            if let Some((t, u)) = crossing(a, b, c, d).or_else(|| overlap(a, b, c, d)) {
                 let at = |path: &Path, k: usize, t: f64| {
                     path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
                 };
@@ -122,4 +135,20 @@ pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Op
     let u = (q[0] * r[1] - q[1] * r[0]) / cross;
     let inside = |x: f64| (-1e-9..=1.0 + 1e-9).contains(&x);
     (inside(t) && inside(u)).then_some((t, u))
+}
+
+/// Where `cd` begins to lie on `ab`, as fractions of both.
+fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
+    /// Segments this close are one way \[m\].
+    const CLOSE: f64 = 0.1;
+    let (r, length) = ([b[0] - a[0], b[1] - a[1]], (b[0] - a[0]).hypot(b[1] - a[1]));
+    if length == 0.0 {
+        return None;
+    }
+    let along = |p: [f64; 2]| ((p[0] - a[0]) * r[0] + (p[1] - a[1]) * r[1]) / (length * length);
+    let beside = |p: [f64; 2]| ((p[1] - a[1]) * r[0] - (p[0] - a[0]) * r[1]).abs() / length;
+    let (from, to) = (along(c), along(d));
+    let (first, last) = (from.min(to).max(0.0), from.max(to).min(1.0));
+    let lies_on = beside(c) < CLOSE && beside(d) < CLOSE && (last - first) * length > CLOSE;
+    lies_on.then(|| (first, (first - from) / (to - from)))
 }

@@ -52,6 +52,8 @@ pub(super) struct Slot {
     pub(super) added: bool,
     /// Where SUMO has it, of those that steer.
     pub(super) track: Track,
+    /// Where it steers: pose and speed that SUMO was last given.
+    pub(super) sent: Option<(Pose, f64)>,
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
@@ -85,6 +87,7 @@ pub(super) const EMPTY: Slot = Slot {
     segment: 0,
     added: false,
     track: Track::Route,
+    sent: None,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },

@@ -4,7 +4,7 @@
 //! vehicles next to every meeting point with their speeds, last actions and fates. Its size depends on the scenario's
 //! settings only, never on the number of vehicles, so that one checkpoint serves any number.
 
-use super::observation::{COUNT, SPEED, moving};
+use super::observation::{COUNT, ENCOUNTER, SPEED, moving, put_encounters};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
 use super::{Features, Writer};
@@ -12,6 +12,8 @@ use crate::scenario::Scenario;
 
 /// Vehicles described ahead and behind on the agent's own lanes, each.
 const OWN_LANE: usize = 2;
+/// Vehicles described whose routes meet the agent's, where the observation describes some so.
+const ENCOUNTERS: usize = 8;
 /// Vehicles described per stream.
 const PER_STREAM: usize = 4;
 
@@ -46,6 +48,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         features.push(&format!("stream{stream}"), PER_STREAM, &VEHICLE);
         features.push(&format!("stream{stream}_count"), 1, &COUNTS);
     }
+    features.push("encounter", if scenario.observation.encounters > 0 { ENCOUNTERS } else { 0 }, &ENCOUNTER);
     features.push("apart", PER_STREAM, &VEHICLE);
     features.push("apart_count", 1, &COUNTS);
     features
@@ -91,6 +94,9 @@ pub(super) fn write(
         let approaching = queue.iter().map(|&j| (conflict.other - traffic.slots[j].s, j)).filter(|v| v.0 > -CLEARED);
         put(&mut w, traffic, approaching, PER_STREAM);
         put_counts(&mut w, traffic, queue.iter().copied());
+    }
+    if scenario.observation.encounters > 0 {
+        put_encounters(&mut w, routes, traffic, slot, ENCOUNTERS, |_| true);
     }
     let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
     put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);

@@ -40,7 +40,8 @@ const PARTS: Names = &[
     "termination",
     "communication",
 ];
-const OBSERVATION: Names = &["groups", "detectionRange", "neighbours", "conflictStreams", "streamVehicles"];
+const OBSERVATION: Names =
+    &["groups", "detectionRange", "neighbours", "conflictStreams", "streamVehicles", "encounters"];
 const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation"];
 
 impl Scenario {
@@ -130,6 +131,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
+                encounters: match observation.attribute("encounters") {
+                    None => 0,
+                    Some(_) => self.whole(observation, "encounters", 0, 16)? as usize,
+                },
             },
             reward: Reward {
                 progress: self.any(reward, "progress")?,

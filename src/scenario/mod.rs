@@ -209,6 +209,9 @@ pub struct Observation {
     pub conflict_streams: usize,
     /// Vehicles described per stream, those next to the conflict point first.
     pub stream_vehicles: usize,
+    /// Vehicles described one by one whose routes cross or merge with the agent's, those first that will soonest be with it where
+    /// they meet.
+    pub encounters: usize,
 }
 
 /// Reward terms and their weights.

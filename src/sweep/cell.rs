@@ -166,6 +166,8 @@ impl Cell {
             ("exploration.correlation", Value::Float(0.0)),
             ("iwol.graph_bias", Value::Float(0.0)),
             ("train.replay_failed", Value::Float(0.0)),
+            ("exploration.steering", Value::Float(0.3)),
+            ("env.encounters", Value::Integer(0)),
             ("train.restart_steps", Value::Integer(0)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);

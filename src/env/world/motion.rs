@@ -57,7 +57,7 @@ impl World {
                                 (slot.steer, slot.action) = (action(0), action(1));
                                 slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
                                 slot.speed = slot.motion.speed;
-                                commands.extend(moves(task, world, at, slot));
+                                commands.extend(moves(task, world, at, slot).into_iter().flatten());
                             } else {
                                 slot.action = action(0);
                                 let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
@@ -76,7 +76,7 @@ impl World {
                             match &task.scenario.control.steering {
                                 // SUMO knows no vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
-                                Some(_) => commands.extend(moves(task, world, at, slot)),
+                                Some(_) => commands.extend(moves(task, world, at, slot).into_iter().flatten()),
                                 None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
                             }
                         }
@@ -210,20 +210,24 @@ impl World {
     }
 }
 
-/// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that.
-fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> [Command; 2] {
-    let Pose { x, y, heading } = vehicle.motion.pose;
-    let (sin, cos) = heading.sin_cos();
+/// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that. One that
+/// stands still SUMO leaves where it is.
+fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> Option<[Command; 2]> {
+    let pose = vehicle.motion.pose;
+    if vehicle.sent.replace((pose, vehicle.speed)) == Some((pose, vehicle.speed)) {
+        return None;
+    }
+    let (sin, cos) = pose.heading.sin_cos();
     let half = task.scenario.vehicle.length / 2.0;
-    let [x, y] = [x + half * cos, y + half * sin];
+    let [x, y] = [pose.x + half * cos, pose.y + half * sin];
     let place = task.place(vehicle.route, [x, y], vehicle.segment);
     if place == Place::Beside {
         vehicle.track = Track::Astray;
     }
     // Where it was beside its route, SUMO may have given it another.
     let keep_route = if vehicle.track == Track::Route { place } else { Place::Beside }.keep_route();
-    [
+    Some([
         Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
-        Command::MoveTo { world, slot, x, y, heading, keep_route },
-    ]
+        Command::MoveTo { world, slot, x, y, heading: pose.heading, keep_route },
+    ])
 }
