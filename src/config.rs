@@ -14,7 +14,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use crate::algo::{self, settings};
-use crate::scenario::{self, ObservationGroups, Scenario};
+use crate::scenario::{self, Lidar, ObservationGroups, Scenario};
 use crate::suggest::nearest;
 use crate::sumo::{Choice, Hosting};
 
@@ -148,6 +148,10 @@ pub struct Env {
     pub stream_vehicles: usize,
     /// Vehicles on crossing or merging routes in the observation.
     pub encounters: usize,
+    /// Beams of the lidar.
+    pub lidar_beams: usize,
+    /// How far they reach \[m\].
+    pub lidar_range: f64,
     /// Range d_comm of the physical mask \[m\].
     pub communication_range: f64,
     /// Share λ of the cooperative mix; the scenario's is for its own number of agents, and follows from it for another
@@ -183,6 +187,8 @@ impl Env {
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
+            lidar_beams: seen.lidar.beams,
+            lidar_range: seen.lidar.range,
             communication_range: scenario.communication.range,
             cooperation: (kept * 1e6).round() / 1e6,
             reward_progress: reward.progress,
@@ -203,6 +209,7 @@ impl Env {
         seen.conflict_streams = self.conflict_streams;
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;
+        seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;
         reward.progress = self.reward_progress;
@@ -353,7 +360,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 72] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 74] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -432,6 +439,8 @@ impl Config {
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
+            (&["env.lidar_beams"], e.lidar_beams <= 360, "0 to 360"),
+            (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),
             (&["env.cooperation"], share(e.cooperation), "0 to 1"),
             (&["env.reward_progress"], e.reward_progress.is_finite(), "a finite number"),

@@ -1,4 +1,4 @@
-//! Untrained policies on real SUMO against the rows measured on the simulator of the paper's task (8 vehicles), and the
+//! Untrained policies on real SUMO against the rows measured on the simulator of the paper's tasks (crossing: 8 vehicles, parking: 5), and the
 //! collision audit: our own boxes against SUMO's report.
 
 use std::path::Path;
@@ -113,4 +113,17 @@ fn results_do_not_depend_on_how_the_work_is_shared() {
     let (few, _) = play(&Policy::Gaussian, 4, 3);
     let (many, _) = play(&Policy::Gaussian, 4, 20);
     assert_eq!(few.episodes[..], many.episodes[..3]);
+}
+
+#[test]
+fn parking_at_a_constant_speed_and_at_full_throttle() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let (_, pursuit) = play_on(&path, &Policy::Pursuit(4.0), 5, 400);
+    assert!((pursuit.success.mean - 0.29).abs() <= 0.06, "success {}", pursuit.success.mean);
+    within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
+    assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
+    let (_, straight) = play_on(&path, &Policy::Throttle(1.0), 5, 400);
+    assert_eq!(straight.success.mean, 0.0);
+    assert!((straight.window_reward.mean + 8.2).abs() <= 3.0, "window reward {}", straight.window_reward.mean);
+    within("episode length", straight.episode_length.mean, 51.6, 0.1);
 }

@@ -9,8 +9,8 @@ use std::{
 
 use iwol_sumo::{
     scenario::{
-        AgentRange, Border, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
-        Scenario, SpawnRow, Termination, Vehicle,
+        AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
+        Route, Scenario, SpawnRow, Termination, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
 };
@@ -335,6 +335,7 @@ prop_compose! {
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
+                lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
             termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },

@@ -109,3 +109,28 @@ impl PolicyTerms {
         ]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nn::Params;
+    use crate::rng::Seed;
+    use tch::Device;
+
+    #[test]
+    fn steering_begins_straight_and_with_less_noise() {
+        let (mut params, mut rng) = (Params::new(Device::Cpu), Seed::new(0).rng());
+        let exploration = Exploration { log_std_start: 0.0, steering: 0.3, mean_bias: 0.5, ..Exploration::default() };
+        let head = GaussianHead::new(params.root(&mut rng), 8, 2, &exploration);
+        let values = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
+        let forward = || {
+            let (mean, log_std) = head.forward(&Tensor::zeros([1, 8], (Kind::Float, Device::Cpu)));
+            (values(&mean), values(&log_std))
+        };
+        let close = |a: &[f64], b: [f64; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        let (mean, log_std) = forward();
+        assert!(mean == [0.0, 0.5] && close(&log_std, [0.3_f64.ln(), 0.0]), "{mean:?} {log_std:?}");
+        head.impose(-1.0);
+        assert!(close(&forward().1, [0.3_f64.ln() - 1.0, -1.0]), "{:?}", forward());
+    }
+}

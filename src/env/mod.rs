@@ -9,6 +9,7 @@ mod comm;
 mod dynamics;
 mod failures;
 mod geometry;
+mod lidar;
 mod metrics;
 mod observation;
 mod order;
@@ -143,6 +144,12 @@ impl<'a> Writer<'a> {
             self.out[self.at] = value.clamp(-1.0, 1.0) as f32;
             self.at += 1;
         }
+    }
+
+    /// The place of the next features, for someone else to write.
+    fn take(&mut self, count: usize) -> &mut [f32] {
+        self.at += count;
+        &mut self.out[self.at - count..self.at]
     }
 
     fn skip(&mut self, count: usize) {

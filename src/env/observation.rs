@@ -10,8 +10,9 @@
 
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
-use super::{Features, Writer};
-use crate::scenario::Scenario;
+use super::task::Task;
+use super::{Features, Writer, lidar};
+use crate::scenario::{Observation, Scenario};
 
 /// Distance scale of far features \[m\].
 const FAR: f64 = 50.0;
@@ -22,7 +23,7 @@ pub(super) const SPEED: f64 = 22.2;
 /// Count that reads as one.
 pub(super) const COUNT: f64 = 12.0;
 
-/// Ways ahead of the points of its route that an agent that steers sees \[m\].
+/// Ways ahead of the points of its route that an agent that steers sees, each in units of its own \[m\].
 const PREVIEW: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
 
 const VEHICLE: [(&str, &str, f32, f32); 5] = [
@@ -75,7 +76,11 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
                 ("lateral_far", "10 m, positive left", -1.0, 1.0),
             ],
         );
-        features.push("preview", PREVIEW.len(), &[("forward", "32 m", -1.0, 1.0), ("left", "16 m", -1.0, 1.0)]);
+        features.push(
+            "preview",
+            PREVIEW.len(),
+            &[("forward", "way ahead", -1.0, 1.0), ("left", "way ahead", -1.0, 1.0)],
+        );
     }
     if settings.groups.nearest() {
         features.push(
@@ -92,9 +97,14 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         );
     }
     features.push("encounter", settings.encounters, &ENCOUNTER);
-    if !settings.groups.conflict() {
-        return features;
+    if settings.groups.conflict() {
+        describe_streams(settings, &mut features);
     }
+    lidar::describe(settings.lidar, &mut features);
+    features
+}
+
+fn describe_streams(settings: &Observation, features: &mut Features) {
     features.push(
         "leader",
         1,
@@ -121,7 +131,6 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         features.push(&format!("stream{stream}_vehicle"), settings.stream_vehicles, &VEHICLE);
     }
     features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
-    features
 }
 
 /// What writing one agent's observation needs to know.
@@ -133,7 +142,8 @@ struct View<'a> {
 }
 
 /// Writes the observation of the agent in `slot`, `[O]`.
-pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Traffic, slot: usize, out: &mut [f32]) {
+pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]) {
+    let (scenario, routes) = (&task.scenario, &task.routes[..]);
     let own = &traffic.slots[slot];
     let route = &routes[own.route];
     let mut w = Writer::new(out);
@@ -162,7 +172,7 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
         for ahead in PREVIEW {
             let ([x, y], _) = route.path.at(own.s + ahead);
             let (dx, dy) = (x - own.pose.x, y - own.pose.y);
-            w.put([(dx * cos + dy * sin) / 32.0, (dy * cos - dx * sin) / 16.0]);
+            w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }
     }
     let view = View { scenario, routes, traffic, slot };
@@ -174,6 +184,10 @@ pub(super) fn write(scenario: &Scenario, routes: &[RouteGeometry], traffic: &Tra
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
+    }
+    if let Some(road) = task.road.as_ref().filter(|_| scenario.observation.lidar.beams > 0) {
+        let (lidar, half) = (scenario.observation.lidar, [scenario.vehicle.length / 2.0, scenario.vehicle.width / 2.0]);
+        lidar::write(lidar, road, half, traffic, slot, w.take(lidar.beams));
     }
     debug_assert_eq!(w.at, w.out.len());
 }

@@ -39,11 +39,19 @@ struct Cell {
     lines: Vec<u32>,
 }
 
+/// A line at the side of lanes.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    ends: [Point; 2],
+    /// Who touches it has left the road.
+    border: bool,
+}
+
 /// Lanes and lines of a net, for lookups around a vehicle.
 #[derive(Debug, Clone)]
 pub(super) struct Road {
     strips: Vec<Strip>,
-    lines: Vec<[Point; 2]>,
+    lines: Vec<Line>,
     cells: HashMap<[i32; 2], Cell>,
     /// Half the diagonal of a vehicle \[m\].
     reach: f64,
@@ -71,11 +79,11 @@ impl Road {
                 road.strips.extend(lane.shape.windows(2).map(strip));
             }
         }
-        match border {
-            Border::Line => road.draw_all(net),
-            Border::Kerb => road.draw_between_directions(net),
+        road.draw_all(net, border == Border::Line);
+        if border == Border::Kerb {
+            road.draw_between_directions(net);
         }
-        let lengths = road.strips.iter().map(|strip| strip.ends).chain(road.lines.iter().copied());
+        let lengths = road.strips.iter().map(|strip| strip.ends).chain(road.lines.iter().map(|line| line.ends));
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
         if metres.is_nan() || metres > LONGEST {
             return Err(Error::Long { net: net.path.display().to_string(), metres, limit: LONGEST });
@@ -87,7 +95,7 @@ impl Road {
             }
         }
         for i in 0..road.lines.len() {
-            for cell in cells_along(road.lines[i], road.reach) {
+            for cell in cells_along(road.lines[i].ends, road.reach) {
                 road.cells.entry(cell).or_default().lines.push(i as u32);
             }
         }
@@ -95,37 +103,71 @@ impl Road {
     }
 
     /// The lines at both sides of edges, and along the outside of junctions.
-    fn draw_all(&mut self, net: &Net) {
+    fn draw_all(&mut self, net: &Net, border: bool) {
         for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
             let (right, left) = (&net.lanes[edge.lanes.start], &net.lanes[edge.lanes.end - 1]);
-            self.line(&parallel(&right.shape, -right.width / 2.0));
-            self.line(&parallel(&left.shape, left.width / 2.0));
+            self.line(&parallel(&right.shape, -right.width / 2.0), border);
+            self.line(&parallel(&left.shape, left.width / 2.0), border);
         }
         for lane in outer_ways(net) {
-            self.line(&parallel(&lane.shape, -lane.width / 2.0));
+            self.line(&parallel(&lane.shape, -lane.width / 2.0), border);
         }
     }
 
-    /// The lines that are the left border of two edges.
+    /// The lines between edges that lead from one junction to another and back.
     fn draw_between_directions(&mut self, net: &Net) {
         let left = |edge: &Edge| {
             let lane = &net.lanes[edge.lanes.end - 1];
             parallel(&lane.shape, lane.width / 2.0)
         };
-        let lefts: Vec<_> = net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal).map(left).collect();
-        let ends = |line: &[Point]| [line[0], line[line.len() - 1]];
         let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
-        for (i, line) in lefts.iter().enumerate() {
-            let [first, last] = ends(line);
-            let back = |other: &Vec<Point>| near(ends(other)[0], last) && near(ends(other)[1], first);
-            if lefts[..i].iter().any(back) {
-                self.line(line);
+        let normal = |edge: &&Edge| edge.function == EdgeFunction::Normal;
+        for (i, edge) in net.edges.iter().enumerate().filter(|(_, edge)| normal(edge)) {
+            let line = left(edge);
+            let back = |other: &Edge| {
+                let other = left(other);
+                near(other[0], line[line.len() - 1]) && near(other[other.len() - 1], line[0])
+            };
+            let mut others = net.edges[..i].iter().filter(normal);
+            if others.any(|other| (&other.from, &other.to) == (&edge.to, &edge.from) && back(other)) {
+                self.line(&line, true);
             }
         }
     }
 
-    fn line(&mut self, points: &[Point]) {
-        self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
+    /// Distance from a point along a unit vector to the first line, `range` where there is none before \[m\].
+    pub(super) fn beam(&self, from: Point, along: Point, range: f64) -> f64 {
+        let end = [from[0] + range * along[0], from[1] + range * along[1]];
+        let mut cell = cell_of(from);
+        // Ways along the beam to the next border between cells, and from border to border, per axis.
+        let border = |axis: usize| {
+            let next = f64::from(cell[axis] + i32::from(along[axis] > 0.0)) * CELL;
+            if along[axis] == 0.0 { f64::INFINITY } else { (next - from[axis]) / along[axis] }
+        };
+        let mut next = [border(0), border(1)];
+        loop {
+            let leaves = next[0].min(next[1]);
+            let lines = self.cells.get(&cell).map_or(&[][..], |cell| &cell.lines);
+            let hits = lines.iter().filter_map(|&i| {
+                let [a, b] = self.lines[i as usize].ends;
+                crossing(from, end, a, b).map(|(t, _)| t * range)
+            });
+            // What lies beyond this cell is for the next.
+            let nearest = hits.fold(f64::INFINITY, f64::min);
+            if nearest <= leaves.min(range) {
+                return nearest;
+            }
+            if leaves >= range {
+                return range;
+            }
+            let axis = usize::from(next[1] < next[0]);
+            cell[axis] += if along[axis] > 0.0 { 1 } else { -1 };
+            next[axis] += CELL / along[axis].abs();
+        }
+    }
+
+    fn line(&mut self, points: &[Point], border: bool) {
+        self.lines.extend(points.windows(2).map(|pair| Line { ends: [pair[0], pair[1]], border }));
     }
 
     /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or one of its corners is beyond the kerb.
@@ -139,7 +181,11 @@ impl Road {
         let beyond_kerb =
             || [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().any(|&(a, b)| !self.on_lane(corner(a, b)));
         !self.on_lane([pose.x, pose.y])
-            || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
+            || cell
+                .lines
+                .iter()
+                .map(|&i| self.lines[i as usize])
+                .any(|line| line.border && self.touches(pose, line.ends))
             || (self.border == Border::Kerb && beyond_kerb())
     }
 
@@ -280,6 +326,31 @@ mod tests {
                 let ([x, y], heading) = way.at(0.5 * k as f64);
                 assert!(!road.left_by(&Pose { x, y, heading }), "on the way from {from} to {to}, at {x} {y}");
             }
+        }
+    }
+
+    #[test]
+    fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
+        let net = Net::load(&path).unwrap();
+        let [kerbs, lines] = [Border::Kerb, Border::Line].map(|border| Road::new(&net, LENGTH, WIDTH, border).unwrap());
+        let up = std::f64::consts::FRAC_PI_2;
+        // (x, y, heading, left by kerbs, left by lines)
+        let places = [
+            (15.0, 0.0, 0.0, false, false, "on the road"),
+            (15.0, 0.9, 0.0, true, true, "over the line between the directions"),
+            (15.0, -1.3, 0.0, false, true, "over the line at the right"),
+            (15.0, -1.5, 0.0, true, true, "over the kerb at the right"),
+            (37.75, 11.5, up, false, true, "between two spaces"),
+            (41.5, 11.5, up, true, true, "beside the last space"),
+            (36.0, 1.75, up, false, false, "across the lot"),
+            (61.0, 2.0, up, false, false, "straight on along the outside of the junction"),
+            (62.0, 2.0, up, false, true, "over its border"),
+            (62.6, 2.0, up, true, true, "over its kerb"),
+        ];
+        for (x, y, heading, by_kerbs, by_lines, what) in places {
+            let pose = Pose { x, y, heading };
+            assert_eq!([kerbs.left_by(&pose), lines.left_by(&pose)], [by_kerbs, by_lines], "{what}");
         }
     }
 

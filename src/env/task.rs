@@ -58,7 +58,7 @@ pub struct Task {
     pub(super) reserved: Vec<Option<usize>>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
-    /// Where vehicles may drive, if they steer.
+    /// Where vehicles may drive, if they steer or see its borders.
     pub(super) road: Option<Road>,
     /// Where each route lies in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
@@ -98,11 +98,9 @@ impl Task {
             }
         }
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
-        let road = scenario
-            .control
-            .steering
-            .map(|_| Road::new(&net, length, width, scenario.termination.border))
-            .transpose()?;
+        let border = scenario.termination.border;
+        let needed = scenario.control.steering.is_some() || scenario.observation.lidar.beams > 0;
+        let road = needed.then(|| Road::new(&net, length, width, border)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
             actions: if scenario.control.steering.is_some() { 2 } else { 1 },

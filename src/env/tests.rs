@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 
+use super::slots::CLEARED;
 use super::*;
 use crate::rng::Seed;
 use crate::scenario::{ObservationGroups, Scenario};
@@ -459,6 +460,88 @@ fn routes_meet_where_the_lanes_cross() {
         for c in &own.conflicts {
             let back = task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
             assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn a_reserved_destination_is_one_vehicles() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    let task = Arc::new(Task::new(&scenario, 11).expect("a task"));
+    let mut world = world(&task, 0);
+    let mut drawn = HashSet::new();
+    for episode in 0..300 {
+        world.reset(episode);
+        let mut commands = Vec::new();
+        world.act(0, &[0.0; 22], &mut commands);
+        let added = commands.iter().filter_map(|command| match command {
+            Command::Add { route, .. } => Some(&scenario.routes[*route as usize]),
+            _ => None,
+        });
+        let routes: Vec<_> = added.collect();
+        assert_eq!(routes.len(), 11);
+        let ends: Vec<_> = routes.iter().filter(|r| r.reserved).filter_map(|r| r.edges.last()).collect();
+        assert_eq!((ends.len(), ends.iter().collect::<HashSet<_>>().len()), (3, 3), "{ends:?}");
+        drawn.extend(routes.iter().map(|route| route.id.clone()));
+    }
+    assert_eq!(drawn.len(), scenario.routes.len(), "every route is drawn at some time");
+}
+
+#[test]
+fn ways_that_lie_on_each_other_meet() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    let task = Task::new(&scenario, 5).expect("a task");
+    let index = |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
+    let meeting = |a: &str, b: &str| task.routes[index(a)].meeting(index(b));
+    // Into a space, and out of it: they share its lanes' ground, and the last metres before it.
+    let met = meeting("west_space1", "space1_north").expect("they meet");
+    assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
+    assert!(meeting("space1_north", "west_space1").is_some());
+    assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
+    assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// Those who will soonest be with an agent where their ways meet, as the routes' geometry has them.
+    #[test]
+    fn encounters_come_in_order(agents in 4u32..17, seed in any::<u64>(), steps in 1usize..80, count in 1usize..6) {
+        let task = task(agents, |s| {
+            s.observation.groups = ObservationGroups::Nearest;
+            s.observation.neighbours = 0;
+            s.observation.encounters = count;
+        });
+        let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
+        world.reset(0);
+        let actions = vec![0.4; agents as usize];
+        (0..=steps).for_each(|_| exchange(&mut world, &mut rails, &actions));
+        let (width, views) = (task.spec.observation.len(), world.agents().collect::<Vec<_>>());
+        for (i, own) in views.iter().enumerate().filter(|(_, view)| view.driving) {
+            let mut expected: Vec<[f64; 2]> = Vec::new();
+            for (j, other) in views.iter().enumerate() {
+                let far = own.pose.distance(&other.pose) > task.scenario.observation.detection_range;
+                if i == j || far || !(other.driving || other.wreck) {
+                    continue;
+                }
+                let met = task.routes[own.route].conflicts.iter().find(|conflict| conflict.route == other.route);
+                let ways = met.map(|met| [met.own - own.position, met.other - other.position]);
+                expected.extend(ways.filter(|ways| ways.iter().all(|way| *way >= -CLEARED)));
+            }
+            expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
+            let seen = &world.frame().observation[i * width + width - 9 * count..(i + 1) * width];
+            for (k, token) in seen.chunks(9).enumerate() {
+                let Some(ways) = expected.get(k) else {
+                    prop_assert!(token.iter().all(|x| *x == 0.0), "padding: {token:?}");
+                    continue;
+                };
+                prop_assert_eq!(token[8], 1.0);
+                for (way, at) in ways.iter().zip([0, 2]) {
+                    prop_assert!((f64::from(token[at]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {ways:?}");
+                }
+            }
         }
     }
 }

@@ -319,7 +319,7 @@ impl World {
             let (seen, known) =
                 (&mut self.frame.observation[i * o..(i + 1) * o], &mut self.frame.state[i * s..(i + 1) * s]);
             if self.present[i] {
-                observation::write(&self.task.scenario, &self.task.routes, &self.traffic, i, seen);
+                observation::write(&self.task, &self.traffic, i, seen);
                 state::write(&self.task.scenario, &self.task.routes, self.task.bounds, &self.traffic, i, known);
             } else {
                 seen.fill(0.0);

@@ -8,8 +8,8 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Border, Communication, Control, Error, Jitter, Net, Observation, ObservationGroups, Reward, Route,
-    Scenario, SpawnRow, Steering, Termination, Vehicle, check,
+    AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
+    Route, Scenario, SpawnRow, Steering, Termination, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -40,8 +40,16 @@ const PARTS: Names = &[
     "termination",
     "communication",
 ];
-const OBSERVATION: Names =
-    &["groups", "detectionRange", "neighbours", "conflictStreams", "streamVehicles", "encounters"];
+const OBSERVATION: Names = &[
+    "groups",
+    "detectionRange",
+    "neighbours",
+    "conflictStreams",
+    "streamVehicles",
+    "encounters",
+    "lidarBeams",
+    "lidarRange",
+];
 const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation"];
 
 impl Scenario {
@@ -131,9 +139,15 @@ impl<'a, 'input> Reader<'a, 'input> {
                 neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
-                encounters: match observation.attribute("encounters") {
-                    None => 0,
-                    Some(_) => self.whole(observation, "encounters", 0, 16)? as usize,
+                encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
+                lidar: Lidar {
+                    beams: self.whole_or(observation, "lidarBeams", 0, 360)? as usize,
+                    range: match observation.attribute("lidarRange") {
+                        None => 50.0,
+                        Some(_) => {
+                            self.number(observation, "lidarRange", "1 to 200", |v| (1.0..=200.0).contains(&v))?
+                        }
+                    },
                 },
             },
             reward: Reward {
@@ -152,6 +166,11 @@ impl<'a, 'input> Reader<'a, 'input> {
             communication: Communication { range: self.not_negative(communication, "range")? },
         };
         Ok((scenario, places))
+    }
+
+    /// A whole number up to `max`, or what it is without the attribute.
+    fn whole_or(&self, node: Node<'a, 'input>, key: &'static str, otherwise: u32, max: u32) -> Result<u32, Error> {
+        if node.has_attribute(key) { self.whole(node, key, 0, max) } else { Ok(otherwise) }
     }
 
     fn border(&self, node: Node<'a, 'input>) -> Result<Border, Error> {

@@ -212,6 +212,17 @@ pub struct Observation {
     /// Vehicles described one by one whose routes cross or merge with the agent's, those first that will soonest be with it where
     /// they meet.
     pub encounters: usize,
+    /// Distances to whatever is around.
+    pub lidar: Lidar,
+}
+
+/// Beams in all directions, which end at vehicles and at the lines beside roads.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lidar {
+    /// How many; 0: none.
+    pub beams: usize,
+    /// How far \[m\].
+    pub range: f64,
 }
 
 /// Reward terms and their weights.

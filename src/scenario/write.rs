@@ -76,7 +76,8 @@ impl Scenario {
         let o = self.observation;
         write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
         write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;
-        writeln!(xml, "streamVehicles=\"{}\" encounters=\"{}\"/>", o.stream_vehicles, o.encounters)?;
+        write!(xml, "streamVehicles=\"{}\" encounters=\"{}\" ", o.stream_vehicles, o.encounters)?;
+        writeln!(xml, "lidarBeams=\"{}\" lidarRange=\"{}\"/>", o.lidar.beams, o.lidar.range)?;
         let r = self.reward;
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
         writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;

@@ -168,6 +168,8 @@ impl Cell {
             ("train.replay_failed", Value::Float(0.0)),
             ("exploration.steering", Value::Float(0.3)),
             ("env.encounters", Value::Integer(0)),
+            ("env.lidar_beams", Value::Integer(0)),
+            ("env.lidar_range", Value::Float(50.0)),
             ("train.restart_steps", Value::Integer(0)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);

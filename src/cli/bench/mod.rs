@@ -125,7 +125,7 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
     let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
     let mut workloads = Vec::new();
     for &agents in &args.agents {
-        workloads.push(Workload { task: Task::new(&scenario, agents)?, control: args.control, audit: args.audit });
+        workloads.push(Workload::new(Task::new(&scenario, agents)?, args.control, args.audit));
     }
     if args.compare {
         let mut lines = Vec::new();

@@ -33,11 +33,30 @@ pub(super) struct Workload {
     pub(super) control: Control,
     /// Whether SUMO looks for collisions in junctions.
     pub(super) audit: bool,
+    /// Ways since the respawn, `[N, EPISODE]` \[m\].
+    ways: Vec<f64>,
 }
 
 impl Workload {
-    fn speed(agent: u32, step: u32) -> f64 {
-        6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * f64::from(agent)).sin()
+    pub(super) fn new(task: Task, control: Control, audit: bool) -> Self {
+        let interval = task.scenario.control.interval;
+        let speed = |agent: usize, step: u32| 6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * agent as f64).sin();
+        let mut ways = Vec::with_capacity(task.agents * EPISODE as usize);
+        for agent in 0..task.agents {
+            let place = &task.places[agent];
+            // Who has arrived waits there.
+            let longest = task.routes[place.routes[0]].arrival - place.pos;
+            let mut way = 0.0_f64;
+            for step in 0..EPISODE {
+                way = (way + f64::from(u8::from(step > 0)) * speed(agent, step) * interval).min(longest);
+                ways.push(way);
+            }
+        }
+        Self { task, control, audit, ways }
+    }
+
+    fn way(&self, agent: u32, step: u32) -> f64 {
+        self.ways[(agent * EPISODE + step) as usize]
     }
 
     fn half(&self) -> f64 {
@@ -68,15 +87,16 @@ impl Workload {
         for slot in 0..agents {
             match self.control {
                 Control::Throttle => {
-                    out.push(Command::SetSpeed { world, slot, speed: Self::speed(slot, episode_step) });
+                    let way = self.way(slot, episode_step) - self.way(slot, episode_step - 1);
+                    out.push(Command::SetSpeed { world, slot, speed: way / self.task.scenario.control.interval });
                 }
                 Control::Steering => {
                     let place = &self.task.places[slot as usize];
-                    let way: f64 = (1..=episode_step).map(|t| Self::speed(slot, t)).sum();
-                    let front = place.pos + self.half() + way * self.task.scenario.control.interval;
-                    let ([x, y], heading, _) =
-                        self.task.routes[place.routes[0]].path.body(front, self.task.scenario.vehicle.length);
-                    out.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
+                    let (route, front) = (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
+                    let ([x, y], heading, segment) =
+                        self.task.routes[route].path.body(front, self.task.scenario.vehicle.length);
+                    let keep_route = self.task.place(route, [x, y], segment).keep_route();
+                    out.push(Command::MoveTo { world, slot, x, y, heading, keep_route });
                 }
             }
         }
