@@ -72,6 +72,9 @@ pub struct Train {
     /// Chance that a world plays an episode of training again that failed before, where it remembers one (the last 16 that failed
     /// when last played), instead of the next: what seldom goes wrong is seldom seen otherwise.
     pub replay_failed: f64,
+    /// Crashes and leaving the road cost nothing at first, and over so many environment steps rise to what the scenario says: who
+    /// must learn to steer finds out sooner that driving pays. 0: at once. Evaluations always count them in full.
+    pub penalty_steps: u64,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -100,6 +103,7 @@ impl Default for Train {
             segment: 128,
             fewest_agents: 0,
             replay_failed: 0.0,
+            penalty_steps: 0,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,
@@ -360,7 +364,7 @@ impl Config {
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 74] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 75] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -374,6 +378,7 @@ impl Config {
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
+            (&["train.penalty_steps"], t.penalty_steps <= 1 << 50, "0 to 2^50"),
             (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),

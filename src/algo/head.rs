@@ -12,7 +12,7 @@ use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
-    /// Logarithm of each action's noise relative to the throttle's, `[A]`.
+    /// How many times the throttle's the logarithm of each action's noise is, `[A]`.
     relative: Tensor,
     mode: NoiseMode,
 }
@@ -23,15 +23,15 @@ impl GaussianHead {
         // The throttle comes last, after the steering of those that steer.
         let _ = no_grad(|| mean.bias().narrow(0, actions - 1, 1).fill_(exploration.mean_bias));
         let log_std = path.create("log_std", &[actions], Init::Zeros);
-        let relative = log_std.detach().zeros_like();
-        let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering.ln());
+        let relative = log_std.detach().ones_like();
+        let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering);
         let head = Self { mean, log_std, relative, mode: exploration.mode };
         head.set(exploration.log_std_start);
         head
     }
 
     fn set(&self, log_std: f64) {
-        no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative + log_std)));
+        no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative * log_std)));
     }
 
     /// Imposes the logarithm of the standard deviation, unless it is learned.
@@ -118,9 +118,9 @@ mod tests {
     use tch::Device;
 
     #[test]
-    fn steering_begins_straight_and_with_less_noise() {
+    fn steering_begins_straight_and_has_noise_of_its_own() {
         let (mut params, mut rng) = (Params::new(Device::Cpu), Seed::new(0).rng());
-        let exploration = Exploration { log_std_start: 0.0, steering: 0.3, mean_bias: 0.5, ..Exploration::default() };
+        let exploration = Exploration { log_std_start: -0.5, steering: 1.5, mean_bias: 0.5, ..Exploration::default() };
         let head = GaussianHead::new(params.root(&mut rng), 8, 2, &exploration);
         let values = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
         let forward = || {
@@ -129,8 +129,8 @@ mod tests {
         };
         let close = |a: &[f64], b: [f64; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
         let (mean, log_std) = forward();
-        assert!(mean == [0.0, 0.5] && close(&log_std, [0.3_f64.ln(), 0.0]), "{mean:?} {log_std:?}");
+        assert!(mean == [0.0, 0.5] && close(&log_std, [-0.75, -0.5]), "{mean:?} {log_std:?}");
         head.impose(-1.0);
-        assert!(close(&forward().1, [0.3_f64.ln() - 1.0, -1.0]), "{:?}", forward());
+        assert!(close(&forward().1, [-1.5, -1.0]), "{:?}", forward());
     }
 }

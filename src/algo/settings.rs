@@ -167,8 +167,8 @@ pub struct Exploration {
     /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
     /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
     pub late_steps: u32,
-    /// Standard deviation of steering, relative to that of throttle and brake above: full noise throws a vehicle off the road
-    /// before it learns anything.
+    /// The logarithm of the standard deviation of steering is so many times that of throttle and brake above: to stay on the road
+    /// takes a steadier hand than to find a speed.
     pub steering: f64,
     /// Mean throttle of an untrained policy: above zero, agents move at once.
     pub mean_bias: f64,
@@ -185,7 +185,7 @@ impl Default for Exploration {
             spread: 1.2,
             correlation: 0.0,
             late_steps: 60,
-            steering: 0.3,
+            steering: 1.5,
             mean_bias: 0.5,
         }
     }

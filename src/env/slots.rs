@@ -52,8 +52,10 @@ pub(super) struct Slot {
     pub(super) added: bool,
     /// Where SUMO has it, of those that steer.
     pub(super) track: Track,
-    /// Where it steers: pose and speed that SUMO was last given.
+    /// Where it steers: pose and speed when SUMO was last told.
     pub(super) sent: Option<(Pose, f64)>,
+    /// Where it steers: how far along its route SUMO has its front, in SUMO's count \[m\]; none where SUMO may have it elsewhere.
+    pub(super) held: Option<f64>,
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
@@ -88,6 +90,7 @@ pub(super) const EMPTY: Slot = Slot {
     added: false,
     track: Track::Route,
     sent: None,
+    held: None,
     departed: false,
     wreck_steps: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },

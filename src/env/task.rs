@@ -133,17 +133,19 @@ impl Task {
         &self.net_file
     }
 
-    /// Where the front bumper of a vehicle on a route is that was last on one of the route's segments, `front` in metres.
-    pub fn place(&self, route: usize, front: [f64; 2], segment: usize) -> Place {
+    /// Where the front bumper of a vehicle on a route is that was last on one of the route's segments, `front` in metres, and its
+    /// arc length along the route \[m\].
+    pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (Place, f64) {
         let path = &self.routes[route].path;
         let (s, lateral, segment) = path.project(front, segment);
-        if lateral.abs() > path.widths[segment] / 2.0 {
+        let place = if lateral.abs() > path.widths[segment] / 2.0 {
             Place::Beside
         } else if self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s)) {
             Place::Junction
         } else {
             Place::Road
-        }
+        };
+        (place, s)
     }
 
     /// What a simulation of `worlds` worlds of this task needs to start.

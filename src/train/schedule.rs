@@ -29,6 +29,12 @@ pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     if searching(progress) { config.exploration.correlation as f32 } else { 0.0 }
 }
 
+/// The share of penalties that is not counted yet.
+pub(super) fn forgiven(config: &Config, progress: &Progress) -> f32 {
+    let steps = config.train.penalty_steps;
+    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step - progress.begun, steps) as f32 }
+}
+
 /// Whether no validation has succeeded yet, or what was found was not good enough.
 fn searching(progress: &Progress) -> bool {
     !progress.annealing && progress.annealed == 0

@@ -95,7 +95,7 @@ impl Workload {
                     let (route, front) = (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
                     let ([x, y], heading, segment) =
                         self.task.routes[route].path.body(front, self.task.scenario.vehicle.length);
-                    let keep_route = self.task.place(route, [x, y], segment).keep_route();
+                    let keep_route = self.task.locate(route, [x, y], segment).0.keep_route();
                     out.push(Command::MoveTo { world, slot, x, y, heading, keep_route });
                 }
             }

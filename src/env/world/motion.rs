@@ -57,7 +57,7 @@ impl World {
                                 (slot.steer, slot.action) = (action(0), action(1));
                                 slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
                                 slot.speed = slot.motion.speed;
-                                commands.extend(moves(task, world, at, slot).into_iter().flatten());
+                                moves(task, world, at, slot, commands);
                             } else {
                                 slot.action = action(0);
                                 let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
@@ -76,7 +76,7 @@ impl World {
                             match &task.scenario.control.steering {
                                 // SUMO knows no vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
-                                Some(_) => commands.extend(moves(task, world, at, slot).into_iter().flatten()),
+                                Some(_) => moves(task, world, at, slot, commands),
                                 None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
                             }
                         }
@@ -146,6 +146,7 @@ impl World {
                 motion: Motion::at(pose),
                 s,
                 lateral,
+                held: Some(s + half),
                 added: true,
                 ..EMPTY
             };
@@ -210,24 +211,32 @@ impl World {
     }
 }
 
-/// Puts a vehicle that steers where it is: SUMO moves it along its route first, at its speed, so that others react to that. One that
-/// stands still SUMO leaves where it is.
-fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot) -> Option<[Command; 2]> {
+/// Puts a vehicle that steers where it is. On its lane SUMO has it on the middle, and is given the speed that takes it as far along
+/// as it is: `moveToXY` takes SUMO many times longer. One that stands still SUMO leaves where it is.
+fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut Vec<Command>) {
     let pose = vehicle.motion.pose;
     if vehicle.sent.replace((pose, vehicle.speed)) == Some((pose, vehicle.speed)) {
-        return None;
+        return;
     }
     let (sin, cos) = pose.heading.sin_cos();
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [pose.x + half * cos, pose.y + half * sin];
-    let place = task.place(vehicle.route, [x, y], vehicle.segment);
+    let (place, s) = task.locate(vehicle.route, [x, y], vehicle.segment);
     if place == Place::Beside {
         vehicle.track = Track::Astray;
     }
     // Where it was beside its route, SUMO may have given it another.
-    let keep_route = if vehicle.track == Track::Route { place } else { Place::Beside }.keep_route();
-    Some([
-        Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) },
-        Command::MoveTo { world, slot, x, y, heading: pose.heading, keep_route },
-    ])
+    let place = if vehicle.track == Track::Route { place } else { Place::Beside };
+    let distance = task.routes[vehicle.route].path.distance_of_arc(s);
+    let held = vehicle.held.take().filter(|_| place != Place::Beside);
+    let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
+    if let Some(speed) = speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed)) {
+        vehicle.held = Some(distance);
+        commands.push(Command::SetSpeed { world, slot, speed });
+        return;
+    }
+    // Over a junction SUMO may take another lane that lies there, and go on along that.
+    vehicle.held = Some(distance).filter(|_| place == Place::Road);
+    commands.push(Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) });
+    commands.push(Command::MoveTo { world, slot, x, y, heading: pose.heading, keep_route: place.keep_route() });
 }

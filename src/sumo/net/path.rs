@@ -137,6 +137,15 @@ impl Path {
         }
     }
 
+    /// SUMO's count of the way from the start to `s` \[m\]: what [`Path::arc_of_distance`] takes.
+    pub fn distance_of_arc(&self, s: f64) -> f64 {
+        let lane = self.lane_start.partition_point(|&start| start <= s).saturating_sub(1);
+        match (self.lane_position.get(lane), self.lane_start.get(lane), self.lane_scale.get(lane)) {
+            (Some(position), Some(start), Some(scale)) => position + (s - start) / scale,
+            _ => s,
+        }
+    }
+
     /// Point \[m\] and segment at `s`.
     pub fn locate(&self, s: f64) -> ([f64; 2], usize) {
         let after = self.cumulative.partition_point(|&c| c <= s);
