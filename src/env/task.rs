@@ -56,6 +56,8 @@ pub struct Task {
     pub routes: Vec<RouteGeometry>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
+    /// Whether SUMO could change the lane of a vehicle that it moves along its route.
+    pub(super) several_lanes: bool,
     /// Where vehicles may drive, if they steer.
     pub(super) road: Option<Road>,
     /// Where each route lies in junctions.
@@ -92,6 +94,9 @@ impl Task {
                 bounds[axis + 2] = bounds[axis + 2].max(point[axis]);
             }
         }
+        let lanes = |&lane: &usize| net.edges[net.lanes[lane].edge].lanes.len() > 1;
+        let several_lanes =
+            scenario.control.steering.is_none() && paths.iter().any(|path| path.lanes.iter().any(lanes));
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
         let road = scenario.control.steering.map(|_| Road::new(&net, length, width)).transpose()?;
         let spec = EnvSpec {
@@ -105,6 +110,7 @@ impl Task {
             fewest: agents as usize,
             places: choice.places().collect(),
             routes,
+            several_lanes,
             road,
             junctions,
             spec,

@@ -412,6 +412,9 @@ impl World {
             });
             commands.push(Command::SpeedMode { world, slot: at, mode });
             if self.driver == Driver::Agents {
+                if task.several_lanes {
+                    commands.push(Command::KeepLane { world, slot: at });
+                }
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
