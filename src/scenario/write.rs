@@ -82,7 +82,7 @@ impl Scenario {
 }
 
 /// Text as it may stand in an attribute or an element.
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
