@@ -18,6 +18,8 @@ const RADIO: Rgb = [204, 121, 167];
 /// Width of lines and radius of meeting points \[m\].
 const LINE: f64 = 0.35;
 const POINT: f64 = 0.9;
+/// What is shown of the net around the routes \[m\].
+const AROUND: f64 = 25.0;
 /// Meeting points nearer to each other are one on the picture \[m\].
 const SAME: f64 = 1.0;
 
@@ -32,9 +34,13 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         counted(task.routes.len(), "route"),
         counted(meetings.len(), "meeting point"),
     ));
+    let [left, bottom, right, top] = task.bounds;
+    let window = [[left - AROUND, bottom - AROUND], [right + AROUND, top + AROUND]];
     for (function, color) in [(EdgeFunction::Internal, JUNCTION), (EdgeFunction::Normal, ROAD)] {
         for lane in net.lanes.iter().filter(|lane| net.edges[lane.edge].function == function) {
-            picture.line(&lane.shape, lane.width, color);
+            for piece in cut(&lane.shape, &window) {
+                picture.line(&piece, lane.width, color);
+            }
         }
     }
     let vehicle = task.scenario.vehicle;
@@ -51,7 +57,6 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         Pose { x, y, heading }
     };
     let poses: Vec<Pose> = task.places.iter().map(pose).collect();
-    let [left, bottom, right, top] = task.bounds;
     let from_middle = |p: &&Pose| (p.x - f64::midpoint(left, right)).hypot(p.y - f64::midpoint(bottom, top));
     if let Some(one) = poses.iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b))) {
         picture.circle([one.x, one.y], task.scenario.communication.range, Some(LINE), RADIO);
@@ -117,6 +122,34 @@ fn meetings(task: &Task) -> Vec<[f64; 2]> {
     points
 }
 
+/// The pieces of a line that lie in a window, given by its lower left and upper right corners.
+fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
+    let mut pieces: Vec<Vec<[f64; 2]>> = Vec::new();
+    for pair in line.windows(2) {
+        let way = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
+        let mut span = (0.0_f64, 1.0_f64);
+        for axis in 0..2 {
+            let ends = [window[0][axis] - pair[0][axis], window[1][axis] - pair[0][axis]];
+            if way[axis] == 0.0 {
+                // Beside the window, nothing is left.
+                span.1 = if ends[0] <= 0.0 && ends[1] >= 0.0 { span.1 } else { -1.0 };
+            } else {
+                let [a, b] = ends.map(|end| end / way[axis]);
+                span = (span.0.max(a.min(b)), span.1.min(a.max(b)));
+            }
+        }
+        if span.0 > span.1 {
+            continue;
+        }
+        let at = |t: f64| [pair[0][0] + t * way[0], pair[0][1] + t * way[1]];
+        match pieces.last_mut().filter(|piece| span.0 == 0.0 && piece.last() == Some(&pair[0])) {
+            Some(piece) => piece.push(at(span.1)),
+            None => pieces.push(vec![at(span.0), at(span.1)]),
+        }
+    }
+    pieces
+}
+
 /// A line across a lane.
 fn across([x, y]: [f64; 2], heading: f64, width: f64) -> [[f64; 2]; 2] {
     let (sin, cos) = heading.sin_cos();
@@ -130,4 +163,20 @@ fn body(pose: &Pose, length: f64, width: f64) -> [[f64; 2]; 5] {
     let (l, w) = (length / 2.0, width / 2.0);
     [[-l, -w], [0.6 * l, -w], [l, 0.0], [0.6 * l, w], [-l, w]]
         .map(|[x, y]| [pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_cut_at_the_window() {
+        let window = [[0.0, 0.0], [10.0, 10.0]];
+        let inside = [[1.0, 1.0], [5.0, 1.0], [5.0, 9.0]];
+        assert_eq!(cut(&inside, &window), [inside.to_vec()]);
+        // In, out at the right, and in again from the top.
+        let line = [[-5.0, 5.0], [15.0, 5.0], [15.0, 20.0], [5.0, 20.0], [5.0, 8.0]];
+        assert_eq!(cut(&line, &window), [vec![[0.0, 5.0], [10.0, 5.0]], vec![[5.0, 10.0], [5.0, 8.0]]]);
+        assert!(cut(&[[11.0, 0.0], [11.0, 10.0]], &window).is_empty());
+    }
 }

@@ -108,6 +108,6 @@ fn print(findings: &Findings, trial: Option<&Trial>) {
     );
     println!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
     for range in &trial.observation {
-        println!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least, range.most, range.unit);
+        println!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
     }
 }

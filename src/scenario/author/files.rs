@@ -11,7 +11,7 @@ use super::super::{
     AgentRange, Communication, Control, Jitter, Net, Observation, ObservationGroups, Reward, Route, SCHEMA, Scenario,
     SpawnRow, Termination, Vehicle, schema,
 };
-use super::{Error, FIRST, SPACING};
+use super::{Error, SPACING};
 use crate::record::write_atomic;
 
 /// Range of sight, more than it takes to stop from any speed that a template allows \[m\].
@@ -38,6 +38,8 @@ impl Layout {
         if !Scenario::is_name(name) {
             return Err(Error::Name { name: name.into() });
         }
+        // `.` would stand before all names in messages.
+        let root = root.strip_prefix(".").unwrap_or(root);
         let scenario = root.join("scenarios").join(format!("{name}.xml"));
         let folder = root.join("sumo_nets").join(name);
         if let Some(path) = [&scenario, &folder].into_iter().find(|path| path.exists()) {
@@ -99,12 +101,8 @@ impl Layout {
     /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
     pub(super) fn scenario(&self, site: Site) -> Scenario {
         let Site { description, routes, rows, agents, speed, longest, streams } = site;
-        let spawn = |(routes, count): (Vec<usize>, u32)| SpawnRow {
-            routes: Arc::from(routes),
-            first: FIRST,
-            spacing: SPACING,
-            count,
-        };
+        let spawn =
+            |Row { routes, first, count }| SpawnRow { routes: Arc::from(routes), first, spacing: SPACING, count };
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
         let places: u32 = spawns.iter().map(|row| row.count).sum();
@@ -151,8 +149,7 @@ impl Layout {
 pub(super) struct Site {
     pub(super) description: String,
     pub(super) routes: Vec<Route>,
-    /// Indices of the routes that begin on a lane, and the number of places there.
-    pub(super) rows: Vec<(Vec<usize>, u32)>,
+    pub(super) rows: Vec<Row>,
     pub(super) agents: u32,
     /// Top speed \[m/s\].
     pub(super) speed: f64,
@@ -160,6 +157,15 @@ pub(super) struct Site {
     pub(super) longest: f64,
     /// Crossing or merging streams that agents see.
     pub(super) streams: usize,
+}
+
+/// Places on a lane.
+pub(super) struct Row {
+    /// Indices of the routes that begin there.
+    pub(super) routes: Vec<usize>,
+    /// Position of the first place \[m\].
+    pub(super) first: f64,
+    pub(super) count: u32,
 }
 
 /// A scenario's XML with the schema's explanations before each part.

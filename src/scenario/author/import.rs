@@ -5,9 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::super::Route;
-use super::files::{Layout, Site};
+use super::files::{Layout, Row, Site};
 use super::{Error, FIRST, SPACING, netconvert};
-use crate::sumo::net::{Net, Path as Way};
+use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as Way};
 
 /// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and rules instead of signals, which agents do not see.
 const OSM_OPTIONS: [(&str, &str); 7] = [
@@ -25,7 +25,10 @@ const STREAMS: usize = 3;
 const BEHIND: f64 = 3.3;
 /// Least width of a lane that a vehicle and its jitter need \[m\].
 const WIDTH: f64 = 2.4;
-/// Most places in a row, and routes.
+/// How far before the end of a long lane the last place is \[m\].
+const AHEAD: f64 = 20.0;
+/// Places on a lane for which it is not worth going further upstream, most places in a row, and most routes.
+const ENOUGH: u32 = 4;
 const ROW: u32 = 12;
 const ROUTES: usize = 64;
 /// How far upstream places are looked for, and how far downstream a finish: edges and metres.
@@ -140,7 +143,7 @@ pub fn import(root: &Path, name: &str, map: Map, junction: Option<&str>, agents:
 struct Proposal {
     candidate: Candidate,
     routes: Vec<Route>,
-    rows: Vec<(Vec<usize>, u32)>,
+    rows: Vec<Row>,
     /// Lowest limit on the way \[m/s\].
     speed: f64,
     /// \[m\]
@@ -159,7 +162,7 @@ fn sites(net: &Net) -> Vec<Proposal> {
 /// A net's lanes for cars, and how one gets there.
 struct Streets<'a> {
     net: &'a Net,
-    /// Lanes that lead to each lane, those straight on first.
+    /// Lanes that lead to each lane and to no other one beside it, those straight on first.
     before: Vec<Vec<usize>>,
     /// Edges that lead to each junction.
     leading: BTreeMap<&'a str, Vec<usize>>,
@@ -175,7 +178,12 @@ impl<'a> Streets<'a> {
             }
         }
         let streets = Self { net, before: Vec::new(), leading };
-        for connection in net.connections.iter().filter(|c| streets.fits(c.from) && streets.fits(c.to)) {
+        let only = |c: &Connection| {
+            let next = net.lanes[c.to].edge;
+            net.connections_from(c.from).filter(|other| net.lanes[other.to].edge == next).count() == 1
+        };
+        let fits = |c: &Connection| streets.fits(c.from) && streets.fits(c.to);
+        for connection in net.connections.iter().filter(|c| fits(c) && only(c)) {
             let list: &mut Vec<usize> = &mut before[connection.to];
             list.insert(if connection.dir == "s" { 0 } else { list.len() }, connection.from);
         }
@@ -185,7 +193,7 @@ impl<'a> Streets<'a> {
     /// Whether a car, somewhat to the side, fits on a lane of a road.
     fn fits(&self, lane: usize) -> bool {
         let (lane, edge) = (&self.net.lanes[lane], &self.net.edges[self.net.lanes[lane].edge]);
-        lane.cars && lane.width >= WIDTH && edge.function == crate::sumo::net::EdgeFunction::Normal
+        lane.cars && lane.width >= WIDTH && edge.function == EdgeFunction::Normal
     }
 
     /// Places on a lane.
@@ -200,7 +208,7 @@ impl<'a> Streets<'a> {
         let (mut chain, mut lane) = (vec![edge(lane)], lane);
         let mut best = (chain.clone(), lane);
         let mut metres = 0.0;
-        while self.room(lane) < ROW && chain.len() < EDGES && metres < UPSTREAM {
+        while self.room(lane) < ENOUGH && chain.len() < EDGES && metres < UPSTREAM {
             metres += self.net.lanes[lane].length;
             let Some(&next) = self.before[lane].iter().find(|&&next| !chain.contains(&edge(next))) else { break };
             lane = next;
@@ -231,7 +239,7 @@ impl<'a> Streets<'a> {
     }
 
     /// The routes over a junction from each of its lanes, and the places where they begin.
-    fn site(&self, junction: &crate::sumo::net::Junction) -> Option<Proposal> {
+    fn site(&self, junction: &Junction) -> Option<Proposal> {
         let incoming = self.leading.get(junction.id.as_str())?;
         if incoming.len() < 2 {
             return None;
@@ -266,7 +274,12 @@ impl<'a> Streets<'a> {
         for (i, (_, _, start, _)) in routes.iter().enumerate() {
             rows.entry(*start).or_default().push(i);
         }
-        let rows: Vec<(Vec<usize>, u32)> = rows.into_iter().map(|(start, list)| (list, self.room(start))).collect();
+        let row = |(start, routes): (usize, Vec<usize>)| {
+            let (count, length) = (self.room(start), self.net.lanes[start].length);
+            let first = (length - AHEAD - SPACING * f64::from(count - 1)).floor().max(FIRST);
+            Row { routes, first, count }
+        };
+        let rows: Vec<Row> = rows.into_iter().map(row).collect();
         let lanes = routes.iter().flat_map(|(_, _, _, way)| &way.lanes).filter(|&&lane| self.fits(lane));
         Some(Proposal {
             candidate: Candidate {
@@ -274,7 +287,7 @@ impl<'a> Streets<'a> {
                 kind: junction.kind.clone(),
                 arms: arms.len(),
                 routes: routes.len(),
-                places: rows.iter().map(|(_, places)| places).sum(),
+                places: rows.iter().map(|row| row.count).sum(),
             },
             speed: lanes.map(|&lane| self.net.lanes[lane].speed).fold(f64::INFINITY, f64::min),
             longest: routes.iter().map(|(_, _, _, way)| way.length()).fold(0.0, f64::max),

@@ -19,7 +19,7 @@ pub use template::{Sizes, Template};
 use super::Route;
 use crate::record::write_atomic;
 use crate::sumo::net::Net;
-use files::{Layout, Site};
+use files::{Layout, Row, Site};
 
 /// First place on a lane: half a vehicle and the jitter lie before it \[m\].
 const FIRST: f64 = 4.0;
@@ -56,7 +56,10 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
         }
         let site = Site {
             description: template.description().into(),
-            rows: starts(&plan.routes).into_values().map(|routes| (routes, places)).collect(),
+            rows: starts(&plan.routes)
+                .into_values()
+                .map(|routes| Row { routes, first: FIRST, count: places })
+                .collect(),
             routes: plan.routes,
             agents: sizes.agents,
             speed: sizes.speed,
