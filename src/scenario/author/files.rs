@@ -11,7 +11,7 @@ use super::super::{
     AgentRange, Communication, Control, Jitter, Net, Observation, ObservationGroups, Reward, Route, SCHEMA, Scenario,
     SpawnRow, Termination, Vehicle, schema,
 };
-use super::{Error, SPACING};
+use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
 
 /// Range of sight, more than it takes to stop from any speed that a template allows \[m\].
@@ -93,9 +93,8 @@ impl Layout {
         write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
         // What goes for everyone goes for files that were just made.
         let scenario = Scenario::load(&self.scenario)?;
-        write_atomic(&self.file("rou.xml"), traffic(&scenario).as_bytes())?;
         write_atomic(&self.file("sumocfg"), configuration(&self.name, &scenario).as_bytes())?;
-        Ok(())
+        scenario.nets.iter().try_for_each(|net| show_traffic(&scenario, net))
     }
 
     /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
@@ -183,8 +182,17 @@ fn commented(xml: &str) -> String {
     text
 }
 
-/// Routes for SUMO alone: a vehicle at each place of the first net, which takes one of the place's routes.
-fn traffic(scenario: &Scenario) -> String {
+/// Writes the vehicles that SUMO alone shows, if there is a `.sumocfg` beside the net.
+pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> {
+    let config = netconvert::beside(&net.file, "sumocfg");
+    if !config.exists() {
+        return Ok(());
+    }
+    Ok(write_atomic(&netconvert::beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
+}
+
+/// Routes for SUMO alone: a vehicle at each place of a net, which takes one of the place's routes.
+fn traffic(scenario: &Scenario, net: &Net) -> String {
     let (v, c) = (scenario.vehicle, &scenario.control);
     let mut text = String::from(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- The places and routes of the scenario, for SUMO alone: `iwol` does not read this file. -->\n<routes>\n",
@@ -199,7 +207,7 @@ fn traffic(scenario: &Scenario) -> String {
         let _ =
             writeln!(text, "    <route id=\"{}\" edges=\"{}\"/>", escape(&route.id), escape(&route.edges.join(" ")));
     }
-    for (number, place) in scenario.nets.iter().flat_map(Net::places).enumerate() {
+    for (number, place) in net.places().enumerate() {
         let route = &scenario.routes[place.routes[number % place.routes.len()]];
         let lane = route.lane.map_or_else(|| "best".to_owned(), |lane| lane.to_string());
         // SUMO's positions are those of the front bumper.

@@ -8,6 +8,7 @@ use std::time::SystemTime;
 
 use super::super::Scenario;
 use super::Error;
+use super::files::show_traffic;
 use crate::record::write_atomic;
 use crate::sumo::find_program;
 use crate::sumo::net::xml;
@@ -40,6 +41,7 @@ pub struct Built {
 }
 
 /// Builds those nets of a scenario that are out of date, or (`all`) all that have sources. The same sources give the same bytes.
+/// What SUMO alone shows (`.rou.xml`) follows the scenario.
 ///
 /// # Errors
 /// [`Error`]: the scenario cannot be read, netconvert is missing or refuses the sources.
@@ -53,6 +55,7 @@ pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
             State::UpToDate if !all => Vec::new(),
             _ => convert(&net.file)?,
         };
+        show_traffic(&scenario, net)?;
         built.push(Built { net: net.file.clone(), before, warnings });
     }
     Ok(built)
@@ -74,9 +77,14 @@ pub fn state(net: &Path) -> Result<State, Error> {
 }
 
 /// Where the configuration for a net is.
-pub(super) fn configuration(net: &Path) -> PathBuf {
+fn configuration(net: &Path) -> PathBuf {
+    beside(net, "netccfg")
+}
+
+/// A file that is called after a net, with another ending.
+pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
     let name = net.file_name().unwrap_or_default().to_string_lossy();
-    net.with_file_name(format!("{}.netccfg", name.strip_suffix(".net.xml").unwrap_or(&name)))
+    net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
 }
 
 /// The files that a configuration names as its input.
