@@ -4,9 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
 use iwol_sumo::env::Task;
+use iwol_sumo::evaluate::{Onlooker, Policy, evaluate};
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Error, Map, Sizes, State, Template, build, create, import};
@@ -75,6 +78,24 @@ fn every_template_builds_checks_and_runs() {
             let sumo = ["-c", "site.sumocfg", "--end", "5", "--xml-validation", "never", "--no-step-log"];
             run("sumo", &sumo, &folder.path().join("sumo_nets/site")).unwrap_or_else(|e| panic!("{template:?}: {e}"));
         }
+    }
+}
+
+#[test]
+fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
+    let stop = AtomicBool::new(false);
+    for template in Template::ALL {
+        let folder = folder();
+        let scenario = Scenario::load(&create(folder.path(), "site", template, &SIZES).unwrap()).unwrap();
+        let task = Arc::new(Task::new(&scenario, 8).unwrap());
+        let success = |policy| {
+            let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
+            let played = evaluate(&task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+            played.metrics().unwrap().success.mean
+        };
+        let (flat_out, sumo) = (success(Policy::Throttle(1.0)), success(Policy::Sumo));
+        assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
+        assert!(sumo > 0.9, "{template:?}: SUMO's own driver succeeds at {sumo}");
     }
 }
 

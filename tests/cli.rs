@@ -254,6 +254,7 @@ fn a_check_tells_good_from_bad_by_its_exit_code() {
     assert_eq!((code, json["trial"].is_null()), (Some(1), true));
 
     assert_eq!(check(Path::new("nowhere.xml"), &[]).0, Some(2));
+    assert_eq!(check(dir.path(), &[]).0, Some(2), "a folder is no scenario");
     let mut without = iwol(&["scenario", "check"]);
     let without = without.arg(SCENARIO).env("PATH", "/nowhere").env_remove("SUMO_HOME").output().expect("it ran");
     assert_eq!(without.status.code(), Some(2), "{}", String::from_utf8_lossy(&without.stderr));

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use iwol_sumo::env;
 use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
@@ -13,10 +13,10 @@ use serde::Serialize;
 use super::Verdict;
 
 /// Reads the file and its nets, then runs the scenario for a while with SUMO.
-///
-/// Exit code: 0 fine, or warnings only; 1 errors in the scenario; 2 a mistake on the command line, no such file, or no SUMO.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    after_help = "Exit code: 0 fine, or warnings only; 1 errors in the scenario; 2 a mistake on the command line, no such file, or no SUMO."
+)]
 pub(super) struct Args {
     /// Scenario file
     scenario: PathBuf,
@@ -45,7 +45,9 @@ struct Report<'a> {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
-    std::fs::metadata(&args.scenario).with_context(|| format!("cannot read `{}`", args.scenario.display()))?;
+    let file = std::fs::metadata(&args.scenario);
+    let file = file.with_context(|| format!("cannot read `{}`", args.scenario.display()))?;
+    ensure!(file.is_file(), "`{}` is no file", args.scenario.display());
     let mut findings = Scenario::check(&args.scenario);
     let trial = match &findings.scenario {
         Some(scenario) if args.steps > 0 => {
@@ -95,19 +97,25 @@ fn failed(error: &env::Error, path: &Path) -> Finding {
     Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
 }
 
+/// The numbers first, so that what is wrong stands at the end.
 fn print(findings: &Findings, trial: Option<&Trial>) {
+    if let Some(trial) = trial {
+        print_trial(trial);
+    }
     for severity in [Severity::Error, Severity::Warning] {
         for finding in findings.list.iter().filter(|finding| finding.severity == severity) {
             println!("{finding}");
         }
     }
-    let Some(trial) = trial else { return };
-    println!(
-        "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",
-        trial.agents, trial.steps, trial.episodes, trial.steps_per_second
-    );
+}
+
+fn print_trial(trial: &Trial) {
     println!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
     for range in &trial.observation {
         println!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
     }
+    println!(
+        "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",
+        trial.agents, trial.steps, trial.episodes, trial.steps_per_second
+    );
 }

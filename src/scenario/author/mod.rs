@@ -54,12 +54,13 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
         for route in &plan.routes {
             longest = longest.max(net.route_path_from(&route.edges, route.lane)?.length());
         }
+        let row = |routes: Vec<usize>| {
+            let ahead = plan.ahead.get(&plan.routes[routes[0]].edges[0]).copied().unwrap_or(0.0);
+            Row { routes, first: FIRST + ahead, count: places }
+        };
         let site = Site {
             description: template.description().into(),
-            rows: starts(&plan.routes)
-                .into_values()
-                .map(|routes| Row { routes, first: FIRST, count: places })
-                .collect(),
+            rows: starts(&plan.routes).into_values().map(row).collect(),
             routes: plan.routes,
             agents: sizes.agents,
             speed: sizes.speed,

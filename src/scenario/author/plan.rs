@@ -1,5 +1,6 @@
 //! A road network before netconvert has built it: SUMO's plain XML, with the routes through it.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::super::{Route, write::escape};
@@ -18,6 +19,8 @@ pub(super) struct Plan {
     /// Ids of the nodes and edges of a roundabout.
     pub(super) ring: Option<(Vec<String>, Vec<String>)>,
     pub(super) routes: Vec<Route>,
+    /// Edges on which the first place is so much further ahead than on others \[m\].
+    pub(super) ahead: BTreeMap<String, f64>,
 }
 
 #[derive(Debug)]

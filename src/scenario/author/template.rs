@@ -118,7 +118,8 @@ impl Template {
             Self::Bottleneck => 2 * lanes,
         };
         let places = sizes.agents.div_ceil(starts);
-        let needed = (FREE + SPACING * f64::from(places)).max(SHORTEST);
+        let ahead = if self == Self::Roundabout { quarter(radius(lanes)) } else { 0.0 };
+        let needed = (FREE + SPACING * f64::from(places) + ahead).max(SHORTEST);
         let arm = sizes.arm_length.unwrap_or(needed);
         if !(needed..=5000.0).contains(&arm) {
             let allowed = format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
@@ -214,12 +215,22 @@ fn corner(lanes: u32) -> f64 {
     8.0 + 5.0 * f64::from(lanes)
 }
 
+/// Radius of a roundabout's centre line \[m\].
+fn radius(lanes: u32) -> f64 {
+    14.0 + 6.0 * f64::from(lanes)
+}
+
+/// Way around a roundabout from one arm to the next \[m\].
+fn quarter(radius: f64) -> f64 {
+    (radius * FRAC_PI_2).round()
+}
+
 fn roundabout(lanes: u32, arm: f64) -> Plan {
-    let radius = 14.0 + 6.0 * f64::from(lanes);
+    let radius = radius(lanes);
     let mut plan = Plan::default();
-    let ring = |quarter: usize| format!("ring_{}", ARMS[quarter % 4].0);
-    for (name, quarter) in ARMS {
-        let [dx, dy] = HEADINGS[quarter];
+    let ring = |turns: usize| format!("ring_{}", ARMS[turns % 4].0);
+    for (name, turns) in ARMS {
+        let [dx, dy] = HEADINGS[turns];
         let outer = radius + arm + corner(lanes);
         let node = format!("{name}_entry");
         plan.node(node.clone(), [-radius * dx, -radius * dy], "priority");
@@ -227,19 +238,23 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
         plan.edge(format!("{name}_in"), [name, &node], lanes);
         plan.edge(format!("{name}_out"), [&node, name], lanes);
         // Counter-clockwise to the next arm.
-        plan.edge(ring(quarter), [&node, &format!("{}_entry", ARMS[(quarter + 1) % 4].0)], lanes);
-        let start = PI + FRAC_PI_2 * quarter as f64;
+        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes);
+        let start = PI + FRAC_PI_2 * turns as f64;
         let angles = (0..=8).map(|k| start + FRAC_PI_2 * f64::from(k) / 8.0);
         let arc = angles.map(|angle| [radius * angle.cos(), radius * angle.sin()]).collect();
         plan.edges.last_mut().expect("just added").shape = arc;
         for lane in 0..lanes {
-            plan.link(&format!("{name}_in"), &ring(quarter), [lane, lane]);
-            plan.link(&ring(quarter + 3), &ring(quarter), [lane, lane]);
-            plan.link(&ring(quarter + 3), &format!("{name}_out"), [lane, lane]);
+            plan.link(&format!("{name}_in"), &ring(turns), [lane, lane]);
+            plan.link(&ring(turns + 3), &ring(turns), [lane, lane]);
+            plan.link(&ring(turns + 3), &format!("{name}_out"), [lane, lane]);
+        }
+        // Vehicles from west and east reach the next arm when those from there do: else full throttle would be a solution.
+        if turns.is_multiple_of(2) {
+            plan.ahead.insert(format!("{name}_in"), quarter(radius));
         }
         for (exit, turn) in ["right", "straight", "left"].into_iter().enumerate() {
-            let way = (0..=exit).map(|k| ring(quarter + k));
-            let out = format!("{}_out", ARMS[(quarter + exit + 1) % 4].0);
+            let way = (0..=exit).map(|k| ring(turns + k));
+            let out = format!("{}_out", ARMS[(turns + exit + 1) % 4].0);
             let edges: Vec<String> = std::iter::once(format!("{name}_in")).chain(way).chain([out]).collect();
             plan.route(&format!("{name}_{turn}"), &edges, lanes);
         }
