@@ -93,6 +93,10 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
             let played = evaluate(&task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
             played.metrics().unwrap().success.mean
         };
+        // The check would say so.
+        let trial = Trial::run(&scenario, 8, 600, Seed::new(0), &Hosting::default()).unwrap();
+        let [played, unharmed] = trial.flat_out;
+        assert!(played > unharmed, "{template:?}: {unharmed} of {played} episodes at full throttle go well");
         let (flat_out, sumo) = (success(Policy::Throttle(1.0)), success(Policy::Sumo));
         assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
         assert!(sumo > 0.9, "{template:?}: SUMO's own driver succeeds at {sumo}");
@@ -432,4 +436,17 @@ fn all_that_the_reader_accepts_is_documented_and_nothing_else() {
     };
     let documented: BTreeMap<String, BTreeSet<String>> = scenario::describe().all().into_iter().map(describe).collect();
     assert_eq!(accepted, documented);
+}
+
+#[test]
+fn a_trial_says_when_there_is_little_to_coordinate() {
+    let folder = folder();
+    let mut scenario = Scenario::load(&create(folder.path(), "site", Template::Cross, &SIZES).unwrap()).unwrap();
+    // Vehicles of one row, straight on, at one speed.
+    scenario.nets[0].spawns.truncate(1);
+    scenario.nets[0].spawns[0].routes = [0].into();
+    let trial = Trial::run(&scenario, 2, 600, Seed::new(0), &Hosting::default()).unwrap();
+    assert!(trial.flat_out[0] > 0 && trial.flat_out[0] == trial.flat_out[1], "{:?}", trial.flat_out);
+    let found = trial.findings(&scenario);
+    assert!(found.iter().any(|finding| finding.message.contains("there is little to coordinate")), "{found:?}");
 }

@@ -29,6 +29,8 @@ pub struct Trial {
     pub episodes: usize,
     /// Episodes that were broken off because SUMO lost a vehicle.
     pub lost: usize,
+    /// Episodes in which all drove at full throttle, and those of them in which nobody came to harm.
+    pub flat_out: [usize; 2],
     /// Steps of one world per second.
     pub steps_per_second: f64,
     /// Routes of vehicles that collided in the first step of an episode, sorted.
@@ -59,7 +61,8 @@ pub struct Range {
 }
 
 impl Trial {
-    /// Runs `steps` steps of one world, in which vehicles follow their routes at speeds of their own, with some noise.
+    /// Runs `steps` steps of one world. In every second episode vehicles follow their routes at full throttle, in the others at speeds
+    /// of their own, with some noise.
     ///
     /// # Errors
     /// When the scenario does not take so many agents, or SUMO fails.
@@ -79,6 +82,7 @@ impl Trial {
             steps,
             episodes: 0,
             lost: 0,
+            flat_out: [0; 2],
             steps_per_second: 0.0,
             collided_at_once: Vec::new(),
             observation: ranges(&task.spec.observation),
@@ -92,11 +96,15 @@ impl Trial {
             let (frame, own) = (world.frame(), seed.child("drivers").index(world.episode()));
             let mut noise = own.index(u64::from(world.step_count())).rng();
             for (i, acts) in actions.chunks_mut(width).enumerate() {
-                let speed = own.child("speed").index(i as u64).rng().random_range(SHARES) * scenario.vehicle.max_speed;
-                let wanted = world.pursuit(i, speed);
+                let (share, noisy) = if is_flat_out(world.episode()) {
+                    (1.0, 0.0)
+                } else {
+                    (own.child("speed").index(i as u64).rng().random_range(SHARES), NOISE)
+                };
+                let wanted = world.pursuit(i, share * scenario.vehicle.max_speed);
                 // Where there is one action only, it is the throttle.
                 for (act, wanted) in acts.iter_mut().zip(&wanted[2 - width..]) {
-                    *act = (wanted + NOISE * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
+                    *act = (wanted + noisy * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
                 }
                 if frame.active[i] > 0.0 {
                     take(&mut trial.observation, &frame.observation, i);
@@ -106,6 +114,10 @@ impl Trial {
             env.step(&actions)?;
             for episode in env.take_finished() {
                 *(if episode.interrupted { &mut trial.lost } else { &mut trial.episodes }) += 1;
+                if is_flat_out(episode.episode) && !episode.interrupted {
+                    trial.flat_out[0] += 1;
+                    trial.flat_out[1] += usize::from(episode.safety >= 1.0);
+                }
             }
             let world = env.worlds().next().expect("one world");
             if world.step_count() == 1 {
@@ -156,6 +168,14 @@ impl Trial {
                 ));
             }
         }
+        let [played, unharmed] = self.flat_out;
+        if played > 0 && unharmed == played && self.agents > 1 {
+            findings.push(finding(
+                Severity::Warning,
+                format!("nobody came to harm in any of {played} episodes at full throttle: there is little to coordinate"),
+                "more vehicles, or places from where they reach the meeting points at the same time; more --steps play more episodes",
+            ));
+        }
         let constant = self.constant();
         if !constant.is_empty() {
             findings.push(finding(
@@ -176,6 +196,11 @@ impl Trial {
         let still = groups.filter(|group| group.iter().all(|range| range.finite && range.least >= range.most));
         still.filter_map(|ranges| ranges.first().map(group)).collect()
     }
+}
+
+/// Every second episode.
+fn is_flat_out(episode: u64) -> bool {
+    episode.is_multiple_of(2)
 }
 
 fn ranges(features: &Features) -> Vec<Range> {
