@@ -223,7 +223,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
     site.xml:85:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
       hint: make the range longer, or maxSpeed lower
     "#);
-    insta::assert_snapshot!(warned(&[("conflictStreams=\"3\"", "conflictStreams=\"0\"")]), @r#"
+    insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
     site.xml:85:18: warning: agents see no vehicle that crosses their way
       hint: give neighbours (nearest) or conflictStreams (conflict) more than 0
     "#);

@@ -6,7 +6,7 @@ use std::time::Instant;
 use rand::RngExt as _;
 use serde::Serialize;
 
-use crate::env::{Driver, Error, Features, Task, VecEnv, VecOptions};
+use crate::env::{Driver, Error, Features, RouteGeometry, Task, VecEnv, VecOptions};
 use crate::rng::{Seed, symmetric};
 use crate::scenario::{Finding, Scenario, Severity};
 use crate::sumo::Hosting;
@@ -31,6 +31,8 @@ pub struct Trial {
     pub lost: usize,
     /// Episodes in which all drove at full throttle, and those of them in which nobody came to harm.
     pub flat_out: [usize; 2],
+    /// Most other routes that a route meets before its finish.
+    pub meetings: usize,
     /// Steps of one world per second.
     pub steps_per_second: f64,
     /// Routes of vehicles that collided in the first step of an episode, sorted.
@@ -83,6 +85,7 @@ impl Trial {
             episodes: 0,
             lost: 0,
             flat_out: [0; 2],
+            meetings: task.routes.iter().map(meetings).max().unwrap_or(0),
             steps_per_second: 0.0,
             collided_at_once: Vec::new(),
             observation: ranges(&task.spec.observation),
@@ -168,6 +171,14 @@ impl Trial {
                 ));
             }
         }
+        let seen = scenario.observation;
+        if !seen.groups.nearest() && seen.conflict_streams < self.meetings {
+            findings.push(finding(
+                Severity::Warning,
+                format!("a route meets {} others, and agents see {} of them", self.meetings, seen.conflict_streams),
+                "more conflictStreams in <observation>, up to 16, or groups=\"both\", which shows the nearest vehicles besides",
+            ));
+        }
         let [played, unharmed] = self.flat_out;
         if played > 0 && unharmed == played && self.agents > 1 {
             findings.push(finding(
@@ -196,6 +207,11 @@ impl Trial {
         let still = groups.filter(|group| group.iter().all(|range| range.finite && range.least >= range.most));
         still.filter_map(|ranges| ranges.first().map(group)).collect()
     }
+}
+
+/// Number of other routes that a route meets.
+fn meetings(route: &RouteGeometry) -> usize {
+    route.conflicts.iter().filter(|conflict| conflict.own <= route.arrival).count()
 }
 
 /// Every second episode.

@@ -13,11 +13,14 @@ use super::super::{
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
+use crate::sumo::net::Path as Way;
 
 /// Range of sight, more than it takes to stop from any speed that a template allows \[m\].
 const DETECTION: f64 = 100.0;
 /// Range of radio \[m\].
 const RADIO: f64 = 50.0;
+/// Most crossing or merging streams that agents see, which is also the most that a scenario may ask for.
+const STREAMS: usize = 16;
 /// An episode has so many times the steps of the longest route, as cars have to wait.
 const PATIENCE: f64 = 8.0;
 
@@ -99,7 +102,11 @@ impl Layout {
 
     /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
     pub(super) fn scenario(&self, site: Site) -> Scenario {
-        let Site { description, routes, rows, agents, speed, longest, streams } = site;
+        let Site { description, routes, ways, rows, agents, speed } = site;
+        let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
+        // A vehicle should see all whose way it may meet; those behind each other on a lane do not count.
+        let meets = |one: &Way| ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count();
+        let streams = ways.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
         let spawn =
             |Row { routes, first, count }| SpawnRow { routes: Arc::from(routes), first, spacing: SPACING, count };
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
@@ -148,14 +155,12 @@ impl Layout {
 pub(super) struct Site {
     pub(super) description: String,
     pub(super) routes: Vec<Route>,
+    /// Where the routes lead, in their order.
+    pub(super) ways: Vec<Way>,
     pub(super) rows: Vec<Row>,
     pub(super) agents: u32,
     /// Top speed \[m/s\].
     pub(super) speed: f64,
-    /// Length of the longest route \[m\].
-    pub(super) longest: f64,
-    /// Crossing or merging streams that agents see.
-    pub(super) streams: usize,
 }
 
 /// Places on a lane.
@@ -228,4 +233,13 @@ fn configuration(name: &str, scenario: &Scenario) -> String {
          \x20   <time>\n        <step-length value=\"{}\"/>\n    </time>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>\n</configuration>\n",
         scenario.control.interval
     )
+}
+
+/// Whether two ways merge or cross.
+pub(super) fn meet(one: &Way, other: &Way) -> bool {
+    let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+    let apart = |a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]| side(a, b, c) * side(a, b, d) >= 0.0;
+    let cross = |a: &[[f64; 2]], b: &[[f64; 2]]| !apart(a[0], a[1], b[0], b[1]) && !apart(b[0], b[1], a[0], a[1]);
+    one.lanes.iter().any(|lane| other.lanes.contains(lane))
+        || one.points.windows(2).any(|a| other.points.windows(2).any(|b| cross(a, b)))
 }

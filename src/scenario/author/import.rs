@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::super::Route;
-use super::files::{Layout, Row, Site};
+use super::files::{Layout, Row, Site, meet};
 use super::{Error, FIRST, SPACING, netconvert};
 use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as Way};
 
@@ -19,8 +19,6 @@ const OSM_OPTIONS: [(&str, &str); 7] = [
     ("remove-edges.isolated", "true"),
     ("no-turnarounds", "true"),
 ];
-/// Streams that agents see.
-const STREAMS: usize = 3;
 /// What a place needs behind the last one on its lane: half a vehicle and the jitter \[m\].
 const BEHIND: f64 = 3.3;
 /// Least width of a lane that a vehicle and its jitter need \[m\].
@@ -129,11 +127,10 @@ pub fn import(root: &Path, name: &str, map: Map, junction: Option<&str>, agents:
         layout.write(&layout.scenario(Site {
             description,
             routes: proposal.routes,
+            ways: proposal.ways,
             rows: proposal.rows,
             agents,
             speed: proposal.speed.clamp(SPEED.0, SPEED.1),
-            longest: proposal.longest,
-            streams: STREAMS,
         }))?;
         Ok(Imported { scenario: layout.scenario.clone(), candidates, warnings })
     })
@@ -146,8 +143,8 @@ struct Proposal {
     rows: Vec<Row>,
     /// Lowest limit on the way \[m/s\].
     speed: f64,
-    /// \[m\]
-    longest: f64,
+    /// In order of the routes.
+    ways: Vec<Way>,
 }
 
 /// All junctions at which vehicles from two roads or more can begin.
@@ -290,12 +287,12 @@ impl<'a> Streets<'a> {
                 places: rows.iter().map(|row| row.count).sum(),
             },
             speed: lanes.map(|&lane| self.net.lanes[lane].speed).fold(f64::INFINITY, f64::min),
-            longest: routes.iter().map(|(_, _, _, way)| way.length()).fold(0.0, f64::max),
             routes: routes
-                .into_iter()
+                .iter()
                 .enumerate()
-                .map(|(i, (route, ..))| Route { id: format!("{i}_{}", route.id), ..route })
+                .map(|(i, (route, ..))| Route { id: format!("{i}_{}", route.id), ..route.clone() })
                 .collect(),
+            ways: routes.into_iter().map(|(_, _, _, way)| way).collect(),
             rows,
         })
     }
@@ -315,13 +312,4 @@ impl<'a> Streets<'a> {
         let id = name.chars().map(|c| if c.is_alphanumeric() || "_-#.".contains(c) { c } else { '_' }).collect();
         Some((Route { id, edges, lane, arrival_pos: -5.0 }, way))
     }
-}
-
-/// Whether two ways merge or cross.
-fn meet(one: &Way, other: &Way) -> bool {
-    let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
-    let apart = |a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]| side(a, b, c) * side(a, b, d) >= 0.0;
-    let cross = |a: &[[f64; 2]], b: &[[f64; 2]]| !apart(a[0], a[1], b[0], b[1]) && !apart(b[0], b[1], a[0], a[1]);
-    one.lanes.iter().any(|lane| other.lanes.contains(lane))
-        || one.points.windows(2).any(|a| other.points.windows(2).any(|b| cross(a, b)))
 }

@@ -50,10 +50,8 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
         layout.configure(&inputs, &OPTIONS)?;
         netconvert::convert(&layout.net)?;
         let net = Net::load(&layout.net)?;
-        let mut longest = 0.0_f64;
-        for route in &plan.routes {
-            longest = longest.max(net.route_path_from(&route.edges, route.lane)?.length());
-        }
+        let way = |route: &Route| net.route_path_from(&route.edges, route.lane);
+        let ways = plan.routes.iter().map(way).collect::<Result<_, _>>()?;
         let row = |routes: Vec<usize>| {
             let ahead = plan.ahead.get(&plan.routes[routes[0]].edges[0]).copied().unwrap_or(0.0);
             Row { routes, first: FIRST + ahead, count: places }
@@ -62,10 +60,9 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
             description: template.description().into(),
             rows: starts(&plan.routes).into_values().map(row).collect(),
             routes: plan.routes,
+            ways,
             agents: sizes.agents,
             speed: sizes.speed,
-            longest,
-            streams: template.streams(),
         };
         layout.write(&layout.scenario(site))?;
         Ok(layout.scenario.clone())

@@ -83,14 +83,6 @@ impl Template {
         }
     }
 
-    /// How many crossing or merging streams a vehicle meets that are worth telling it of, at most.
-    pub(super) fn streams(self) -> usize {
-        match self {
-            Self::Merge | Self::Bottleneck => 1,
-            Self::Cross | Self::Tee | Self::Roundabout | Self::Grid => 3,
-        }
-    }
-
     /// Lanes per direction.
     pub(super) fn lanes(self, sizes: &Sizes) -> Result<u32, Error> {
         let (least, usual) = if self == Self::Bottleneck { (2, 2) } else { (1, 1) };
