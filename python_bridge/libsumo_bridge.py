@@ -18,6 +18,7 @@ SET = {
     "vehicle.remove": native.vehicle_remove,
     "vehicle.setSpeed": native.vehicle_setSpeed,
     "vehicle.setSpeedMode": native.vehicle_setSpeedMode,
+    "vehicle.setLaneChangeMode": native.vehicle_setLaneChangeMode,
     "vehicle.moveToXY": native.vehicle_moveToXY,
 }
 distance_of = native.vehicle_getDistance

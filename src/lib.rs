@@ -5,7 +5,7 @@
 //!
 //! - [`sumo`]: TraCI client, SUMO processes, nets
 //! - [`scenario`]: what a task is, as data
-//! - [`mod@env`]: the multi-agent environments
+//! - [`mod@env`]: the multi-agent environments; [`inspect`]: what a scenario looks like, and a trial run of it
 //! - [`nn`], [`rollout`], [`algo`]: the learners
 //! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`], [`replay`]: running them
 //! - [`stats`]: intervals and aggregates over seeds
@@ -15,6 +15,7 @@ pub mod checkpoint;
 pub mod config;
 pub mod env;
 pub mod evaluate;
+pub mod inspect;
 pub mod nn;
 pub mod plot;
 pub mod record;

@@ -207,6 +207,85 @@ fn damaged_checkpoints_are_refused() {
     "#);
 }
 
+/// A new scenario in a folder of its own, with some text of it replaced.
+fn scenario(dir: &Path, from: &str, to: &str) -> std::path::PathBuf {
+    let mut new = iwol(&["scenario", "new", "site", "--template", "tee", "--agents", "6", "--root"]);
+    let output = new.arg(dir).output().expect("it ran");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let file = dir.join("scenarios/site.xml");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), file.display().to_string());
+    let text = std::fs::read_to_string(&file).expect("a scenario");
+    assert!(text.contains(from), "{from}");
+    if from != to {
+        std::fs::write(&file, text.replacen(from, to, 1)).expect("written");
+    }
+    file
+}
+
+#[test]
+fn a_check_tells_good_from_bad_by_its_exit_code() {
+    let dir = folder();
+    let file = scenario(dir.path(), "range=\"50\"", "range=\"500\"");
+    let check = |file: &Path, more: &[&str]| {
+        let output = iwol(&["scenario", "check"]).arg(file).args(more).output().expect("it ran");
+        let text = String::from_utf8_lossy(&output.stdout).replace(&dir.path().display().to_string(), "DIR");
+        (output.status.code(), text)
+    };
+    // Warnings are no errors.
+    let (code, text) = check(&file, &["--steps", "40"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("warning: with a range of 500 m") && text.contains("trial: 6 agents, 40 steps"), "{text}");
+    let (code, text) = check(&file, &["--steps", "40", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&text).expect("one JSON object");
+    assert_eq!((code, json["errors"].as_u64()), (Some(0), Some(0)));
+    let first = &json["findings"][0];
+    assert_eq!(first["severity"], "warning");
+    assert!(first["line"].as_u64() > Some(1) && first["column"].is_u64() && first["hint"].is_string(), "{first}");
+    assert!(json["trial"]["steps_per_second"].as_f64() > Some(1.0));
+    assert!(json["trial"]["observation"][0]["most"].is_number());
+
+    let text = std::fs::read_to_string(&file).expect("a scenario").replace("west_in east_out", "west_in east_ou");
+    std::fs::write(&file, text).expect("written");
+    let (code, text) = check(&file, &[]);
+    assert_eq!(code, Some(1));
+    assert!(text.contains("DIR/scenarios/site.xml:") && text.contains("did you mean `east_out`?"), "{text}");
+    let (code, text) = check(&file, &["--json"]);
+    let json: serde_json::Value = serde_json::from_str(&text).expect("one JSON object");
+    assert_eq!((code, json["trial"].is_null()), (Some(1), true));
+
+    assert_eq!(check(Path::new("nowhere.xml"), &[]).0, Some(2));
+    assert_eq!(check(dir.path(), &[]).0, Some(2), "a folder is no scenario");
+    let mut without = iwol(&["scenario", "check"]);
+    let without = without.arg(SCENARIO).env("PATH", "/nowhere").env_remove("SUMO_HOME").output().expect("it ran");
+    assert_eq!(without.status.code(), Some(2), "{}", String::from_utf8_lossy(&without.stderr));
+}
+
+#[test]
+fn a_scenario_is_made_built_and_drawn() {
+    let dir = folder();
+    let file = scenario(dir.path(), "", "");
+    let built = iwol(&["scenario", "build"]).arg(&file).output().expect("it ran");
+    assert!(String::from_utf8_lossy(&built.stdout).ends_with("site.net.xml: up to date\n"));
+    for ending in ["svg", "png", "html"] {
+        let picture = dir.path().join("site").with_extension(ending);
+        iwol(&["scenario", "show"]).arg(&file).arg("-o").arg(&picture).assert().success();
+        assert!(picture.exists());
+    }
+    let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
+    assert_snapshot!(tidy(failure(iwol(&["scenario", "show", "-o", "site.gif"]).arg(&file))), @r#"
+    2
+    error: `site.gif` is no picture: give a name that ends in .svg, .png or .html
+    "#);
+    assert_snapshot!(tidy(failure(iwol(&["scenario", "new", "site", "--template", "tee", "--root"]).arg(dir.path()))), @r#"
+    2
+    error: `DIR/scenarios/site.xml` is there already; choose another name, or move it away
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["scenario", "new", "site", "--template", "circle"])), @r#"
+    2
+    error: there is no template `circle`; choose one of cross, tee, roundabout, merge, grid, bottleneck
+    "#);
+}
+
 #[test]
 fn usage_errors_end_with_two() {
     for args in [&["evaluate"][..], &["train", "--steps", "x"], &["fly"]] {

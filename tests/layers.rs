@@ -5,12 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, and the ones that each may name.
-const ALLOWED: [(&str, &[&str]); 20] = [
+const ALLOWED: [(&str, &[&str]); 21] = [
     ("rng", &[]),
     ("stats", &[]),
     ("suggest", &[]),
     ("sumo", &[]),
-    ("scenario", &["sumo", "suggest"]),
+    ("scenario", &["record", "sumo", "suggest"]),
     ("env", &["scenario", "sumo", "rng"]),
     ("nn", &["rng"]),
     ("rollout", &[]),
@@ -23,7 +23,8 @@ const ALLOWED: [(&str, &[&str]); 20] = [
     ("train", &["algo", "checkpoint", "config", "env", "evaluate", "record", "rng", "rollout", "scenario"]),
     ("sweep", &["config", "record", "train"]),
     ("report", &["plot", "record", "stats", "sweep"]),
-    ("replay", &["env", "record", "sumo"]),
+    ("replay", &["env", "plot", "record", "sumo"]),
+    ("inspect", &["env", "plot", "rng", "scenario", "sumo"]),
     ("cli", &[]),
     ("main", &[]),
 ];

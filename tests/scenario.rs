@@ -244,7 +244,7 @@ fn values_out_of_range_are_refused() {
 
 #[test]
 fn what_does_not_go_with_the_nets_is_refused() {
-    insta::assert_snapshot!(mistake("arm42.net.xml", "arm43.net.xml"), @"task.xml:31:14: file: the net cannot be used: NETS/intersection/arm43.net.xml: cannot read the net: No such file or directory (os error 2) (hint: build the net with netconvert, or correct the file name)");
+    insta::assert_snapshot!(mistake("arm42.net.xml", "arm43.net.xml"), @"task.xml:31:14: file: the net cannot be used: NETS/intersection/arm43.net.xml: cannot read the net: No such file or directory (os error 2) (hint: build the net (`iwol scenario build`), or correct the file name)");
     insta::assert_snapshot!(mistake("west_in east_out", "west_in east_ou"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the net has no edge `east_ou`; did you mean `east_out`?");
     insta::assert_snapshot!(mistake("west_in east_out", ":centre_3"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the edge `:centre_3` is no road that a route can name");
     insta::assert_snapshot!(mistake("west_in east_out", "west_in north_out"), @"task.xml:16:31: edges: the route `eastbound` cannot be driven: NETS/intersection/arm30.net.xml: the edge `west_in` does not lead to `north_out`");

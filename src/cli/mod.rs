@@ -7,6 +7,7 @@ mod export;
 mod plot;
 mod replay;
 mod report;
+mod scenario;
 mod sweep;
 mod train;
 
@@ -16,7 +17,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
-use iwol_sumo::{config, env, scenario, sumo};
+use iwol_sumo::{config, env, scenario as scenarios, sumo};
 
 /// Multi-vehicle coordination in SUMO: train, evaluate and plot.
 #[derive(Debug, Parser)]
@@ -48,6 +49,8 @@ enum Verb {
     Replay(replay::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
+    /// Make, build, check and show scenarios
+    Scenario(scenario::Args),
     /// Measure speed
     Bench(bench::Args),
     /// Show what is installed, and what is wrong
@@ -94,6 +97,7 @@ pub fn main() -> ExitCode {
         Verb::Report(args) => report::run(args),
         Verb::Replay(args) => replay::run(args),
         Verb::Plot(args) => plot::run(args),
+        Verb::Scenario(args) => scenario::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),
     };
@@ -118,7 +122,9 @@ fn hint(error: &anyhow::Error) -> Option<String> {
             e.hint()
         } else if let Some(e) = cause.downcast_ref::<env::Error>() {
             e.hint()
-        } else if let Some(e) = cause.downcast_ref::<scenario::Error>() {
+        } else if let Some(e) = cause.downcast_ref::<scenarios::Error>() {
+            e.hint()
+        } else if let Some(e) = cause.downcast_ref::<scenarios::author::Error>() {
             e.hint()
         } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
             e.hint()

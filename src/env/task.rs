@@ -58,6 +58,8 @@ pub struct Task {
     pub(super) reserved: Vec<Option<usize>>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
+    /// Whether SUMO could change the lane of a vehicle that it moves along its route.
+    pub(super) several_lanes: bool,
     /// Where vehicles may drive, if they steer or see its borders.
     pub(super) road: Option<Road>,
     /// Where each route lies in junctions.
@@ -97,6 +99,8 @@ impl Task {
                 bounds[axis + 2] = bounds[axis + 2].max(point[axis]);
             }
         }
+        let lanes = |&lane: &usize| net.edges[net.lanes[lane].edge].lanes.len() > 1;
+        let several_lanes = paths.iter().any(|path| path.lanes.iter().any(lanes));
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
         let border = scenario.termination.border;
         let needed = scenario.control.steering.is_some() || scenario.observation.lidar.beams > 0;
@@ -113,6 +117,7 @@ impl Task {
             places: choice.places().collect(),
             routes,
             reserved,
+            several_lanes,
             road,
             junctions,
             spec,

@@ -40,7 +40,9 @@ impl Rails {
                     assert!((0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed), "speed {speed}");
                     vehicle.2 = speed;
                 }
-                Command::SpeedMode { slot, .. } => assert!(self.vehicles[slot as usize].is_some()),
+                Command::SpeedMode { slot, .. } | Command::KeepLane { slot, .. } => {
+                    assert!(self.vehicles[slot as usize].is_some());
+                }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
             }
         }

@@ -7,6 +7,7 @@
 
 mod axis;
 mod canvas;
+mod picture;
 
 use std::ops::Range;
 use std::path::Path;
@@ -15,6 +16,9 @@ use plotters::prelude::*;
 
 use axis::{Axis, enclosing, runs, usable};
 use canvas::{Canvas, Drawn, FINE, Place, averaged, line, provide_font, px, text_width, write};
+
+pub(crate) use picture::escaped;
+pub use picture::{Picture, Rgb};
 
 use crate::record;
 
@@ -144,9 +148,14 @@ pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> R
     draw(&BitMapBackend::with_buffer(&mut fine, fine_size).into_drawing_area(), title, panels)
         .map_err(|e| Error::Draw(e.into()))?;
 
+    save(path, size, &fine)
+}
+
+/// Writes what was drawn on a canvas of a picture of `size` as PNG to `path`, which appears whole or not at all.
+fn save(path: &Path, size: (u32, u32), fine: &[u8]) -> Result<(), Error> {
     let file = record::temporary_beside(path, ".png")?;
     let mut picture = BitMapBackend::new(file.path(), size);
-    picture.blit_bitmap((0, 0), size, &averaged(&fine, width as usize)).map_err(|e| Error::Draw(e.into()))?;
+    picture.blit_bitmap((0, 0), size, &averaged(fine, size.0 as usize)).map_err(|e| Error::Draw(e.into()))?;
     picture.present().map_err(|e| Error::Draw(e.into()))?;
     drop(picture);
     Ok(record::replace(file, path)?)

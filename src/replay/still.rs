@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{Lane, Recording, Status};
+use crate::plot::escaped;
 
 /// Metres shown around the net.
 const MARGIN: f64 = 4.0;
@@ -86,10 +87,6 @@ fn cross(length: f64, width: f64) -> String {
     format!(
         "<path d=\"M-{l:.2} -{w:.2}L{l:.2} {w:.2}M-{l:.2} {w:.2}L{l:.2} -{w:.2}\" stroke=\"#000\" stroke-width=\".25\"/>"
     )
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
 
-use super::{Error, Net, Scenario, reader::Reader};
+use super::{Error, Net, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, Path, shorten};
 
 /// Slack of comparisons of positions \[m\].
@@ -29,55 +29,59 @@ pub(super) struct NetPlaces {
     pub(super) spawns: Vec<usize>,
 }
 
-/// Reads every net of a scenario and checks what the scenario says about it.
-pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<(), Error> {
-    for (net, at) in scenario.nets.iter().zip(&places.nets) {
+/// A net with the centre line of every route in it.
+pub(super) struct Map {
+    pub(super) net: net::Net,
+    pub(super) paths: Vec<Path>,
+}
+
+/// Reads every net of a scenario and checks what the scenario says about it: the mistakes, and the nets without one.
+pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Vec<Error>, Vec<Option<Map>>) {
+    let mut errors = Vec::new();
+    let mut check = |net: &Net, at: &NetPlaces| {
         let map = net::Net::load(&net.file).map_err(|source| {
             let (line, column) = reader.position(at.file);
             Error::Net { path: scenario.path.clone(), line, column, source: Box::new(source) }
-        })?;
-        let paths = routes(scenario, &map, places, reader)?;
-        spawns(scenario, net, &map, &paths, &at.spawns, reader)?;
-        lanes(scenario, &map, &paths, places, reader)?;
-    }
-    Ok(())
+        });
+        let map = map.map_err(|error| errors.push(error)).ok()?;
+        let paths = scenario.routes.iter().zip(&places.routes).map(|(r, at)| route(scenario, r, &map, at, reader));
+        let (paths, wrong): (Vec<_>, Vec<_>) = paths.partition(Result::is_ok);
+        errors.extend(wrong.into_iter().filter_map(Result::err));
+        let paths: Vec<Path> = paths.into_iter().flatten().collect();
+        if paths.len() < scenario.routes.len() {
+            return None;
+        }
+        let placed = spawns(scenario, net, &map, &paths, &at.spawns, reader);
+        let placed = placed.and_then(|()| lanes(scenario, &map, &paths, places, reader));
+        placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
+    };
+    let maps = scenario.nets.iter().zip(&places.nets).map(|(net, at)| check(net, at)).collect();
+    (errors, maps)
 }
 
-/// The centre line of every route, once its edges are connected and its finish lies on the last.
-fn routes(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Result<Vec<Path>, Error> {
-    let mut paths = Vec::new();
-    for (route, at) in scenario.routes.iter().zip(&places.routes) {
-        let path = map.route_path_from(&route.edges, route.lane).map_err(|source| {
-            let (line, column) = reader.position(at.edges);
-            Error::Route {
-                path: scenario.path.clone(),
-                line,
-                column,
-                route: shorten(&route.id),
-                source: Box::new(source),
-            }
-        })?;
-        let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
-        let refused = |allowed: String| {
-            let (line, column) = reader.position(at.arrival_pos);
-            let (path, value) = (scenario.path.clone(), route.arrival_pos.to_string());
-            Error::Value { path, line, column, element: "route".into(), key: "arrivalPos", value, allowed }
-        };
-        if route.arrival_pos.abs() > length + SLACK {
-            let edge = shorten(route.edges.last().map_or("", String::as_str));
-            return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
-        }
-        // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
-        let ahead = scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
-        let left = if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
-        if left < ahead - SLACK {
-            return Err(refused(format!(
-                "at least {ahead:.2} m before the end: half a vehicle and the way of one step"
-            )));
-        }
-        paths.push(path);
+/// The centre line of a route, once its edges are connected and its finish lies on the last.
+fn route(scenario: &Scenario, route: &Route, map: &net::Net, at: &RoutePlaces, reader: &Reader) -> Result<Path, Error> {
+    let path = map.route_path_from(&route.edges, route.lane).map_err(|source| {
+        let (line, column) = reader.position(at.edges);
+        Error::Route { path: scenario.path.clone(), line, column, route: shorten(&route.id), source: Box::new(source) }
+    })?;
+    let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
+    let refused = |allowed: String| {
+        let (line, column) = reader.position(at.arrival_pos);
+        let (path, value) = (scenario.path.clone(), route.arrival_pos.to_string());
+        Error::Value { path, line, column, element: "route".into(), key: "arrivalPos", value, allowed }
+    };
+    if route.arrival_pos.abs() > length + SLACK {
+        let edge = shorten(route.edges.last().map_or("", String::as_str));
+        return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
     }
-    Ok(paths)
+    // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
+    let ahead = scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
+    let left = if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
+    if left < ahead - SLACK {
+        return Err(refused(format!("at least {ahead:.2} m before the end: half a vehicle and the way of one step")));
+    }
+    Ok(path)
 }
 
 /// Every place lies with its vehicle on the route's first edge, before the finish, and clear of the others.

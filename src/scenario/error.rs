@@ -218,6 +218,24 @@ pub enum Error {
 }
 
 impl Error {
+    /// Line and column of the mistake in the scenario file, both from 1, where it has a place there.
+    pub fn position(&self) -> Option<(u32, u32)> {
+        match *self {
+            Self::Parse { line, column, .. }
+            | Self::Unknown { line, column, .. }
+            | Self::Missing { line, column, .. }
+            | Self::Duplicate { line, column, .. }
+            | Self::TooMany { line, column, .. }
+            | Self::Value { line, column, .. }
+            | Self::Reference { line, column, .. }
+            | Self::Net { line, column, .. }
+            | Self::Route { line, column, .. }
+            | Self::Place { line, column, .. }
+            | Self::Overlap { line, column, .. } => Some((line, column)),
+            Self::Read { .. } | Self::TooLarge { .. } | Self::Agents { .. } => None,
+        }
+    }
+
     /// What the user may do about it, where that is not plain from the message.
     #[must_use]
     pub fn hint(&self) -> Option<String> {

@@ -59,13 +59,26 @@ impl Scenario {
     /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
     /// not go with its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let text = xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
-        let text = text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })?;
+        let text = text(path)?;
         let document = document(&text, path)?;
         let reader = Reader { path, document: &document };
         let (scenario, places) = reader.scenario()?;
-        check::nets(&scenario, &places, &reader)?;
-        Ok(scenario)
+        let (errors, _) = check::nets(&scenario, &places, &reader);
+        errors.into_iter().next().map_or(Ok(scenario), Err)
+    }
+
+    /// Reads a scenario file; its nets are not looked at and may be missing.
+    ///
+    /// # Errors
+    /// As [`Scenario::load`], less the nets.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        Self::parse(&text(path)?, path)
+    }
+
+    /// Whether a scenario can have this name, which is also a folder's.
+    pub fn is_name(name: &str) -> bool {
+        let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+        (1..=64).contains(&name.len()) && name.chars().all(valid)
     }
 
     /// Reads a scenario from its text; its nets are not looked at. Net files are taken as relative to the folder of `path`.
@@ -96,8 +109,14 @@ impl Scenario {
     }
 }
 
+/// The text of a scenario file.
+pub(super) fn text(path: &Path) -> Result<String, Error> {
+    let text = xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
+    text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })
+}
+
 impl<'a, 'input> Reader<'a, 'input> {
-    fn scenario(&self) -> Result<(Scenario, Places), Error> {
+    pub(super) fn scenario(&self) -> Result<(Scenario, Places), Error> {
         let root = self.document.root_element();
         if !root.has_tag_name("scenario") {
             return Err(self.unknown(root, "element", root.tag_name().name(), "the file".into(), &["scenario"]));
@@ -143,7 +162,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 lidar: Lidar {
                     beams: self.whole_or(observation, "lidarBeams", 0, 360)? as usize,
                     range: match observation.attribute("lidarRange") {
-                        None => 50.0,
+                        None => Lidar::default().range,
                         Some(_) => {
                             self.number(observation, "lidarRange", "1 to 200", |v| (1.0..=200.0).contains(&v))?
                         }
@@ -188,11 +207,9 @@ impl<'a, 'input> Reader<'a, 'input> {
         known.map(|entry| entry.1).ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
     }
 
-    /// The name is also a folder's.
     fn name(&self, root: Node<'a, 'input>) -> Result<String, Error> {
         let name = self.text(root, "name")?;
-        let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
-        if name.is_empty() || name.len() > 64 || !name.chars().all(valid) {
+        if !Scenario::is_name(name) {
             return Err(self.value(root, "name", "1 to 64 letters, digits, `-` and `_`"));
         }
         Ok(name.into())

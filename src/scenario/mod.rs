@@ -2,13 +2,19 @@
 //!
 //! Units are SI. Positions on lanes are those of the vehicle's **centre** unless a field says otherwise.
 
+mod advice;
+pub mod author;
 mod check;
 mod error;
+mod finding;
 mod load;
 mod reader;
+mod schema;
 mod write;
 
 pub use error::Error;
+pub use finding::{Finding, Findings, Severity};
+pub use schema::{Attribute, Element, SCHEMA, describe, markdown};
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -223,6 +229,12 @@ pub struct Lidar {
     pub beams: usize,
     /// How far \[m\].
     pub range: f64,
+}
+
+impl Default for Lidar {
+    fn default() -> Self {
+        Self { beams: 0, range: 50.0 }
+    }
 }
 
 /// Reward terms and their weights.

@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::Scenario;
+use super::{Border, Lidar, Scenario};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -76,21 +76,30 @@ impl Scenario {
         let o = self.observation;
         write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
         write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;
-        write!(xml, "streamVehicles=\"{}\" encounters=\"{}\" ", o.stream_vehicles, o.encounters)?;
-        writeln!(xml, "lidarBeams=\"{}\" lidarRange=\"{}\"/>", o.lidar.beams, o.lidar.range)?;
+        write!(xml, "streamVehicles=\"{}\"", o.stream_vehicles)?;
+        if o.encounters > 0 {
+            write!(xml, " encounters=\"{}\"", o.encounters)?;
+        }
+        if o.lidar != Lidar::default() {
+            write!(xml, " lidarBeams=\"{}\" lidarRange=\"{}\"", o.lidar.beams, o.lidar.range)?;
+        }
+        writeln!(xml, "/>")?;
         let r = self.reward;
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
         writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;
         let t = self.termination;
-        write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\" ", t.horizon, t.wreck_time)?;
-        writeln!(xml, "border=\"{}\"/>", t.border.name())?;
+        write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"", t.horizon, t.wreck_time)?;
+        if t.border != Border::Line {
+            write!(xml, " border=\"{}\"", t.border.name())?;
+        }
+        writeln!(xml, "/>")?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;
         writeln!(xml, "</scenario>")
     }
 }
 
 /// Text as it may stand in an attribute or an element.
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -38,12 +38,16 @@ pub(super) struct Vehicle<'a> {
     pub(super) name: &'a str,
 }
 
+/// SUMO's lane change mode in which it changes no lanes by itself.
+const NO_LANE_CHANGES: i32 = 0;
+
 /// Takes checked commands, by SUMO's names.
 pub(super) trait Orders {
     fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64);
     fn remove(&mut self, vehicle: Vehicle<'_>);
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
+    fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
     /// `angle` is navigational \[deg\].
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8);
 }
@@ -215,6 +219,9 @@ impl Fleet {
                 }
                 Command::SpeedMode { world, slot, mode } => {
                     orders.set_speed_mode(self.named(self.vehicle(world, slot)?), mode);
+                }
+                Command::KeepLane { world, slot } => {
+                    orders.set_lane_change_mode(self.named(self.vehicle(world, slot)?), NO_LANE_CHANGES);
                 }
                 Command::MoveTo { world, slot, x, y, heading, keep_route } => {
                     finite("a coordinate", x)?;

@@ -258,6 +258,7 @@ enum Kind {
     Remove,
     Speed,
     SpeedMode,
+    LaneChangeMode,
     Move,
 }
 
@@ -294,6 +295,7 @@ impl Columns {
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
                 Kind::SpeedMode => orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?,
+                Kind::LaneChangeMode => orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?,
                 Kind::Move => {
                     orders.append((
                         "vehicle.moveToXY",
@@ -326,6 +328,10 @@ impl Orders for Columns {
 
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
         self.rows.push((Kind::SpeedMode, vehicle.index, [f64::from(mode), 0.0, 0.0, 0.0]));
+    }
+
+    fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
+        self.rows.push((Kind::LaneChangeMode, vehicle.index, [f64::from(mode), 0.0, 0.0, 0.0]));
     }
 
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {

@@ -30,7 +30,7 @@ pub use error::Error;
 pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
 #[cfg(feature = "libsumo")]
 pub use libsumo::LibsumoSimulation;
-pub use process::{find_sumo, sumo_version, traci_version};
+pub use process::{find_program, find_sumo, sumo_version, traci_version};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     Collision, Command, Meter, Renewal, Route, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,

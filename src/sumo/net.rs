@@ -37,6 +37,9 @@ const MAX_POINTS: usize = 1 << 16;
 /// Shortest length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
 const MIN_LENGTH: f64 = 1e-3;
 
+/// SUMO's class of the vehicles that this program drives.
+const CARS: &str = "passenger";
+
 /// Largest magnitude of any number in a net; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
 
@@ -77,6 +80,8 @@ pub struct Lane {
     pub width: f64,
     /// Centre line in driving direction, two points or more \[m\].
     pub shape: Vec<[f64; 2]>,
+    /// Whether passenger cars may use it.
+    pub cars: bool,
 }
 
 /// What an edge is for.
@@ -217,8 +222,8 @@ impl Net {
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
             let mut connected = false;
-            for lane in route[i].lanes.clone() {
-                let onward = self.connections_from(lane).filter(|c| next.contains(&c.to));
+            for lane in route[i].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
+                let onward = self.connections_from(lane).filter(|c| next.contains(&c.to) && self.lanes[c.to].cars);
                 let onward = onward.inspect(|_| connected = true);
                 let onward = onward.filter(|c| ways.get(i + 1).is_none_or(|ways| ways.contains_key(&c.to)));
                 if let Some(best) = onward.min_by_key(|c| c.to) {
@@ -231,7 +236,7 @@ impl Net {
             }
         }
         let lane_change = || NetError::LaneChange { path: self.path.clone(), route: shorten(&edges.join(" ")) };
-        let wanted = |lane: usize| first.is_none_or(|first| self.lanes[lane].index == first);
+        let wanted = |lane: usize| self.lanes[lane].cars && first.is_none_or(|first| self.lanes[lane].index == first);
         let good = |lane: &usize| wanted(*lane) && ways.first().is_none_or(|ways| ways.contains_key(lane));
         let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
@@ -242,6 +247,17 @@ impl Net {
             lanes.push(lane);
         }
         Ok(lanes)
+    }
+
+    /// The first lane of a path from which more than one connection leads to the next road.
+    pub fn fork(&self, path: &Path) -> Option<usize> {
+        let road = |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
+        let roads: Vec<usize> = path.lanes.iter().copied().filter(road).collect();
+        let forks = |pair: &&[usize]| {
+            let next = self.lanes[pair[1]].edge;
+            self.connections_from(pair[0]).filter(|c| self.lanes[c.to].edge == next).count() > 1
+        };
+        roads.windows(2).find(forks).map(|pair| pair[0])
     }
 
     /// Appends the internal lanes of a connection; there are several where vehicles may wait within the junction.
@@ -260,7 +276,7 @@ impl Net {
     /// The road of this id.
     fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
         match self.edge_index(id).map(|i| &self.edges[i]) {
-            Some(edge) if edge.function == EdgeFunction::Normal => Ok(edge),
+            Some(edge) if self.is_road(edge) => Ok(edge),
             Some(_) => Err(NetError::NotRoad { path: self.path.clone(), edge: shorten(id) }),
             None => Err(NetError::NoEdge {
                 path: self.path.clone(),
@@ -270,8 +286,14 @@ impl Net {
         }
     }
 
-    fn roads(&self) -> impl Iterator<Item = &Edge> {
-        self.edges.iter().filter(|e| e.function == EdgeFunction::Normal)
+    /// Whether cars may drive on an edge that is no part of a junction.
+    fn is_road(&self, edge: &Edge) -> bool {
+        edge.function == EdgeFunction::Normal && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
+    }
+
+    /// Edges that a route of a car can name.
+    pub fn roads(&self) -> impl Iterator<Item = &Edge> {
+        self.edges.iter().filter(|edge| self.is_road(edge))
     }
 }
 
@@ -394,6 +416,10 @@ impl Reader<'_, '_> {
                 Some(_) => self.number(node, "width", 0.0)?,
             },
             shape: self.points(node, 2)?,
+            cars: {
+                let cars = |list: &str| list.split_whitespace().any(|class| matches!(class, "all" | CARS));
+                node.attribute("allow").is_none_or(cars) && !node.attribute("disallow").is_some_and(cars)
+            },
         })
     }
 

@@ -340,7 +340,15 @@ fn spawn_bound(mut command: Command) -> io::Result<Child> {
 /// # Errors
 /// [`Error::NotFound`], with the folders that were searched.
 pub fn find_sumo() -> Result<PathBuf, Error> {
-    find_in("sumo", std::env::var_os("SUMO_HOME").as_deref(), std::env::var_os("PATH").as_deref())
+    find_program("sumo")
+}
+
+/// The same for another of SUMO's programs, as `netconvert`.
+///
+/// # Errors
+/// As [`find_sumo`].
+pub fn find_program(binary: &str) -> Result<PathBuf, Error> {
+    find_in(binary, std::env::var_os("SUMO_HOME").as_deref(), std::env::var_os("PATH").as_deref())
 }
 
 fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<PathBuf, Error> {

@@ -66,6 +66,13 @@ pub enum Command {
         /// The bits.
         mode: i32,
     },
+    /// SUMO no longer changes the vehicle's lane of its own accord.
+    KeepLane {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+    },
     /// Places the vehicle, from the end of the coming step on (TraCI's `moveToXY`).
     MoveTo {
         /// World number.

@@ -157,6 +157,10 @@ impl Orders for Message<'_> {
         self.batch.vehicle().set_speed_mode(vehicle.name, mode);
     }
 
+    fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
+        self.batch.vehicle().set_lane_change_mode(vehicle.name, mode);
+    }
+
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {
         let placement = Placement { angle, keep_route, ..Placement::default() };
         self.batch.vehicle().move_to_xy(vehicle.name, [x, y], &placement);

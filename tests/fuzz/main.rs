@@ -17,7 +17,10 @@ use allocation_counter::measure;
 use iwol_sumo::{
     env::{Driver, Task, World},
     rng::{Rng, Seed, below},
-    scenario::Scenario,
+    scenario::{
+        Scenario, Severity,
+        author::{Sizes, Template, create},
+    },
     sumo::{
         Command, Snapshot, VehicleState,
         net::{Net, NetError, Path, tile},
@@ -198,7 +201,7 @@ fn drive(task: Task, rng: &mut Rng) {
                     assert_finite(&[speed]);
                     vehicles[slot as usize].as_mut().unwrap().1 = speed;
                 }
-                Command::SpeedMode { .. } | Command::MoveTo { .. } => {}
+                Command::SpeedMode { .. } | Command::KeepLane { .. } | Command::MoveTo { .. } => {}
             }
         }
         let mut snapshot = Snapshot::default();
@@ -259,5 +262,35 @@ fn damaged_scenarios_are_read_or_refused() {
                 drive(task, &mut rng);
             }
         }
+    });
+}
+
+/// A check ends soon, and every error that it finds has a place in the file.
+#[test]
+fn damaged_scenarios_are_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889 };
+    let made = Template::ALL.map(|template| {
+        let file = create(folder.path(), template.name(), template, &sizes).unwrap();
+        let text = fs::read_to_string(&file).unwrap();
+        (file, text)
+    });
+    cases::run(1000, move |number| {
+        let mut rng = Seed::new(number).child("check").rng();
+        let (file, text) = &made[below(&mut rng, made.len())];
+        let damaged = mutate::damaged(&mut rng, text, NET);
+        fs::write(file, &damaged).unwrap();
+        let net = fs::metadata(Scenario::parse(text, file).unwrap().net_for(2).unwrap().file.clone()).unwrap().len();
+        let findings = bounded(damaged.len() + 2 * net as usize, || Scenario::check(file));
+        let errors = findings.list.iter().filter(|finding| finding.severity == Severity::Error);
+        for error in errors.clone() {
+            let unreadable =
+                error.message.contains("cannot read the scenario") || error.message.contains("larger than");
+            assert!(error.at.is_some() || unreadable, "without a place: {error}");
+            assert!(error.message.len() <= MESSAGE && !error.message.chars().any(char::is_control), "{error:?}");
+        }
+        // What the check calls sound can be loaded, and nothing else can.
+        assert_eq!(findings.scenario.is_some(), Scenario::load(file).is_ok());
+        assert!(findings.scenario.is_some() || errors.count() > 0);
     });
 }

@@ -159,6 +159,9 @@ impl World {
                 depart_speed: 0.0,
             });
             commands.push(Command::SpeedMode { world, slot: at, mode });
+            if task.several_lanes {
+                commands.push(Command::KeepLane { world, slot: at });
+            }
             if self.driver == Driver::Agents {
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }

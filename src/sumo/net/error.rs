@@ -170,7 +170,7 @@ impl NetError {
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound => {
-                Some("build the net with netconvert, or correct the file name".into())
+                Some("build the net (`iwol scenario build`), or correct the file name".into())
             }
             Self::Read { path, .. } if path.extension().is_some_and(|e| e == "gz") => {
                 Some("compressed nets are not read; unpack it with gunzip".into())

@@ -1,0 +1,32 @@
+//! `iwol scenario build`
+
+use std::path::PathBuf;
+
+use iwol_sumo::scenario::author::{State, build};
+
+use super::Verdict;
+
+/// A net is built of the sources that its .netccfg names, when one of them is newer.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Scenario file
+    scenario: PathBuf,
+    /// Build all nets that have sources, old or not
+    #[arg(long)]
+    all: bool,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    for net in build(&args.scenario, args.all)? {
+        let done = match net.before {
+            State::NoSources => "has no sources (.netccfg) beside it",
+            State::UpToDate if !args.all => "up to date",
+            State::UpToDate | State::OutOfDate => "built",
+        };
+        println!("{}: {done}", net.net.display());
+        for warning in net.warnings {
+            eprintln!("netconvert: {warning}");
+        }
+    }
+    Ok(Verdict::Good)
+}

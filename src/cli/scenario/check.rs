@@ -1,0 +1,121 @@
+//! `iwol scenario check`
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use iwol_sumo::env;
+use iwol_sumo::inspect::Trial;
+use iwol_sumo::rng::Seed;
+use iwol_sumo::scenario::{Finding, Findings, Scenario, Severity};
+use iwol_sumo::sumo::{self, Hosting};
+use serde::Serialize;
+
+use super::Verdict;
+
+/// Reads the file and its nets, then runs the scenario for a while with SUMO.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Exit code: 0 fine, or warnings only; 1 errors in the scenario; 2 a mistake on the command line, no such file, or no SUMO."
+)]
+pub(super) struct Args {
+    /// Scenario file
+    scenario: PathBuf,
+    /// Number of vehicles in the trial [default: the scenario's]
+    #[arg(long)]
+    agents: Option<u32>,
+    /// Steps of the trial; 0: none, and no SUMO is needed
+    #[arg(long, default_value_t = 1000)]
+    steps: u32,
+    /// Seed of the trial
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is printed with `--json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    scenario: &'a Path,
+    errors: usize,
+    warnings: usize,
+    findings: &'a [Finding],
+    trial: Option<&'a Trial>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let file = std::fs::metadata(&args.scenario);
+    let file = file.with_context(|| format!("cannot read `{}`", args.scenario.display()))?;
+    ensure!(file.is_file(), "`{}` is no file", args.scenario.display());
+    let mut findings = Scenario::check(&args.scenario);
+    let trial = match &findings.scenario {
+        Some(scenario) if args.steps > 0 => {
+            let agents = args.agents.unwrap_or(scenario.agents.default);
+            let trial = Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &Hosting::default());
+            match trial {
+                Ok(trial) => {
+                    findings.list.extend(trial.findings(scenario));
+                    Some(trial)
+                }
+                Err(error) if is_fault_of_scenario(&error) => {
+                    findings.list.push(failed(&error, &args.scenario));
+                    None
+                }
+                Err(error) => return Err(error).context("the trial could not be run"),
+            }
+        }
+        _ => None,
+    };
+    let count = |severity| findings.list.iter().filter(|finding| finding.severity == severity).count();
+    let (errors, warnings) = (count(Severity::Error), count(Severity::Warning));
+    if args.json {
+        let report =
+            Report { scenario: &args.scenario, errors, warnings, findings: &findings.list, trial: trial.as_ref() };
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print(&findings, trial.as_ref());
+        println!("{}: {errors} errors, {warnings} warnings", args.scenario.display());
+    }
+    Ok(if errors > 0 { Verdict::Bad } else { Verdict::Good })
+}
+
+/// Whether a trial failed because of the scenario and its net, rather than of the machine or the number of agents asked for.
+fn is_fault_of_scenario(error: &env::Error) -> bool {
+    match error {
+        env::Error::Sumo { source, .. } => {
+            matches!(source, sumo::Error::Exited { .. } | sumo::Error::Refused { .. } | sumo::Error::Closed { .. })
+        }
+        env::Error::Scenario(_) | env::Error::Panicked { .. } | env::Error::Replay => false,
+        _ => true,
+    }
+}
+
+fn failed(error: &env::Error, path: &Path) -> Finding {
+    let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
+    let message = causes.fold(format!("the trial failed: {error}"), |text, cause| format!("{text}: {cause}"));
+    Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
+}
+
+/// The numbers first, so that what is wrong stands at the end.
+fn print(findings: &Findings, trial: Option<&Trial>) {
+    if let Some(trial) = trial {
+        print_trial(trial);
+    }
+    for severity in [Severity::Error, Severity::Warning] {
+        for finding in findings.list.iter().filter(|finding| finding.severity == severity) {
+            println!("{finding}");
+        }
+    }
+}
+
+fn print_trial(trial: &Trial) {
+    println!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
+    for range in &trial.observation {
+        println!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
+    }
+    println!(
+        "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",
+        trial.agents, trial.steps, trial.episodes, trial.steps_per_second
+    );
+}

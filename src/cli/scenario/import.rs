@@ -1,0 +1,58 @@
+//! `iwol scenario import`
+
+use std::path::PathBuf;
+
+use iwol_sumo::scenario::author::{Candidate, Map, import};
+
+use super::Verdict;
+
+/// Most junctions and warnings that are listed.
+const LISTED: usize = 8;
+
+/// The proposal takes one junction, all ways over it that need no lane change, and places on the lanes before it.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// OpenStreetMap extract (XML), which netconvert makes a net of
+    #[arg(long, value_name = "FILE", required_unless_present = "net", conflicts_with = "net")]
+    osm: Option<PathBuf>,
+    /// SUMO net (.net.xml)
+    #[arg(long, value_name = "FILE")]
+    net: Option<PathBuf>,
+    /// Name of the scenario, also of its files
+    #[arg(long, value_name = "NAME")]
+    out: String,
+    /// Id of the junction [default: the one with the most arms and places]
+    #[arg(long, value_name = "ID")]
+    junction: Option<String>,
+    /// Number of vehicles where the user does not say, if there is room
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    agents: u32,
+    /// Folder in which scenarios/ and sumo_nets/ are
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    root: PathBuf,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let map = match (&args.osm, &args.net) {
+        (Some(file), _) => Map::Osm(file),
+        (None, Some(file)) => Map::Net(file),
+        (None, None) => unreachable!("one of them is required"),
+    };
+    let imported = import(&args.root, &args.out, map, args.junction.as_deref(), args.agents)?;
+    for warning in imported.warnings.iter().take(LISTED) {
+        eprintln!("netconvert: {warning}");
+    }
+    if imported.warnings.len() > LISTED {
+        eprintln!("netconvert: {} more warnings", imported.warnings.len() - LISTED);
+    }
+    eprintln!("{:<32} {:<20} {:>5} {:>7} {:>7}", "junction", "type", "arms", "routes", "places");
+    for (i, Candidate { junction, kind, arms, routes, places }) in imported.candidates.iter().enumerate().take(LISTED) {
+        let chosen = if i == 0 { "  chosen" } else { "" };
+        eprintln!("{junction:<32} {kind:<20} {arms:>5} {routes:>7} {places:>7}{chosen}");
+    }
+    if imported.candidates.len() > LISTED {
+        eprintln!("and {} more; choose with --junction", imported.candidates.len() - LISTED);
+    }
+    super::next(&imported.scenario);
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,58 @@
+//! `iwol scenario`: make, build, check and show scenarios.
+
+mod build;
+mod check;
+mod import;
+mod new;
+mod show;
+
+use clap::Subcommand;
+
+use super::Verdict;
+
+/// What is done with a scenario.
+#[derive(Debug, clap::Args)]
+#[command(arg_required_else_help = true)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Write a scenario from a template into scenarios/ and sumo_nets/, and build its net
+    New(new::Args),
+    /// Propose a scenario for an OpenStreetMap extract or a SUMO net
+    Import(import::Args),
+    /// Build the nets of a scenario whose sources have changed
+    Build(build::Args),
+    /// Say what is wrong with a scenario, and try it out
+    Check(check::Args),
+    /// Draw a scenario
+    Show(show::Args),
+    /// Print the documentation of all elements and attributes of scenario files, as Markdown
+    Reference,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    match &args.verb {
+        Verb::New(args) => new::run(args),
+        Verb::Import(args) => import::run(args),
+        Verb::Build(args) => build::run(args),
+        Verb::Check(args) => check::run(args),
+        Verb::Show(args) => show::run(args),
+        Verb::Reference => {
+            print!("{}", iwol_sumo::scenario::markdown());
+            Ok(Verdict::Good)
+        }
+    }
+}
+
+/// Says what to do next with a new scenario.
+fn next(scenario: &std::path::Path) {
+    println!("{}", scenario.display());
+    let file = scenario.display();
+    eprintln!(
+        "\nnext: iwol scenario check {file}\n      iwol scenario show {file} -o picture.png\n      iwol train --scenario {file}"
+    );
+}

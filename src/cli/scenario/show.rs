@@ -1,0 +1,39 @@
+//! `iwol scenario show`
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use iwol_sumo::env::Task;
+use iwol_sumo::inspect::{page, picture};
+use iwol_sumo::record::write_atomic;
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::net::Net;
+
+use super::Verdict;
+
+/// Its net, the places, routes and where they meet, and the radio range of one vehicle.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Scenario file
+    scenario: PathBuf,
+    /// Picture to write: .svg, .png, or .html with a table of the routes
+    #[arg(long, short, value_name = "FILE")]
+    out: PathBuf,
+    /// Number of vehicles, which chooses the net [default: the scenario's]
+    #[arg(long)]
+    agents: Option<u32>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let scenario = Scenario::load(&args.scenario)?;
+    let task = Task::new(&scenario, args.agents.unwrap_or(scenario.agents.default))?;
+    let net = Net::load(task.net_file())?;
+    match args.out.extension().and_then(|ending| ending.to_str()) {
+        Some("svg") => write_atomic(&args.out, picture(&task, &net).svg().as_bytes())?,
+        Some("png") => picture(&task, &net).png(&args.out)?,
+        Some("html") => write_atomic(&args.out, page(&task, &net).as_bytes())?,
+        _ => bail!("`{}` is no picture: give a name that ends in .svg, .png or .html", args.out.display()),
+    }
+    println!("{}", args.out.display());
+    Ok(Verdict::Good)
+}

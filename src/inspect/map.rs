@@ -1,0 +1,182 @@
+//! A scenario drawn: its net, routes, places, radio range, and where routes meet.
+
+use std::fmt::Write as _;
+
+use crate::env::{Pose, Task};
+use crate::plot::{Picture, Rgb, escaped};
+use crate::scenario::SpawnPlace;
+use crate::sumo::net::{EdgeFunction, Net};
+
+const ROAD: Rgb = [214, 218, 222];
+const JUNCTION: Rgb = [232, 234, 236];
+const VEHICLE: Rgb = [60, 60, 60];
+const FINISH: Rgb = [0, 158, 115];
+const MEETING: Rgb = [213, 94, 0];
+/// None of those that mean something else.
+const ROUTES: [Rgb; 4] = [[0, 114, 178], [230, 159, 0], [86, 180, 233], [120, 94, 200]];
+const RADIO: Rgb = [204, 121, 167];
+/// Width of lines and radius of meeting points \[m\].
+const LINE: f64 = 0.35;
+const POINT: f64 = 0.9;
+/// What is shown of the net around the routes \[m\].
+const AROUND: f64 = 25.0;
+/// Meeting points nearer to each other are one on the picture \[m\].
+const SAME: f64 = 1.0;
+
+/// A scenario with a number of agents, from above.
+pub fn picture(task: &Task, net: &Net) -> Picture {
+    let meetings = meetings(task);
+    let counted = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
+    let mut picture = Picture::new(format!(
+        "{}: {}, {}, {}",
+        task.scenario.name,
+        counted(task.places.len(), "place"),
+        counted(task.routes.len(), "route"),
+        counted(meetings.len(), "meeting point"),
+    ));
+    let [left, bottom, right, top] = task.bounds;
+    let window = [[left - AROUND, bottom - AROUND], [right + AROUND, top + AROUND]];
+    for (function, color) in [(EdgeFunction::Internal, JUNCTION), (EdgeFunction::Normal, ROAD)] {
+        for lane in net.lanes.iter().filter(|lane| net.edges[lane.edge].function == function) {
+            for piece in cut(&lane.shape, &window) {
+                picture.line(&piece, lane.width, color);
+            }
+        }
+    }
+    let vehicle = task.scenario.vehicle;
+    for (i, route) in task.routes.iter().enumerate() {
+        picture.line(&route.path.points, LINE, ROUTES[i % ROUTES.len()]);
+    }
+    for route in &task.routes {
+        let ([x, y], heading) = route.path.at(route.arrival);
+        picture.line(&across([x, y], heading, route.path.widths.last().copied().unwrap_or(0.0)), 2.0 * LINE, FINISH);
+    }
+    let pose = |place: &SpawnPlace| {
+        let path = &task.routes[place.routes[0]].path;
+        let ([x, y], heading) = path.at(path.arc(0, place.pos).unwrap_or(0.0));
+        Pose { x, y, heading }
+    };
+    let poses: Vec<Pose> = task.places.iter().map(pose).collect();
+    let from_middle = |p: &&Pose| (p.x - f64::midpoint(left, right)).hypot(p.y - f64::midpoint(bottom, top));
+    if let Some(one) = poses.iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b))) {
+        picture.circle([one.x, one.y], task.scenario.communication.range, Some(LINE), RADIO);
+    }
+    for pose in &poses {
+        picture.area(&body(pose, vehicle.length, vehicle.width), VEHICLE);
+    }
+    for &at in &meetings {
+        picture.circle(at, POINT, None, MEETING);
+    }
+    picture.explain(VEHICLE, "places where vehicles begin");
+    picture.explain(ROUTES[0], "routes, in colours in turn");
+    picture.explain(FINISH, "finish of a route");
+    picture.explain(MEETING, "where routes cross or merge");
+    picture.explain(RADIO, format!("radio range of one vehicle, {} m", task.scenario.communication.range));
+    picture
+}
+
+/// The picture with a table of the routes, as one HTML file.
+pub fn page(task: &Task, net: &Net) -> String {
+    let scenario = &task.scenario;
+    let mut rows = String::new();
+    for (route, geometry) in scenario.routes.iter().zip(&task.routes) {
+        let meets: Vec<String> = geometry
+            .conflicts
+            .iter()
+            .map(|conflict| format!("{} at {:.0} m", scenario.routes[conflict.route].id, conflict.own))
+            .collect();
+        let _ = writeln!(
+            rows,
+            "<tr><td>{}</td><td>{}</td><td>{:.1}</td><td>{}</td></tr>",
+            escaped(&route.id),
+            escaped(&route.edges.join(" ")),
+            geometry.arrival,
+            escaped(&meets.join(", "))
+        );
+    }
+    format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{name}</title>\n\
+         <style>body{{font-family:sans-serif;margin:2em}}svg{{max-width:100%;height:auto}}\
+         td,th{{text-align:left;padding:.2em 1em .2em 0;vertical-align:top}}</style></head>\n\
+         <body><h1>{name}</h1>\n<p>{description}</p>\n<p>{agents} agents, net {net}</p>\n{svg}\n\
+         <table><tr><th>route</th><th>edges</th><th>finish at [m]</th><th>meets</th></tr>\n{rows}</table></body></html>\n",
+        name = escaped(&scenario.name),
+        description = escaped(&scenario.description),
+        agents = task.agents,
+        net = escaped(&net.path.display().to_string()),
+        svg = picture(task, net).svg(),
+    )
+}
+
+/// Points at which routes cross or merge, each once.
+fn meetings(task: &Task) -> Vec<[f64; 2]> {
+    let mut points: Vec<[f64; 2]> = Vec::new();
+    for route in &task.routes {
+        for conflict in route.conflicts.iter().filter(|conflict| conflict.own <= route.arrival) {
+            let ([x, y], _) = route.path.at(conflict.own);
+            if !points.iter().any(|p| (p[0] - x).hypot(p[1] - y) < SAME) {
+                points.push([x, y]);
+            }
+        }
+    }
+    points
+}
+
+/// The pieces of a line that lie in a window, given by its lower left and upper right corners.
+fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
+    let mut pieces: Vec<Vec<[f64; 2]>> = Vec::new();
+    for pair in line.windows(2) {
+        let way = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
+        let mut span = (0.0_f64, 1.0_f64);
+        for axis in 0..2 {
+            let ends = [window[0][axis] - pair[0][axis], window[1][axis] - pair[0][axis]];
+            if way[axis] == 0.0 {
+                // Beside the window, nothing is left.
+                span.1 = if ends[0] <= 0.0 && ends[1] >= 0.0 { span.1 } else { -1.0 };
+            } else {
+                let [a, b] = ends.map(|end| end / way[axis]);
+                span = (span.0.max(a.min(b)), span.1.min(a.max(b)));
+            }
+        }
+        if span.0 > span.1 {
+            continue;
+        }
+        let at = |t: f64| [pair[0][0] + t * way[0], pair[0][1] + t * way[1]];
+        match pieces.last_mut().filter(|piece| span.0 == 0.0 && piece.last() == Some(&pair[0])) {
+            Some(piece) => piece.push(at(span.1)),
+            None => pieces.push(vec![at(span.0), at(span.1)]),
+        }
+    }
+    pieces
+}
+
+/// A line across a lane.
+fn across([x, y]: [f64; 2], heading: f64, width: f64) -> [[f64; 2]; 2] {
+    let (sin, cos) = heading.sin_cos();
+    let half = width / 2.0;
+    [[x - half * sin, y + half * cos], [x + half * sin, y - half * cos]]
+}
+
+/// Corners of a vehicle, with a pointed front that tells its heading.
+fn body(pose: &Pose, length: f64, width: f64) -> [[f64; 2]; 5] {
+    let (sin, cos) = pose.heading.sin_cos();
+    let (l, w) = (length / 2.0, width / 2.0);
+    [[-l, -w], [0.6 * l, -w], [l, 0.0], [0.6 * l, w], [-l, w]]
+        .map(|[x, y]| [pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_cut_at_the_window() {
+        let window = [[0.0, 0.0], [10.0, 10.0]];
+        let inside = [[1.0, 1.0], [5.0, 1.0], [5.0, 9.0]];
+        assert_eq!(cut(&inside, &window), [inside.to_vec()]);
+        // In, out at the right, and in again from the top.
+        let line = [[-5.0, 5.0], [15.0, 5.0], [15.0, 20.0], [5.0, 20.0], [5.0, 8.0]];
+        assert_eq!(cut(&line, &window), [vec![[0.0, 5.0], [10.0, 5.0]], vec![[5.0, 10.0], [5.0, 8.0]]]);
+        assert!(cut(&[[11.0, 0.0], [11.0, 10.0]], &window).is_empty());
+    }
+}

@@ -1,0 +1,251 @@
+//! The files of a scenario and where they are: `scenarios/<name>.xml` with its schema, and in `sumo_nets/<name>/` the net
+//! with its sources, and what SUMO alone needs to show it.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::super::write::escape;
+use super::super::{
+    AgentRange, Border, Communication, Control, Jitter, Lidar, Net, Observation, ObservationGroups, Reward, Route,
+    SCHEMA, Scenario, SpawnRow, Termination, Vehicle, schema,
+};
+use super::{Error, SPACING, netconvert};
+use crate::record::write_atomic;
+use crate::sumo::net::Path as Way;
+
+/// Range of sight, more than it takes to stop from any speed that a template allows \[m\].
+const DETECTION: f64 = 100.0;
+/// Range of radio \[m\].
+const RADIO: f64 = 50.0;
+/// Most crossing or merging streams that agents see, which is also the most that a scenario may ask for.
+const STREAMS: usize = 16;
+/// An episode has so many times the steps of the longest route, as cars have to wait.
+const PATIENCE: f64 = 8.0;
+
+/// Where the files of a new scenario go.
+pub(super) struct Layout {
+    pub(super) scenario: PathBuf,
+    pub(super) folder: PathBuf,
+    pub(super) net: PathBuf,
+    name: String,
+}
+
+impl Layout {
+    /// Below the folder `root`.
+    ///
+    /// # Errors
+    /// [`Error::Name`], [`Error::Exists`].
+    pub(super) fn new(root: &Path, name: &str) -> Result<Self, Error> {
+        if !Scenario::is_name(name) {
+            return Err(Error::Name { name: name.into() });
+        }
+        // `.` would stand before all names in messages.
+        let root = root.strip_prefix(".").unwrap_or(root);
+        let scenario = root.join("scenarios").join(format!("{name}.xml"));
+        let folder = root.join("sumo_nets").join(name);
+        if let Some(path) = [&scenario, &folder].into_iter().find(|path| path.exists()) {
+            return Err(Error::Exists { path: path.clone() });
+        }
+        let net = root.join("scenarios").join("..").join("sumo_nets").join(name).join(format!("{name}.net.xml"));
+        Ok(Self { scenario, folder, net, name: name.into() })
+    }
+
+    /// Runs `make` with the folders in place; what it has written is removed if it fails.
+    pub(super) fn fill<T>(&self, make: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+        for folder in [self.scenario.parent(), Some(&self.folder)].into_iter().flatten() {
+            fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.into(), source })?;
+        }
+        make().inspect_err(|_| {
+            // Both are ours: neither was there before.
+            let _ = fs::remove_dir_all(&self.folder);
+            let _ = fs::remove_file(&self.scenario);
+        })
+    }
+
+    /// A file in the net's folder that is called after the scenario.
+    pub(super) fn file(&self, ending: &str) -> PathBuf {
+        self.folder.join(format!("{}.{ending}", self.name))
+    }
+
+    /// Writes netconvert's configuration: inputs as `(option, file name)`, and further options.
+    pub(super) fn configure(&self, inputs: &[(&str, String)], options: &[(&str, &str)]) -> Result<(), Error> {
+        let mut text = String::from(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+             <!-- How SUMO's netconvert makes the net of its sources; `iwol scenario build` runs it. -->\n\
+             <configuration>\n    <input>\n",
+        );
+        for (option, file) in inputs {
+            let _ = writeln!(text, "        <{option} value=\"{}\"/>", escape(file));
+        }
+        let _ = writeln!(text, "    </input>\n    <output>\n        <output-file value=\"{}.net.xml\"/>", self.name);
+        let _ = writeln!(text, "        <precision value=\"3\"/>\n    </output>\n    <processing>");
+        for (option, value) in options {
+            let _ = writeln!(text, "        <{option} value=\"{value}\"/>");
+        }
+        let _ =
+            writeln!(text, "    </processing>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>");
+        text.push_str("</configuration>\n");
+        Ok(write_atomic(&self.file("netccfg"), text.as_bytes())?)
+    }
+
+    /// Writes the scenario with comments and its schema, and what `sumo -c` takes.
+    pub(super) fn write(&self, scenario: &Scenario) -> Result<(), Error> {
+        write_atomic(&self.scenario.with_file_name("scenario.xsd"), SCHEMA.as_bytes())?;
+        write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
+        // What goes for everyone goes for files that were just made.
+        let scenario = Scenario::load(&self.scenario)?;
+        write_atomic(&self.file("sumocfg"), configuration(&self.name, &scenario).as_bytes())?;
+        scenario.nets.iter().try_for_each(|net| show_traffic(&scenario, net))
+    }
+
+    /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
+    pub(super) fn scenario(&self, site: Site) -> Scenario {
+        let Site { description, routes, ways, rows, agents, speed } = site;
+        let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
+        // A vehicle should see all whose way it may meet; those behind each other on a lane do not count.
+        let meets = |one: &Way| ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count();
+        let streams = ways.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
+        let spawn =
+            |Row { routes, first, count }| SpawnRow { routes: Arc::from(routes), first, spacing: SPACING, count };
+        let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
+        let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
+        let places: u32 = spawns.iter().map(|row| row.count).sum();
+        let interval = 0.1;
+        let horizon = (PATIENCE * longest / (speed * interval) / 100.0).ceil() * 100.0;
+        Scenario {
+            name: self.name.clone(),
+            path: self.scenario.clone(),
+            description,
+            agents: AgentRange { min: places.min(2), max: places, default: agents.min(places) },
+            nets: vec![Net { file: self.net.clone(), spawns }],
+            routes,
+            vehicle: Vehicle { length: 4.515, width: 1.852, max_speed: speed },
+            jitter: Jitter { longitudinal: 1.0, lateral: 0.25 },
+            control: Control {
+                interval,
+                accel: 2.909,
+                drag: 0.364,
+                brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
+                steering: None,
+            },
+            observation: Observation {
+                groups: ObservationGroups::Conflict,
+                detection_range: DETECTION,
+                neighbours: 4,
+                conflict_streams: streams,
+                stream_vehicles: longest_row.min(3) as usize,
+                encounters: 0,
+                lidar: Lidar::default(),
+            },
+            reward: Reward {
+                progress: 1.0,
+                speed: 0.1,
+                arrive: 10.0,
+                out_of_road: -10.0,
+                crash: -10.0,
+                cooperation: 0.35,
+            },
+            termination: Termination {
+                horizon: horizon.clamp(500.0, 1e6) as u32,
+                wreck_time: 2.5,
+                border: Border::Line,
+            },
+            communication: Communication { range: RADIO },
+        }
+    }
+}
+
+/// What a scenario is made of beside its usual settings.
+pub(super) struct Site {
+    pub(super) description: String,
+    pub(super) routes: Vec<Route>,
+    /// Where the routes lead, in their order.
+    pub(super) ways: Vec<Way>,
+    pub(super) rows: Vec<Row>,
+    pub(super) agents: u32,
+    /// Top speed \[m/s\].
+    pub(super) speed: f64,
+}
+
+/// Places on a lane.
+pub(super) struct Row {
+    /// Indices of the routes that begin there.
+    pub(super) routes: Vec<usize>,
+    /// Position of the first place \[m\].
+    pub(super) first: f64,
+    pub(super) count: u32,
+}
+
+/// A scenario's XML with the schema's explanations before each part.
+fn commented(xml: &str) -> String {
+    let mut text = String::new();
+    for line in xml.lines() {
+        let name = line.strip_prefix("    <").filter(|rest| rest.starts_with(char::is_alphabetic));
+        let name = name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next());
+        if let Some(lines) = name.and_then(schema::comment) {
+            let _ = writeln!(text, "\n    <!-- {} -->", lines.join("\n         ").replace("--", "-"));
+        }
+        text.push_str(line);
+        text.push('\n');
+    }
+    text
+}
+
+/// Writes the vehicles that SUMO alone shows, if there is a `.sumocfg` beside the net.
+pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> {
+    let config = netconvert::beside(&net.file, "sumocfg");
+    if !config.exists() {
+        return Ok(());
+    }
+    Ok(write_atomic(&netconvert::beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
+}
+
+/// Routes for SUMO alone: a vehicle at each place of a net, which takes one of the place's routes.
+fn traffic(scenario: &Scenario, net: &Net) -> String {
+    let (v, c) = (scenario.vehicle, &scenario.control);
+    let mut text = String::from(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- The places and routes of the scenario, for SUMO alone: `iwol` does not read this file. -->\n<routes>\n",
+    );
+    let decel = c.brake.last().map_or(c.accel, |point| point.1).min(4.5);
+    let _ = writeln!(
+        text,
+        "    <vType id=\"agent\" length=\"{}\" width=\"{}\" maxSpeed=\"{}\" accel=\"{}\" decel=\"{decel}\" minGap=\"1\"/>",
+        v.length, v.width, v.max_speed, c.accel
+    );
+    for route in &scenario.routes {
+        let _ =
+            writeln!(text, "    <route id=\"{}\" edges=\"{}\"/>", escape(&route.id), escape(&route.edges.join(" ")));
+    }
+    for (number, place) in net.places().enumerate() {
+        let route = &scenario.routes[place.routes[number % place.routes.len()]];
+        let lane = route.lane.map_or_else(|| "best".to_owned(), |lane| lane.to_string());
+        // SUMO's positions are those of the front bumper.
+        let front = place.pos + v.length / 2.0;
+        let _ = writeln!(
+            text,
+            "    <vehicle id=\"{number}\" type=\"agent\" route=\"{}\" depart=\"0\" departPos=\"{front}\" departLane=\"{lane}\"/>",
+            escape(&route.id)
+        );
+    }
+    text + "</routes>\n"
+}
+
+fn configuration(name: &str, scenario: &Scenario) -> String {
+    format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- sumo-gui -c {name}.sumocfg shows the net with SUMO's own drivers. -->\n\
+         <configuration>\n    <input>\n        <net-file value=\"{name}.net.xml\"/>\n        <route-files value=\"{name}.rou.xml\"/>\n    </input>\n\
+         \x20   <time>\n        <step-length value=\"{}\"/>\n    </time>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>\n</configuration>\n",
+        scenario.control.interval
+    )
+}
+
+/// Whether two ways merge or cross.
+pub(super) fn meet(one: &Way, other: &Way) -> bool {
+    let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+    let apart = |a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]| side(a, b, c) * side(a, b, d) >= 0.0;
+    let cross = |a: &[[f64; 2]], b: &[[f64; 2]]| !apart(a[0], a[1], b[0], b[1]) && !apart(b[0], b[1], a[0], a[1]);
+    one.lanes.iter().any(|lane| other.lanes.contains(lane))
+        || one.points.windows(2).any(|a| other.points.windows(2).any(|b| cross(a, b)))
+}

@@ -1,0 +1,80 @@
+//! Makes scenarios: from a template ([`create`]) or from a map ([`import`]), as files that people go on editing, and builds
+//! their nets ([`build`]).
+
+mod error;
+mod files;
+mod import;
+mod netconvert;
+mod plan;
+mod template;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+pub use error::Error;
+pub use import::{Candidate, Imported, Map, import};
+pub use netconvert::{Built, State, build, state};
+pub use template::{Sizes, Template};
+
+use super::Route;
+use crate::record::write_atomic;
+use crate::sumo::net::Net;
+use files::{Layout, Row, Site};
+
+/// First place on a lane: half a vehicle and the jitter lie before it \[m\].
+const FIRST: f64 = 4.0;
+/// Distance between places \[m\].
+const SPACING: f64 = 8.0;
+/// netconvert's options for coordinates as they are in the sources, no turning back, and smooth turns that are not too tight.
+const OPTIONS: [(&str, &str); 4] = [
+    ("offset.disable-normalization", "true"),
+    ("no-turnarounds", "true"),
+    ("default.junctions.radius", "6"),
+    ("junctions.internal-link-detail", "15"),
+];
+
+/// Writes a scenario called `name` of a template below the folder `root`, builds its net and loads it; gives its file.
+///
+/// # Errors
+/// [`Error`]; nothing is left behind then.
+pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Result<PathBuf, Error> {
+    let layout = Layout::new(root, name)?;
+    let (plan, places) = template.plan(sizes)?;
+    layout.fill(|| {
+        let mut inputs = Vec::new();
+        let options = ["node-files", "edge-files", "connection-files", "type-files"];
+        for (option, (ending, text)) in options.into_iter().zip(plan.sources(template.lanes(sizes)?, sizes.speed)) {
+            write_atomic(&layout.file(ending), text.as_bytes())?;
+            inputs.push((option, format!("{name}.{ending}")));
+        }
+        layout.configure(&inputs, &OPTIONS)?;
+        netconvert::convert(&layout.net)?;
+        let net = Net::load(&layout.net)?;
+        let way = |route: &Route| net.route_path_from(&route.edges, route.lane);
+        let ways = plan.routes.iter().map(way).collect::<Result<_, _>>()?;
+        let row = |routes: Vec<usize>| {
+            let ahead = plan.ahead.get(&plan.routes[routes[0]].edges[0]).copied().unwrap_or(0.0);
+            Row { routes, first: FIRST + ahead, count: places }
+        };
+        let site = Site {
+            description: template.description().into(),
+            rows: starts(&plan.routes).into_values().map(row).collect(),
+            routes: plan.routes,
+            ways,
+            agents: sizes.agents,
+            speed: sizes.speed,
+        };
+        layout.write(&layout.scenario(site))?;
+        Ok(layout.scenario.clone())
+    })
+}
+
+/// The routes that begin on each lane, in order of the routes.
+fn starts(routes: &[Route]) -> BTreeMap<(usize, u32), Vec<usize>> {
+    let mut starts = BTreeMap::<(usize, u32), Vec<usize>>::new();
+    for (i, route) in routes.iter().enumerate() {
+        let edge = routes.iter().position(|other| other.edges[0] == route.edges[0]).unwrap_or(i);
+        starts.entry((edge, route.lane.unwrap_or(0))).or_default().push(i);
+    }
+    starts
+}

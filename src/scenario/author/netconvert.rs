@@ -1,0 +1,173 @@
+//! Nets are built from sources beside them: `<net>.netccfg`, a configuration of SUMO's netconvert, names those.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::SystemTime;
+
+use super::super::Scenario;
+use super::Error;
+use super::files::show_traffic;
+use crate::record::write_atomic;
+use crate::sumo::find_program;
+use crate::sumo::net::xml;
+
+/// Largest configuration that is read \[bytes\].
+const MAX_BYTES: u64 = 1 << 20;
+/// Lines of netconvert's that a message repeats.
+const LAST_LINES: usize = 6;
+
+/// How a net stands to its sources.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum State {
+    /// There is no configuration beside it: it was made elsewhere.
+    NoSources,
+    /// It is as new as its sources.
+    UpToDate,
+    /// It is older than one of its sources, or not there.
+    OutOfDate,
+}
+
+/// A net of a scenario, after a build.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Built {
+    /// The `.net.xml`.
+    pub net: PathBuf,
+    /// How it stood to its sources before; what was out of date is built now.
+    pub before: State,
+    /// What netconvert warned of, if it ran.
+    pub warnings: Vec<String>,
+}
+
+/// Builds those nets of a scenario that are out of date, or (`all`) all that have sources. The same sources give the same bytes.
+/// What SUMO alone shows (`.rou.xml`) follows the scenario.
+///
+/// # Errors
+/// [`Error`]: the scenario cannot be read, netconvert is missing or refuses the sources.
+pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
+    let scenario = Scenario::read(scenario)?;
+    let mut built = Vec::new();
+    for net in &scenario.nets {
+        let before = state(&net.file)?;
+        let warnings = match before {
+            State::NoSources => Vec::new(),
+            State::UpToDate if !all => Vec::new(),
+            _ => convert(&net.file)?,
+        };
+        show_traffic(&scenario, net)?;
+        built.push(Built { net: net.file.clone(), before, warnings });
+    }
+    Ok(built)
+}
+
+/// How a net stands to its sources.
+///
+/// # Errors
+/// [`Error::Configuration`] or [`Error::Read`] when there is a configuration, but one that cannot be read.
+pub fn state(net: &Path) -> Result<State, Error> {
+    let config = configuration(net);
+    if !config.exists() {
+        return Ok(State::NoSources);
+    }
+    let age = |path: &Path| fs::metadata(path).and_then(|data| data.modified()).ok();
+    let Some(built) = age(net) else { return Ok(State::OutOfDate) };
+    let newest: Option<SystemTime> = sources(&config)?.iter().chain([&config]).filter_map(|path| age(path)).max();
+    Ok(if newest.is_some_and(|newest| newest > built) { State::OutOfDate } else { State::UpToDate })
+}
+
+/// Where the configuration for a net is.
+fn configuration(net: &Path) -> PathBuf {
+    beside(net, "netccfg")
+}
+
+/// A file that is called after a net, with another ending.
+pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
+    let name = net.file_name().unwrap_or_default().to_string_lossy();
+    net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
+}
+
+/// The files that a configuration names as its input.
+fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
+    let text = xml::read(config, MAX_BYTES).map_err(|source| Error::Read { path: config.into(), source })?;
+    let refused = |why: String| Error::Configuration { path: config.into(), why };
+    let text = text.ok_or_else(|| refused(format!("it is larger than {MAX_BYTES} bytes")))?;
+    let document = xml::parse(&text).map_err(|(error, at)| refused(format!("line {}: {error}", at.row)))?;
+    let folder = config.parent().unwrap_or(Path::new(""));
+    let inputs = document.descendants().filter(|node| node.parent().is_some_and(|parent| parent.has_tag_name("input")));
+    let files = inputs.filter_map(|node| node.attribute("value")).flat_map(|value| value.split(','));
+    Ok(files.map(|file| folder.join(file.trim())).collect())
+}
+
+/// Runs netconvert for one net; gives its warnings.
+pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
+    let config = configuration(net);
+    let folder = net.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let program = find_program("netconvert")?;
+    let temporary = tempfile::Builder::new().suffix(".net.xml").tempfile_in(folder);
+    let temporary = temporary.map_err(|source| Error::Write { path: folder.into(), source })?.into_temp_path();
+    let name = |path: &Path| path.file_name().map(OsString::from).unwrap_or_default();
+    let output = Command::new(&program)
+        .arg("--configuration-file")
+        .arg(name(&config))
+        .arg("--output-file")
+        .arg(name(&temporary))
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|source| crate::sumo::Error::Spawn { binary: program, source })?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    let lines = || said.lines().map(str::trim).filter(|line| !line.is_empty());
+    if !output.status.success() {
+        let errors: Vec<&str> = lines().filter(|line| !line.starts_with("Warning")).take(LAST_LINES).collect();
+        return Err(Error::Netconvert { config, message: errors.join(" ") });
+    }
+    let text = fs::read_to_string(&temporary).map_err(|source| Error::Read { path: net.into(), source })?;
+    write_atomic(net, without_comments(&text).as_bytes())?;
+    Ok(lines().filter_map(|line| line.strip_prefix("Warning: ")).map(Into::into).collect())
+}
+
+/// netconvert's comment holds the date and the paths of the machine.
+fn without_comments(text: &str) -> String {
+    let (mut plain, mut rest) = (String::with_capacity(text.len()), text);
+    while let Some((before, comment)) = rest.split_once("<!--") {
+        let Some((_, after)) = comment.split_once("-->") else { break };
+        plain.push_str(before.trim_end());
+        plain.push_str("\n\n");
+        rest = after.trim_start();
+    }
+    plain + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn comments_go_and_all_else_stays() {
+        assert_eq!(without_comments("<a>\n\n<!-- x\n y -->\n\n<b/></a>\n"), "<a>\n\n<b/></a>\n");
+        assert_eq!(without_comments("<a/>"), "<a/>");
+    }
+
+    #[test]
+    fn a_net_is_out_of_date_when_a_source_is_newer() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let net = file("a.net.xml");
+        assert_eq!(state(&net).unwrap(), State::NoSources);
+        fs::write(
+            file("a.netccfg"),
+            "<configuration><input><node-files value=\"a.nod.xml, b.xml\"/></input></configuration>",
+        )
+        .unwrap();
+        assert_eq!(state(&net).unwrap(), State::OutOfDate);
+        fs::write(file("a.nod.xml"), "").unwrap();
+        fs::write(&net, "").unwrap();
+        assert_eq!(state(&net).unwrap(), State::UpToDate);
+        let later = SystemTime::now() + std::time::Duration::from_secs(10);
+        fs::File::create(file("b.xml")).unwrap().set_modified(later).unwrap();
+        assert_eq!(state(&net).unwrap(), State::OutOfDate);
+        fs::write(file("a.netccfg"), "<configuration>").unwrap();
+        assert!(matches!(state(&net), Err(Error::Configuration { .. })));
+    }
+}

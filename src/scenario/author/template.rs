@@ -1,0 +1,299 @@
+//! Sites that new scenarios begin with: SUMO sources of some sizes, and routes through them.
+//!
+//! Everywhere lane k leads to lane k, so that no route needs a lane change; traffic keeps to the right.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::plan::Plan;
+use super::{Error, SPACING};
+
+/// A kind of site.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Template {
+    /// Four arms, right before left: straight on, left, right.
+    Cross,
+    /// Three arms, the straight road first.
+    Tee,
+    /// Four arms around a circle, which has the right of way.
+    Roundabout,
+    /// A ramp joins a main road.
+    Merge,
+    /// Two by two junctions, right before left.
+    Grid,
+    /// A road with half as many lanes in the middle, both ways.
+    Bottleneck,
+}
+
+/// How large a site is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sizes {
+    /// Lanes per direction; `None`: 1, of a bottleneck 2.
+    pub lanes: Option<u32>,
+    /// Length of the lanes on which vehicles begin, at least \[m\]; `None`: what the agents need, at least 30 m.
+    pub arm_length: Option<f64>,
+    /// Number of agents.
+    pub agents: u32,
+    /// Speed limit and top speed of the vehicles \[m/s\].
+    pub speed: f64,
+}
+
+/// Where vehicles come from: name, and heading into the site in quarter turns counter-clockwise from east.
+const ARMS: [(&str, usize); 4] = [("west", 0), ("south", 1), ("east", 2), ("north", 3)];
+/// Name, and quarter turns counter-clockwise.
+const TURNS: [(&str, usize); 3] = [("straight", 0), ("left", 1), ("right", 3)];
+/// Unit vectors of the four headings.
+const HEADINGS: [[f64; 2]; 4] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
+/// What is left free of a lane beside its places \[m\].
+const FREE: f64 = 10.0;
+/// Shortest lane \[m\].
+const SHORTEST: f64 = 30.0;
+/// Angle between ramp and main road \[rad\].
+const RAMP: f64 = PI / 6.0;
+
+impl Template {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::Cross, Self::Tee, Self::Roundabout, Self::Merge, Self::Grid, Self::Bottleneck];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cross => "cross",
+            Self::Tee => "tee",
+            Self::Roundabout => "roundabout",
+            Self::Merge => "merge",
+            Self::Grid => "grid",
+            Self::Bottleneck => "bottleneck",
+        }
+    }
+
+    /// The template of this name.
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|template| template.name() == name)
+    }
+
+    /// One sentence about it.
+    pub(super) fn description(self) -> &'static str {
+        match self {
+            Self::Cross => "Vehicles cross an unsignalised intersection: straight on, left or right.",
+            Self::Tee => "Vehicles pass an unsignalised T-junction.",
+            Self::Roundabout => "Vehicles enter a roundabout and leave it at one of three exits.",
+            Self::Merge => "Vehicles from a ramp merge into those of a main road.",
+            Self::Grid => "Vehicles drive through four unsignalised intersections.",
+            Self::Bottleneck => "Vehicles merge where a road loses half of its lanes, and spread out behind it.",
+        }
+    }
+
+    /// Lanes per direction.
+    pub(super) fn lanes(self, sizes: &Sizes) -> Result<u32, Error> {
+        let (least, usual) = if self == Self::Bottleneck { (2, 2) } else { (1, 1) };
+        let lanes = sizes.lanes.unwrap_or(usual);
+        if !(least..=4).contains(&lanes) {
+            return Err(Error::size("lanes", &lanes, format!("{least} to 4 for `{}`", self.name())));
+        }
+        Ok(lanes)
+    }
+
+    /// The site, and the number of places on each lane where vehicles begin.
+    pub(super) fn plan(self, sizes: &Sizes) -> Result<(Plan, u32), Error> {
+        let lanes = self.lanes(sizes)?;
+        if !(1..=200).contains(&sizes.agents) {
+            return Err(Error::size("agents", &sizes.agents, "1 to 200".into()));
+        }
+        if !(1.0..=70.0).contains(&sizes.speed) {
+            return Err(Error::size("speed", &sizes.speed, "1 to 70 m/s".into()));
+        }
+        let starts = match self {
+            Self::Cross | Self::Roundabout => 4 * lanes,
+            Self::Tee => 3 * lanes,
+            Self::Merge => lanes + 1,
+            Self::Grid => 8 * lanes,
+            Self::Bottleneck => 2 * lanes,
+        };
+        let places = sizes.agents.div_ceil(starts);
+        let ahead = if self == Self::Roundabout { quarter(radius(lanes)) } else { 0.0 };
+        let needed = (FREE + SPACING * f64::from(places) + ahead).max(SHORTEST);
+        let arm = sizes.arm_length.unwrap_or(needed);
+        if !(needed..=5000.0).contains(&arm) {
+            let allowed = format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
+            return Err(Error::size("arm-length", &arm, allowed));
+        }
+        let plan = match self {
+            Self::Cross => streets(1, &ARMS, lanes, arm),
+            Self::Tee => streets(1, &ARMS[..3], lanes, arm),
+            Self::Grid => streets(2, &ARMS, lanes, arm),
+            Self::Roundabout => roundabout(lanes, arm),
+            Self::Merge => merge(lanes, arm),
+            Self::Bottleneck => bottleneck(lanes, arm),
+        };
+        Ok((plan, places))
+    }
+}
+
+/// `size` x `size` junctions with arms on the given sides, `arm` metres from junction to junction and to the arms' ends.
+fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
+    let kind = if arms.len() < 4 { "priority" } else { "right_before_left" };
+    let side = arm + corner(lanes);
+    let place = |[column, row]: [usize; 2]| [column as f64 * side, row as f64 * side];
+    let junction = |[column, row]: [usize; 2]| {
+        if size == 1 { "centre".to_owned() } else { format!("junction_{column}_{row}") }
+    };
+    // The arm on a side of a cell: there is one in each row or column.
+    let outside = |quarter: usize, [column, row]: [usize; 2]| {
+        let (name, _) = *arms.iter().find(|(_, own)| *own == quarter)?;
+        let number = if quarter.is_multiple_of(2) { row } else { column };
+        Some(if size == 1 { name.to_owned() } else { format!("{name}_{number}") })
+    };
+    let beyond = |[column, row]: [usize; 2], heading: usize| {
+        let [dx, dy] = HEADINGS[heading].map(|v| v as isize);
+        let cell = [column.checked_add_signed(dx)?, row.checked_add_signed(dy)?];
+        cell.iter().all(|&i| i < size).then_some(cell)
+    };
+    // The edge by which one leaves a cell, and the cell it leads to, if any.
+    let leaving = |cell: [usize; 2], heading: usize| match beyond(cell, heading) {
+        Some(next) => Some((format!("{}_to_{}", junction(cell), junction(next)), Some(next))),
+        None => Some((format!("{}_out", outside((heading + 2) % 4, cell)?), None)),
+    };
+    let entering = |cell: [usize; 2], heading: usize| match beyond(cell, (heading + 2) % 4) {
+        Some(before) => Some(leaving(before, heading)?.0),
+        None => Some(format!("{}_in", outside(heading, cell)?)),
+    };
+    let mut plan = Plan::default();
+    for cell in (0..size * size).map(|i| [i % size, i / size]) {
+        plan.node(junction(cell), place(cell), kind);
+        for (heading, [dx, dy]) in HEADINGS.into_iter().enumerate() {
+            let Some(from) = entering(cell, heading) else { continue };
+            if let Some(before) = beyond(cell, (heading + 2) % 4) {
+                plan.edge(from.clone(), [&junction(before), &junction(cell)], lanes);
+            } else if let Some(name) = outside(heading, cell) {
+                let [x, y] = place(cell);
+                plan.node(name.clone(), [x - dx * side, y - dy * side], "dead_end");
+                plan.edge(from.clone(), [&name, &junction(cell)], lanes);
+                plan.edge(format!("{name}_out"), [&junction(cell), &name], lanes);
+                for (turn, by) in TURNS {
+                    let Some(way) = drive(&leaving, cell, (heading + by) % 4) else { continue };
+                    let edges: Vec<String> = std::iter::once(from.clone()).chain(way).collect();
+                    plan.route(&format!("{name}_{turn}"), &edges, lanes);
+                }
+            }
+            for (_, by) in TURNS {
+                if let Some((to, _)) = leaving(cell, (heading + by) % 4) {
+                    (0..lanes).for_each(|lane| plan.link(&from, &to, [lane, lane]));
+                }
+            }
+        }
+    }
+    plan
+}
+
+/// The edges from a cell straight on to the outside.
+fn drive(
+    leaving: &impl Fn([usize; 2], usize) -> Option<(String, Option<[usize; 2]>)>,
+    mut cell: [usize; 2],
+    heading: usize,
+) -> Option<Vec<String>> {
+    let mut edges = Vec::new();
+    loop {
+        let (edge, next) = leaving(cell, heading)?;
+        edges.push(edge);
+        match next {
+            Some(next) => cell = next,
+            None => return Some(edges),
+        }
+    }
+}
+
+/// How far a junction reaches into its roads, at most \[m\].
+fn corner(lanes: u32) -> f64 {
+    8.0 + 5.0 * f64::from(lanes)
+}
+
+/// Radius of a roundabout's centre line \[m\].
+fn radius(lanes: u32) -> f64 {
+    14.0 + 6.0 * f64::from(lanes)
+}
+
+/// Way around a roundabout from one arm to the next \[m\].
+fn quarter(radius: f64) -> f64 {
+    (radius * FRAC_PI_2).round()
+}
+
+fn roundabout(lanes: u32, arm: f64) -> Plan {
+    let radius = radius(lanes);
+    let mut plan = Plan::default();
+    let ring = |turns: usize| format!("ring_{}", ARMS[turns % 4].0);
+    for (name, turns) in ARMS {
+        let [dx, dy] = HEADINGS[turns];
+        let outer = radius + arm + corner(lanes);
+        let node = format!("{name}_entry");
+        plan.node(node.clone(), [-radius * dx, -radius * dy], "priority");
+        plan.node(name, [-outer * dx, -outer * dy], "dead_end");
+        plan.edge(format!("{name}_in"), [name, &node], lanes);
+        plan.edge(format!("{name}_out"), [&node, name], lanes);
+        // Counter-clockwise to the next arm.
+        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes);
+        let start = PI + FRAC_PI_2 * turns as f64;
+        let angles = (0..=8).map(|k| start + FRAC_PI_2 * f64::from(k) / 8.0);
+        let arc = angles.map(|angle| [radius * angle.cos(), radius * angle.sin()]).collect();
+        plan.edges.last_mut().expect("just added").shape = arc;
+        for lane in 0..lanes {
+            plan.link(&format!("{name}_in"), &ring(turns), [lane, lane]);
+            plan.link(&ring(turns + 3), &ring(turns), [lane, lane]);
+            plan.link(&ring(turns + 3), &format!("{name}_out"), [lane, lane]);
+        }
+        // Vehicles from west and east reach the next arm when those from there do: else full throttle would be a solution.
+        if turns.is_multiple_of(2) {
+            plan.ahead.insert(format!("{name}_in"), quarter(radius));
+        }
+        for (exit, turn) in ["right", "straight", "left"].into_iter().enumerate() {
+            let way = (0..=exit).map(|k| ring(turns + k));
+            let out = format!("{}_out", ARMS[(turns + exit + 1) % 4].0);
+            let edges: Vec<String> = std::iter::once(format!("{name}_in")).chain(way).chain([out]).collect();
+            plan.route(&format!("{name}_{turn}"), &edges, lanes);
+        }
+    }
+    let names = |id: &dyn Fn(&str) -> String| ARMS.iter().map(|(name, _)| id(name)).collect();
+    plan.ring = Some((names(&|name| format!("{name}_entry")), names(&|name| format!("ring_{name}"))));
+    plan
+}
+
+fn merge(lanes: u32, arm: f64) -> Plan {
+    // At a small angle the junction reaches far into both roads.
+    let outer = arm + 4.0 * corner(lanes);
+    let mut plan = Plan::default();
+    plan.node("west", [-outer, 0.0], "dead_end");
+    plan.node("ramp", [-outer * RAMP.cos(), -outer * RAMP.sin()], "dead_end");
+    plan.node("merge", [0.0, 0.0], "priority");
+    plan.node("east", [outer, 0.0], "dead_end");
+    plan.edge("main_in", ["west", "merge"], lanes);
+    plan.edge("ramp_in", ["ramp", "merge"], 1);
+    plan.edge("main_out", ["merge", "east"], lanes);
+    (0..lanes).for_each(|lane| plan.link("main_in", "main_out", [lane, lane]));
+    plan.link("ramp_in", "main_out", [0, 0]);
+    plan.route("main", &["main_in", "main_out"].map(String::from), lanes);
+    plan.route("ramp", &["ramp_in", "main_out"].map(String::from), 1);
+    plan
+}
+
+fn bottleneck(lanes: u32, arm: f64) -> Plan {
+    let narrow = lanes / 2;
+    let (inner, outer) = (20.0, 20.0 + arm + 2.0 * corner(lanes));
+    let mut plan = Plan::default();
+    for (name, side) in [("west", -1.0), ("east", 1.0)] {
+        plan.node(name, [side * outer, 0.0], "dead_end");
+        plan.node(format!("{name}_end"), [side * inner, 0.0], "priority");
+    }
+    for (direction, from, to) in [("eastbound", "west", "east"), ("westbound", "east", "west")] {
+        let (near, far) = (format!("{from}_end"), format!("{to}_end"));
+        let [entry, middle, exit] = [format!("{from}_in"), format!("{direction}_narrow"), format!("{to}_out")];
+        plan.edge(entry.clone(), [from, &near], lanes);
+        plan.edge(middle.clone(), [&near, &far], narrow);
+        plan.edge(exit.clone(), [&far, to], lanes);
+        for lane in 0..lanes {
+            plan.link(&entry, &middle, [lane, (lane / 2).min(narrow - 1)]);
+        }
+        // Each to one: what leads to several lanes is SUMO's choice.
+        (0..narrow).for_each(|lane| plan.link(&middle, &exit, [lane, 2 * lane]));
+        plan.route(direction, &[entry, middle, exit], lanes);
+    }
+    plan
+}
