@@ -158,7 +158,7 @@ fn update(c: &mut Criterion) {
             state: task.spec.state.len(),
             actions: 1,
             memory: 0,
-            graph_noise: learner.samples_graph(),
+            graphs: learner.graphs(),
         };
         let mut rollout = Rollout::new(sizes);
         rng::fill_normal(&mut Seed::new(1).rng(), &mut rollout.observation);

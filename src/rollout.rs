@@ -23,8 +23,8 @@ pub struct Sizes {
     pub actions: usize,
     /// Memory of the policy per agent M (0: none).
     pub memory: usize,
-    /// Whether the policy samples communication graphs.
-    pub graph_noise: bool,
+    /// Communication graphs G that the policy samples at each decision (0: none).
+    pub graphs: usize,
 }
 
 /// One rollout; all arrays are row-major.
@@ -44,11 +44,11 @@ pub struct Rollout {
     pub start: Vec<f32>,
     /// Memory before the decision, `[T + 1, E, N, M]`.
     pub memory: Vec<f32>,
-    /// Noise of the policy's communication graph, `[T + 1, E, N, N]`; empty without one.
+    /// Noise of the policy's communication graphs, side by side in each row, `[T + 1, E, N, G · N]`.
     pub graph_noise: Vec<f32>,
     /// `[T, E, N, A]`, as sampled (not clipped).
     pub action: Vec<f32>,
-    /// `[T, E, N]`
+    /// Of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
     /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
     pub sampled: Vec<f32>,
@@ -74,9 +74,9 @@ impl Rollout {
             active: vec![0.0; closed],
             start: vec![0.0; (sizes.steps + 1) * sizes.envs],
             memory: vec![0.0; closed * sizes.memory],
-            graph_noise: vec![0.0; if sizes.graph_noise { closed * sizes.agents } else { 0 }],
+            graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],
-            log_prob: vec![0.0; rows],
+            log_prob: vec![0.0; rows * sizes.actions],
             sampled: vec![1.0; sizes.steps * sizes.envs],
             quiet: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
@@ -158,7 +158,7 @@ mod tests {
             state: 1,
             actions: 1,
             memory: 0,
-            graph_noise: false,
+            graphs: 0,
         });
         // A trajectory per slot: an end is followed by inactivity until the next start.
         for k in 0..width {
@@ -236,7 +236,7 @@ mod tests {
         #[test]
         fn chunks_partition_the_rollout(steps in 1usize..40, envs in 1usize..5, length in 1usize..11) {
             let rollout = Rollout::new(Sizes {
-                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graph_noise: false,
+                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graphs: 0,
             });
             let chunks = rollout.chunks(length);
             let mut rows = rollout.rows(&chunks, length);

@@ -159,6 +159,7 @@ fn gaussian() {
     let case = Case::new("gaussian");
     let (mean, log_std) = (case.input("mean"), case.input("log_std"));
     let log_prob = gaussian_log_prob(&mean, &log_std, &case.get("action"));
+    let log_prob = log_prob.sum_dim_intlist(-1, false, Kind::Float);
     let entropy = gaussian_entropy(&log_std);
     case.check("log_prob", &log_prob);
     case.check("entropy", &entropy.expand([6], false));
@@ -218,7 +219,8 @@ fn ppo_losses() {
     let case = Case::new("ppo");
     let active = case.get("active");
     let log_prob = case.input("log_prob");
-    let policy = ppo::policy_loss(&log_prob, &case.get("old_log_prob"), &case.get("advantage"), &active, 0.2);
+    let (new, old) = (log_prob.unsqueeze(-1), case.get("old_log_prob").unsqueeze(-1));
+    let policy = ppo::policy_loss(&new, &old, &case.get("advantage"), &active, 0.2);
     case.check("policy_loss", &policy);
     case.check("grad_log_prob", &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0]);
 

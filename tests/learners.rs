@@ -130,7 +130,7 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
         state: 3,
         actions: 1,
         memory: learner.memory(),
-        graph_noise: learner.samples_graph(),
+        graphs: learner.graphs(),
     };
     let mut rollout = Rollout::new(sizes);
     let mut rng = Seed::new(seed).rng();
@@ -306,7 +306,7 @@ fn an_update_sees_the_policy_that_acted() {
                 start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
                 memory: memory.shallow_clone(),
             };
-            let graph = if s.graph_noise {
+            let graph = if s.graphs > 0 {
                 part(&rollout.graph_noise, s.agents)
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
@@ -465,7 +465,7 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
         state: 3,
         actions: 1,
         memory: 0,
-        graph_noise: learner.samples_graph(),
+        graphs: learner.graphs(),
     };
     let mut rollout = Rollout::new(sizes);
     rollout.active.fill(1.0);
@@ -488,7 +488,7 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
                 Tensor::from_slice(x).view([32, 2, 4]),
                 Tensor::ones([32, 2, 2], (Kind::Float, Device::Cpu)),
             );
-            let graph = if learner.samples_graph() {
+            let graph = if learner.graphs() > 0 {
                 Tensor::from_slice(&rollout.graph_noise[rollout.at(t, 2)]).view([32, 2, 2])
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))

@@ -1,5 +1,5 @@
-//! What all actor-critic learners here share: two parameter sets with their optimisers, value normalisation, averaged
-//! weights, and the passes over a rollout, on as many threads as minibatches have shards.
+//! What all actor-critic learners here share: parameters with their optimisers, value normalisation, averaged weights, and
+//! the passes over a rollout, on as many threads as minibatches have shards.
 //!
 //! Every shard has a copy of the networks. The copies share their weights and have gradients of their own, which are added
 //! up before a step: both cores are busy in forward and backward alike, without a thread pool inside libtorch, and the
@@ -10,12 +10,14 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
+use super::parameters::{Optimised, Places, Set};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
-    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Insight, Losses, Observation, Pace, Reconstruction,
+    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Observation, Pace,
+    Reconstruction,
 };
 use crate::env::EnvSpec;
-use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
+use crate::nn::{self, ValueNorm, named_views};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
@@ -23,15 +25,27 @@ use crate::rollout::Rollout;
 pub(super) trait Networks: Sized + Send {
     /// Name, as on the command line.
     const NAME: &'static str;
-    /// Whether the policy samples a communication graph.
-    const SAMPLES_GRAPH: bool = false;
+    /// Whose observations can change an agent's action.
+    const HEARS: Hears = Hears::Nobody;
+    /// What its latent is trained to tell, by default.
+    const LATENT: &'static [&'static str] = &[];
+    /// Communication graphs that the policy samples at each decision.
+    const GRAPHS: usize = 0;
     /// Whether the value samples one.
     const VALUE_SAMPLES_GRAPH: bool = false;
     /// Parts of the actor that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
-    /// Creates the networks' parameters below these places.
-    fn new(spec: &EnvSpec, settings: &Settings, actor: Path<'_>, critic: Path<'_>) -> Self;
+    /// A parameter with a row for each agent, as `<set>/<name>`, where there is one.
+    const PER_AGENT: Option<&'static str> = None;
+
+    /// Creates the networks and their parameters.
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self;
+
+    /// How fast a set of parameters learns in the pass over the rollout of this number; `None` where it rests.
+    fn rate(_set: Set, _epoch: usize, learning_rate: f64, _settings: &Settings) -> Option<f64> {
+        Some(learning_rate)
+    }
 
     /// The policy's head.
     fn head(&self) -> &GaussianHead;
@@ -39,8 +53,10 @@ pub(super) trait Networks: Sized + Send {
     /// Memory of the policy per agent, M.
     fn memory(&self) -> i64;
 
-    /// Memory of the value per agent.
-    fn value_memory(&self) -> i64;
+    /// Memory of the value per agent, where it has one of its own.
+    fn value_memory(&self) -> i64 {
+        0
+    }
 
     /// Chooses actions.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
@@ -96,12 +112,10 @@ pub(super) struct ActorCritic<N> {
     pool: Option<rayon::ThreadPool>,
     settings: Settings,
     device: Device,
-    actor: Params,
-    critic: Params,
-    actor_adam: Adam,
-    critic_adam: Adam,
+    /// The first one is the policy's.
+    sets: Vec<Optimised>,
     value_norm: ValueNorm,
-    /// Averaged weights of the actor, `[count]`.
+    /// Averaged weights of the first set, `[count]`.
     average: Option<Tensor>,
     /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
     critic_memory: Option<Tensor>,
@@ -111,35 +125,30 @@ impl<N: Networks> ActorCritic<N> {
     /// A learner with weights drawn from `seed`.
     pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
         let build = || {
-            let (mut actor, mut critic) = (Params::new(device), Params::new(device));
-            let (mut first, mut second) = (seed.child("actor").rng(), seed.child("critic").rng());
-            let networks = N::new(spec, settings, actor.root(&mut first), critic.root(&mut second));
-            (networks, actor, critic)
+            let mut places = Places::new(seed, device);
+            let networks = N::new(spec, settings, &mut places);
+            (networks, places)
         };
-        let (networks, mut actor, mut critic) = build();
-        let (mut actor_adam, mut critic_adam) = (Adam::new(&mut actor), Adam::new(&mut critic));
+        let (networks, places) = build();
+        let mut sets = places.optimised();
         let mut copies = vec![networks];
         // One device does one thing at a time.
         let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
         for _ in 1..shards {
-            let (networks, mut actor, mut critic) = build();
-            actor_adam.replica(&mut actor);
-            critic_adam.replica(&mut critic);
+            let (networks, places) = build();
+            places.replicate(&mut sets);
             copies.push(networks);
         }
         let threads = rayon::ThreadPoolBuilder::new().num_threads(shards).thread_name(|k| format!("shard{k}"));
         // Libtorch counts its threads per thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
-        let average = (settings.ppo.average > 0.0).then(|| actor_adam.weights().copy());
+        let average = (settings.ppo.average > 0.0).then(|| sets[0].adam.weights().copy());
         Self {
             copies,
             pool: (shards > 1).then(|| threads.build().expect("threads can be started")),
             settings: settings.clone(),
             device,
-            actor,
-            critic,
-            actor_adam,
-            critic_adam,
+            sets,
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
             average,
             critic_memory: None,
@@ -196,12 +205,12 @@ impl<N: Networks> ActorCritic<N> {
         joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
     }
 
-    /// One gradient step on a minibatch; gives what to report.
+    /// One gradient step on a minibatch; gives what to report. `rate` as [`Networks::rate`].
     fn step(
         &mut self,
         batch: &Batch,
         shards: Vec<Shard>,
-        learning_rate: f64,
+        rate: impl Fn(Set) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         // The reference updates the normalisation in every evaluation of the loss.
         let returns: Vec<Tensor> = shards.iter().map(|shard| shard.active(&batch.returns)).collect();
@@ -219,15 +228,19 @@ impl<N: Networks> ActorCritic<N> {
         });
         let report = report.get_or_insert_default();
         let limit = self.settings.ppo.max_grad_norm;
-        let norms = (self.actor_adam.clip_grad_norm(limit), self.critic_adam.clip_grad_norm(limit));
-        for (what, norm) in [("the policy's gradient", norms.0), ("the value's gradient", norms.1)] {
+        for Optimised { set, adam, .. } in &mut self.sets {
+            let norm = adam.clip_grad_norm(limit);
             if !norm.is_finite() {
-                return Err(Error::NonFinite { what });
+                return Err(Error::NonFinite { what: set.gradient });
+            }
+            report.push((set.norm, norm));
+        }
+        for Optimised { set, adam, .. } in &mut self.sets {
+            match rate(*set) {
+                Some(rate) => adam.step(rate),
+                None => adam.zero_grad(),
             }
         }
-        self.actor_adam.step(learning_rate);
-        self.critic_adam.step(learning_rate);
-        report.extend([("ppo/grad_norm_actor", norms.0), ("ppo/grad_norm_critic", norms.1)]);
         Ok(std::mem::take(report))
     }
 }
@@ -241,8 +254,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.copies[0].memory() as usize
     }
 
-    fn samples_graph(&self) -> bool {
-        N::SAMPLES_GRAPH
+    fn graphs(&self) -> usize {
+        N::GRAPHS
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
@@ -295,38 +308,42 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
-        let (ppo, network) = (self.settings.ppo.clone(), self.settings.network.clone());
+        let settings = self.settings.clone();
+        let (ppo, network) = (&settings.ppo, &settings.network);
         let recurrent = self.copies[0].memory() > 0;
         let length = if recurrent { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy's graph is sampled ever more quietly, so is the value's.
-        let imposed = N::SAMPLES_GRAPH && self.settings.exploration.mode == NoiseMode::Schedule;
+        let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
+            batch.value_graph = graph_noise(rollout, 1, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(rollout, &outputs, &self.value_norm, &ppo);
+        batch.estimate(rollout, &outputs, &self.value_norm, ppo);
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
-                let noise = |of: &str| graph_noise(rollout, scale, self.device, seed.child(of).index(epoch as u64));
+                let noise = |of: &str, graphs: usize| {
+                    graph_noise(rollout, graphs, scale, self.device, seed.child(of).index(epoch as u64))
+                };
                 if N::VALUE_SAMPLES_GRAPH {
-                    batch.value_graph = noise("resampled");
+                    batch.value_graph = noise("resampled", 1);
                 }
-                if N::SAMPLES_GRAPH {
-                    batch.policy_graph = noise("resampled policy");
+                if N::GRAPHS > 0 {
+                    batch.policy_graph = noise("resampled policy", N::GRAPHS);
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
             for shards in minibatches(rollout, length, ppo.minibatch, self.copies.len(), self.device, order) {
-                means.add(&self.step(&batch, shards, pace.learning_rate)?);
+                let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
+                means.add(&self.step(&batch, shards, rate)?);
             }
         }
         let head = self.copies[0].head();
         head.impose(pace.log_std);
         if let Some(average) = &mut self.average {
-            let _ = no_grad(|| average.lerp_(self.actor_adam.weights(), 1.0 - ppo.average));
+            let _ = no_grad(|| average.lerp_(self.sets[0].adam.weights(), 1.0 - ppo.average));
         }
         means.finish(&[
             ("ppo/explained_variance", batch.explained_variance),
@@ -337,7 +354,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
 
     fn swap_average(&mut self) {
         if let Some(average) = &mut self.average {
-            let mut weights = self.actor_adam.weights().shallow_clone();
+            let mut weights = self.sets[0].adam.weights().shallow_clone();
             no_grad(|| {
                 let training = weights.copy();
                 weights.copy_(average);
@@ -352,13 +369,15 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             let copy = |tensor: &Tensor| tensor.detach().to_device(Device::Cpu).copy();
             state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), copy(tensor))));
         };
-        add("actor", self.actor.named());
-        add("critic", self.critic.named());
-        if let Some(average) = &self.average {
-            add("actor_average", &named_views(average, &self.actor));
+        for Optimised { set, params, .. } in &self.sets {
+            add(set.name, params.named());
         }
-        add("actor_adam", &self.actor_adam.state());
-        add("critic_adam", &self.critic_adam.state());
+        if let Some(average) = &self.average {
+            add("actor_average", &named_views(average, &self.sets[0].params));
+        }
+        for Optimised { set, adam, .. } in &self.sets {
+            add(&format!("{}_adam", set.name), &adam.state());
+        }
         add("value_norm", &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))]);
         if let Some(memory) = &self.critic_memory {
             add("critic_memory", &[("last".to_owned(), memory.shallow_clone())]);
@@ -367,43 +386,64 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        self.actor.copy_from(&part(state, "actor"))?;
-        self.critic.copy_from(&part(state, "critic"))?;
-        if let Some(average) = &self.average {
-            nn::copy_named(&named_views(average, &self.actor), &part(state, "actor_average"))?;
+        for Optimised { set, params, adam } in &mut self.sets {
+            params.copy_from(&part(state, set.name))?;
+            adam.load_state(&part(state, &format!("{}_adam", set.name)))?;
         }
-        self.actor_adam.load_state(&part(state, "actor_adam"))?;
-        self.critic_adam.load_state(&part(state, "critic_adam"))?;
+        if let Some(average) = &self.average {
+            nn::copy_named(&named_views(average, &self.sets[0].params), &part(state, "actor_average"))?;
+        }
         self.load_value_norm(state)?;
         self.critic_memory = part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
         Ok(())
     }
 
     fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        self.fits_agents(state)?;
         let averaged = part(state, "actor_average");
         // What is evaluated is what is gone on from. The noise is this run's own matter.
         let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
+        let (policy, others) = self.sets.split_first().expect("a learner has a policy");
         for (name, tensor) in &mut actor {
-            if let Some((_, own)) = self.actor.named().iter().find(|(own, _)| own == name && name == "head.log_std") {
+            if let Some((_, own)) = policy.params.named().iter().find(|(own, _)| own == name && name == "head.log_std")
+            {
                 *tensor = own.detach().copy();
             }
         }
-        self.actor.copy_from(&actor)?;
-        self.critic.copy_from(&part(state, "critic"))?;
+        policy.params.copy_from(&actor)?;
+        for Optimised { set, params, .. } in others {
+            params.copy_from(&part(state, set.name))?;
+        }
         if let Some(average) = &mut self.average {
-            no_grad(|| average.copy_(self.actor_adam.weights()));
+            no_grad(|| average.copy_(policy.adam.weights()));
         }
         self.load_value_norm(state)
     }
 
     fn parameters(&self) -> (i64, i64) {
         let needed = |name: &str| !N::TRAINING_ONLY.iter().any(|part| name.starts_with(part));
-        let deployed = self.actor.named().iter().filter(|(name, _)| needed(name)).map(|(_, t)| t.numel() as i64).sum();
-        (deployed, self.actor.count() + self.critic.count())
+        let policy = self.sets[0].params.named().iter().filter(|(name, _)| needed(name));
+        let deployed = policy.map(|(_, t)| t.numel() as i64).sum();
+        (deployed, self.sets.iter().map(|set| set.params.count()).sum())
     }
 }
 
-impl<N> ActorCritic<N> {
+impl<N: Networks> ActorCritic<N> {
+    /// Whether a state is of as many agents as there are here, where that matters.
+    fn fits_agents(&self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        let Some((set, name)) = N::PER_AGENT.and_then(|path| path.split_once('/')) else {
+            return Ok(());
+        };
+        let rows = |named: &[(String, Tensor)]| named.iter().find(|(own, _)| own == name).map(|(_, t)| t.size()[0]);
+        let own = self.sets.iter().find(|own| own.set.name == set).and_then(|own| rows(own.params.named()));
+        match (rows(&part(state, set)), own) {
+            (Some(trained), Some(agents)) if trained != agents => {
+                Err(Error::FixedAgents { algorithm: N::NAME, trained, agents })
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn load_value_norm(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         let statistics = part(state, "value_norm");
         let values =

@@ -8,13 +8,15 @@ use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
-use super::head::{GaussianHead, PolicyTerms};
+use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::im_iwol::Decoder;
-use super::message::{MessageCritic, MessageTrunk, Messages, Scene};
+use super::message::{MessageCritic, MessageTrunk, Messages};
+use super::parameters::{ACTOR, CRITIC, Places};
+use super::scene::Scene;
 use super::settings::WorldTarget;
-use super::{ActMode, Channel, ChannelNoise, Decision, Observation, Reconstruction, Settings, ppo};
+use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::{Path, ValueNorm};
+use crate::nn::ValueNorm;
 
 /// Explicit IWoL.
 pub(super) struct ExIwol {
@@ -28,24 +30,31 @@ pub(super) struct ExIwol {
 impl ExIwol {
     /// The message path at one decision.
     fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
-        self.trunk.forward(&Scene::of(input, &input.keep(), graph))
+        self.trunk.forward(&Scene::of(input, graph))
     }
 }
 
 impl Networks for ExIwol {
     const NAME: &'static str = "ex-iwol";
-    const SAMPLES_GRAPH: bool = true;
+    const HEARS: Hears = Hears::InRange;
+    const LATENT: &'static [&'static str] = &["world"];
+    const GRAPHS: usize = 1;
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
         Self {
-            trunk: MessageTrunk::new(actor.sub("trunk"), &spec.observation, network, iwol),
-            head: GaussianHead::new(actor.sub("head"), message + hidden, spec.actions as i64, &settings.exploration),
-            world: Decoder::new(actor.sub("world"), message, hidden, iwol.world_target.width(spec), true),
-            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
+            trunk: MessageTrunk::new(places.of(ACTOR).sub("trunk"), &spec.observation, network, iwol),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                message + hidden,
+                spec.actions as i64,
+                &settings.exploration,
+            ),
+            world: Decoder::new(places.of(ACTOR).sub("world"), message, hidden, iwol.world_target.width(spec), true),
+            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
             target: iwol.world_target,
         }
     }
@@ -102,11 +111,11 @@ impl Networks for ExIwol {
         let (values, _) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let messages = self.trunk.shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let messages = self.trunk.forward(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
         let positions = shard.positions(&messages.packing);
         let m = messages.message.index_select(0, &positions);
         let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let truth = shard.active(self.target.of(&batch.observation, &batch.state));
         let world = self.world.loss(&some(&m), &some(&truth));

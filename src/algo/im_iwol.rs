@@ -13,8 +13,9 @@ use tch::{Kind, Tensor};
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
 use super::encoder::{Encoder, encode_active, encode_locally};
-use super::head::{GaussianHead, PolicyTerms};
+use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
+use super::parameters::{ACTOR, CRITIC, Places};
 use super::settings::{PolicyInput, WorldTarget};
 use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
@@ -86,33 +87,34 @@ impl ImIwol {
 
 impl Networks for ImIwol {
     const NAME: &'static str = "im-iwol";
+    const LATENT: &'static [&'static str] = &["world", "interaction"];
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let hidden = network.hidden;
-        let encoder = Encoder::new(actor.sub("encoder"), &spec.observation, network);
+        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
         let latent = Latent {
-            first: Linear::torch_default(actor.sub("latent").sub(0), hidden, hidden / 2),
-            second: Linear::torch_default(actor.sub("latent").sub(1), hidden / 2, iwol.latent),
+            first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
+            second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
         };
         let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
-        let head = GaussianHead::new(actor.sub("head"), inputs, spec.actions as i64, &settings.exploration);
+        let head = GaussianHead::new(places.of(ACTOR).sub("head"), inputs, spec.actions as i64, &settings.exploration);
         let truth = iwol.world_target.width(spec);
         Self {
             encoder,
             latent,
             head,
-            world: Decoder::new(actor.sub("world"), iwol.latent, hidden, truth, true),
+            world: Decoder::new(places.of(ACTOR).sub("world"), iwol.latent, hidden, truth, true),
             interaction: Decoder::new(
-                actor.sub("interaction"),
+                places.of(ACTOR).sub("interaction"),
                 iwol.latent,
                 hidden,
                 iwol.message,
                 iwol.interaction_tanh,
             ),
-            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
+            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
             input: iwol.policy_input,
             target: iwol.world_target,
         }
@@ -151,7 +153,7 @@ impl Networks for ImIwol {
 
         let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let (z, input) = self.policy_input(&f);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let truth = shard.active(self.target.of(&batch.observation, &batch.state));
         let world = self.world.loss(&some(&z), &some(&truth));
