@@ -80,8 +80,9 @@ impl Checkpoint {
                 *name = format!("actor/{rest}");
             }
         }
-        let kept = ["actor/", "critic/", "value_norm/"];
-        self.learner.retain(|(name, _)| kept.iter().any(|prefix| name.starts_with(prefix)));
+        let dropped =
+            |name: &str| name.split('/').next().is_some_and(|set| set.ends_with("_adam") || set.ends_with("_memory"));
+        self.learner.retain(|(name, _)| !dropped(name));
         self.worlds.clear();
         self.memory.clear();
         self

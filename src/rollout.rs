@@ -131,6 +131,28 @@ impl Rollout {
         (advantage, returns)
     }
 
+    /// The agents of each environment as one, who gets the sum of their rewards, acts while any of them does, and ends with the last:
+    /// for good, unless someone is cut short then. It has no observations, actions or memory.
+    #[must_use]
+    pub fn team(&self) -> Self {
+        let mut team =
+            Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
+        let rows = self.sizes.steps * self.sizes.envs;
+        for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
+            let crew = || (0..self.sizes.agents).filter(|&i| active[i] > 0.0).map(|i| row * self.sizes.agents + i);
+            let any = crew().next().is_some();
+            team.active[row] = f32::from(u8::from(any));
+            if row < rows && any {
+                team.reward[row] = crew().map(|i| self.reward[i]).sum();
+                let over = crew().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
+                let cut = crew().any(|i| self.truncated[i] > 0.0);
+                team.terminated[row] = f32::from(u8::from(over && !cut));
+                team.truncated[row] = f32::from(u8::from(over && cut));
+            }
+        }
+        team
+    }
+
     /// Chunks of `length` consecutive steps of one environment, as `(first step, environment)`; the last chunk of an
     /// environment is left out if it would be shorter.
     pub fn chunks(&self, length: usize) -> Vec<(usize, usize)> {
@@ -184,6 +206,19 @@ mod tests {
             }
         }
         rollout
+    }
+
+    #[test]
+    fn a_team_earns_together_and_ends_with_its_last() {
+        let mut rollout = random_rollout(3, 2, &[0], &[0.0]);
+        // The first agent ends at once, the second one is cut short in the last step.
+        rollout.reward.copy_from_slice(&[1.0, 2.0, 9.0, 3.0, 9.0, 4.0]);
+        (rollout.terminated[0], rollout.truncated[5]) = (1.0, 1.0);
+        (rollout.active[2], rollout.active[4]) = (0.0, 0.0);
+        let team = rollout.team();
+        assert_eq!(team.sizes.agents, 1);
+        assert_eq!((&team.reward[..], &team.active[..]), (&[3.0, 3.0, 4.0][..], &[1.0; 4][..]));
+        assert_eq!((&team.terminated[..], &team.truncated[..]), (&[0.0; 3][..], &[0.0, 0.0, 1.0][..]));
     }
 
     proptest! {

@@ -36,6 +36,8 @@ pub(super) trait Networks: Sized + Send {
     /// Parts of the actor that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
+    /// Whether agents share the value and the return of their team.
+    const TEAM: bool = false;
     /// A parameter with a row for each agent, as `<set>/<name>`, where there is one.
     const PER_AGENT: Option<&'static str> = None;
 
@@ -52,6 +54,11 @@ pub(super) trait Networks: Sized + Send {
 
     /// Memory of the policy per agent, M.
     fn memory(&self) -> i64;
+
+    /// Whether that memory is learned through time, in sequences.
+    fn is_recurrent(&self) -> bool {
+        self.memory() > 0
+    }
 
     /// Memory of the value per agent, where it has one of its own.
     fn value_memory(&self) -> i64 {
@@ -310,8 +317,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
         let settings = self.settings.clone();
         let (ppo, network) = (&settings.ppo, &settings.network);
-        let recurrent = self.copies[0].memory() > 0;
-        let length = if recurrent { network.chunk_length } else { 1 };
+        let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy's graph is sampled ever more quietly, so is the value's.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
@@ -320,7 +326,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             batch.value_graph = graph_noise(rollout, 1, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(rollout, &outputs, &self.value_norm, ppo);
+        batch.estimate(rollout, &outputs, &self.value_norm, ppo, N::TEAM);
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {

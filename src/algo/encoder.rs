@@ -105,15 +105,19 @@ pub(super) fn encode_active(
     memory: &Tensor,
     keep: &Tensor,
 ) -> Tensor {
-    let all = |parts: Vec<Tensor>| if parts.len() == 1 { parts[0].shallow_clone() } else { Tensor::cat(&parts, -1) };
+    let parts: Vec<Tensor> = features.iter().map(|f| shard.take(f)).collect();
+    let x = if parts.len() == 1 { parts[0].shallow_clone() } else { Tensor::cat(&parts, -1) };
+    encode_shard(encoder, shard, &x, memory, keep)
+}
+
+/// As [`encode_active`], of features that are of the shard's rows only, `[L · C, N, O]`; memory and `keep` are for all rows.
+pub(super) fn encode_shard(encoder: &Encoder, shard: &Shard, x: &Tensor, memory: &Tensor, keep: &Tensor) -> Tensor {
     if encoder.memory() == 0 {
         // Without memory, inactive samples need not be computed at all.
-        let x = all(features.iter().map(|f| shard.active(f)).collect()).unsqueeze(0);
-        return encoder.forward(&x, memory, keep).0.squeeze_dim(0);
+        return encoder.forward(&shard.pick(x).unsqueeze(0), memory, keep).0.squeeze_dim(0);
     }
-    let x = all(features.iter().map(|f| shard.take(f)).collect());
     let first = memory.index_select(0, &shard.first);
-    shard.pick(&encode_rows(encoder, &x, &first, &shard.take(keep), shard.length).0)
+    shard.pick(&encode_rows(encoder, x, &first, &shard.take(keep), shard.length).0)
 }
 
 /// One decision of an encoder on local observations: embeddings `[E, N, H]` and the memory after it, `[E, N, M]`.

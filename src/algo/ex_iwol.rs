@@ -8,12 +8,11 @@ use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
+use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::im_iwol::Decoder;
 use super::message::{MessageCritic, MessageTrunk, Messages};
 use super::parameters::{ACTOR, CRITIC, Places};
 use super::scene::Scene;
-use super::settings::WorldTarget;
 use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -22,9 +21,8 @@ use crate::nn::ValueNorm;
 pub(super) struct ExIwol {
     trunk: MessageTrunk,
     head: GaussianHead,
-    world: Decoder,
+    world: WorldDecoder,
     critic: MessageCritic,
-    target: WorldTarget,
 }
 
 impl ExIwol {
@@ -53,9 +51,8 @@ impl Networks for ExIwol {
                 spec.actions as i64,
                 &settings.exploration,
             ),
-            world: Decoder::new(places.of(ACTOR).sub("world"), message, hidden, iwol.world_target.width(spec), true),
+            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, message),
             critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
-            target: iwol.world_target,
         }
     }
 
@@ -116,9 +113,7 @@ impl Networks for ExIwol {
         let m = messages.message.index_select(0, &positions);
         let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
-        let some = |x: &Tensor| shard.part(x, iwol.decoded);
-        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
-        let world = self.world.loss(&some(&m), &some(&truth));
+        let world = self.world.loss(batch, shard, &m);
 
         let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach())];
         report.extend(policy.report());
@@ -126,9 +121,7 @@ impl Networks for ExIwol {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let truth = self.target.of(&input.observation, state).shallow_clone();
         let messages = self.exchange(input, None);
-        let found = self.world.forward(&messages.packing.unpack(&messages.message));
-        vec![Reconstruction { name: "world", found, truth }]
+        vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), input, state)]
     }
 }

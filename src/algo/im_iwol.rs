@@ -8,29 +8,29 @@
 //!   target and gets no gradient
 //! - deployed: encoder, Enc_IW and head; no message path
 
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
+use super::decoder::{Decoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
 use super::parameters::{ACTOR, CRITIC, Places};
-use super::settings::{PolicyInput, WorldTarget};
+use super::settings::PolicyInput;
 use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::{Init, Linear, Path, ValueNorm};
+use crate::nn::{Linear, ValueNorm};
 
 /// Implicit IWoL.
 pub(super) struct ImIwol {
     encoder: Encoder,
     latent: Latent,
     head: GaussianHead,
-    world: Decoder,
+    world: WorldDecoder,
     interaction: Decoder,
     critic: MessageCritic,
     input: PolicyInput,
-    target: WorldTarget,
 }
 
 /// Enc_IW: embedding to latent z.
@@ -42,34 +42,6 @@ struct Latent {
 impl Latent {
     fn forward(&self, f: &Tensor) -> Tensor {
         self.second.forward(&self.first.forward(f).relu())
-    }
-}
-
-/// A three-layer decoder, optionally ending in tanh.
-pub(super) struct Decoder {
-    layers: [Linear; 3],
-    tanh: bool,
-}
-
-impl Decoder {
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, hidden: i64, outputs: i64, tanh: bool) -> Self {
-        let layers = [
-            Linear::new(path.sub(0), inputs, hidden, Init::Orthogonal(1.0)),
-            Linear::new(path.sub(1), hidden, hidden, Init::Orthogonal(1.0)),
-            Linear::new(path.sub(2), hidden, outputs, Init::Orthogonal(0.01)),
-        ];
-        Self { layers, tanh }
-    }
-
-    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
-        let [first, second, third] = &self.layers;
-        let output = third.forward(&second.forward(&first.forward(x).relu()).relu());
-        if self.tanh { output.tanh() } else { output }
-    }
-
-    /// Mean squared error against `target`, over samples and dimensions.
-    pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
-        (self.forward(x) - target).square().mean(Kind::Float)
     }
 }
 
@@ -101,12 +73,11 @@ impl Networks for ImIwol {
         };
         let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
         let head = GaussianHead::new(places.of(ACTOR).sub("head"), inputs, spec.actions as i64, &settings.exploration);
-        let truth = iwol.world_target.width(spec);
         Self {
             encoder,
             latent,
             head,
-            world: Decoder::new(places.of(ACTOR).sub("world"), iwol.latent, hidden, truth, true),
+            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: Decoder::new(
                 places.of(ACTOR).sub("interaction"),
                 iwol.latent,
@@ -116,7 +87,6 @@ impl Networks for ImIwol {
             ),
             critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
             input: iwol.policy_input,
-            target: iwol.world_target,
         }
     }
 
@@ -155,8 +125,7 @@ impl Networks for ImIwol {
         let (z, input) = self.policy_input(&f);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
-        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
-        let world = self.world.loss(&some(&z), &some(&truth));
+        let world = self.world.loss(batch, shard, &z);
         let interaction = self.interaction.loss(&some(&z), &some(&messages.detach()));
 
         let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
@@ -171,8 +140,7 @@ impl Networks for ImIwol {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let z = self.latent.forward(&encode_locally(&self.encoder, input).0);
-        let truth = self.target.of(&input.observation, state).shallow_clone();
-        let mut all = vec![Reconstruction { name: "world", found: self.world.forward(&z), truth }];
+        let mut all = vec![self.world.reconstruct(&z, input, state)];
         if let Some(truth) = self.critic.messages(input) {
             all.push(Reconstruction { name: "interaction", found: self.interaction.forward(&z), truth });
         }

@@ -86,14 +86,7 @@ impl MessageTrunk {
         // Where cut edges leak, everyone is heard.
         let packing =
             if scene.pack && !self.leaks { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
-        let (embedding, memories) = if self.encoder.memory() == 0 {
-            // Those who are left out need not be embedded.
-            let x = packing.pack(&scene.observation).unsqueeze(0);
-            (self.encoder.forward(&x, &scene.memory, &scene.keep).0.squeeze_dim(0), None)
-        } else {
-            let (f, memories) = scene.embed(&self.encoder);
-            (packing.pack(&f), memories)
-        };
+        let (embedding, memories) = scene.embed_packed(&self.encoder, &packing);
         let anyone = if self.physical_mask { scene.comm.shallow_clone() } else { scene.comm.ones_like() };
         let graph = self.graph.forward(&embedding, &packing, &anyone, scene.noise.as_ref());
         let message = self.transformer.forward(&embedding, &packing, &graph);

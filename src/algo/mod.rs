@@ -4,18 +4,24 @@
 
 mod batch;
 mod channel;
+mod commformer;
 mod core;
 mod critic;
+mod decoder;
 mod device;
 mod encoder;
 mod ex_iwol;
 mod head;
+mod icp;
 mod im_iwol;
+mod magic;
 mod mappo;
+mod mat;
 mod message;
 mod parameters;
 pub mod ppo;
 mod scene;
+mod sequence;
 pub mod settings;
 
 pub use channel::{Channel, ChannelNoise};
@@ -32,8 +38,17 @@ use crate::rng::Seed;
 use crate::rollout::Rollout;
 
 /// The methods, in the order in which they are named.
-const METHODS: [Method; 3] =
-    [Method::of::<mappo::Mappo>(), Method::of::<im_iwol::ImIwol>(), Method::of::<ex_iwol::ExIwol>()];
+const METHODS: [Method; 9] = [
+    Method::of::<mappo::Mappo>(),
+    Method::of::<im_iwol::ImIwol>(),
+    Method::of::<ex_iwol::ExIwol>(),
+    Method::of::<mat::Mat>(),
+    Method::of::<magic::Magic>(),
+    Method::of::<commformer::CommFormer>(),
+    Method::of::<icp::Icp<icp::Separate>>(),
+    Method::of::<icp::Icp<icp::Sum>>(),
+    Method::of::<icp::Icp<icp::Monotonic>>(),
+];
 
 /// Names of the algorithms, as on the command line.
 pub const NAMES: [&str; METHODS.len()] = {
@@ -91,6 +106,8 @@ pub enum Hears {
     Nobody,
     /// Of those within range: messages.
     InRange,
+    /// Of those within range, a step later: what they do shows it.
+    InRangeLater,
     /// Everyone's: one place decides for all.
     Everyone,
 }

@@ -2,11 +2,11 @@
 
 use tch::Device;
 
-use crate::nn::{Adam, Params, Path};
+use crate::nn::{Adam, AdamConfig, Params, Path};
 use crate::rng::{Rng, Seed};
 
 /// What a set of parameters is called.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Set {
     /// In checkpoints; its optimiser's state stands below `<name>_adam`.
     pub(super) name: &'static str,
@@ -14,12 +14,16 @@ pub(super) struct Set {
     pub(super) gradient: &'static str,
     /// The norm of its gradient, in reports.
     pub(super) norm: &'static str,
+    /// Adam's coefficients.
+    pub(super) adam: AdamConfig,
 }
 
 /// Of the policy, and of all that is trained together with it.
-pub(super) const ACTOR: Set = Set { name: "actor", gradient: "the policy's gradient", norm: "ppo/grad_norm_actor" };
+pub(super) const ACTOR: Set =
+    Set { name: "actor", gradient: "the policy's gradient", norm: "ppo/grad_norm_actor", adam: AdamConfig::MAPPO };
 /// Of a value function that is trained by itself.
-pub(super) const CRITIC: Set = Set { name: "critic", gradient: "the value's gradient", norm: "ppo/grad_norm_critic" };
+pub(super) const CRITIC: Set =
+    Set { name: "critic", gradient: "the value's gradient", norm: "ppo/grad_norm_critic", adam: AdamConfig::MAPPO };
 
 /// Where networks create their parameters. A set begins to exist when it is first asked for; the first one must be
 /// [`ACTOR`].
@@ -47,7 +51,8 @@ impl Places {
 
     /// The sets, each with an optimiser.
     pub(super) fn optimised(self) -> Vec<Optimised> {
-        let optimised = |(set, mut params, _)| Optimised { set, adam: Adam::new(&mut params), params };
+        let optimised =
+            |(set, mut params, _)| Optimised { set, adam: Adam::with_config(&mut params, set.adam), params };
         self.sets.into_iter().map(optimised).collect()
     }
 

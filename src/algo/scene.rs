@@ -5,6 +5,7 @@ use tch::Tensor;
 use super::Observation;
 use super::batch::{Batch, Shard};
 use super::encoder::{Encoder, encode_rows};
+use crate::nn::Packing;
 
 /// Rows of C sequences of L steps, `[L · C]`, of all N agents.
 pub(super) struct Scene {
@@ -79,6 +80,17 @@ impl Scene {
     /// Embeddings of everyone, `[L · C, N, H]`, and the memory after each step, `[L, C · N, M]`, if there is one.
     pub(super) fn embed(&self, encoder: &Encoder) -> (Tensor, Option<Tensor>) {
         encode_rows(encoder, &self.observation, &self.memory, &self.keep, self.length)
+    }
+
+    /// Embeddings of those who are there, `[P, H]`, as `packing` says, and the memory after each step.
+    pub(super) fn embed_packed(&self, encoder: &Encoder, packing: &Packing) -> (Tensor, Option<Tensor>) {
+        if encoder.memory() == 0 {
+            // Those who are left out need not be embedded.
+            let x = packing.pack(&self.observation).unsqueeze(0);
+            return (encoder.forward(&x, &self.memory, &self.keep).0.squeeze_dim(0), None);
+        }
+        let (f, memories) = self.embed(encoder);
+        (packing.pack(&f), memories)
     }
 
     /// `count` rows from `first` on, of single steps.
