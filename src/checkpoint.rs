@@ -80,8 +80,11 @@ impl Checkpoint {
                 *name = format!("actor/{rest}");
             }
         }
-        let dropped =
-            |name: &str| name.split('/').next().is_some_and(|set| set.ends_with("_adam") || set.ends_with("_memory"));
+        let dropped = |name: &str| {
+            name.split('/')
+                .next()
+                .is_some_and(|set| ["_adam", "_memory", "_target"].iter().any(|end| set.ends_with(end)))
+        };
         self.learner.retain(|(name, _)| !dropped(name));
         self.worlds.clear();
         self.memory.clear();

@@ -59,6 +59,8 @@ pub struct Config {
     pub commformer: settings::CommFormer,
     /// ICP.
     pub icp: settings::Icp,
+    /// MADDPG.
+    pub maddpg: settings::Maddpg,
     /// The radio between agents, in evaluation.
     pub channel: algo::Channel,
     /// The scenario's numbers.
@@ -337,6 +339,7 @@ impl Config {
             magic: self.magic.clone(),
             commformer: self.commformer.clone(),
             icp: self.icp.clone(),
+            maddpg: self.maddpg.clone(),
         }
     }
 
@@ -362,8 +365,9 @@ impl Config {
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
         let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
         let heads = self.transformer.heads;
+        let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 79] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 84] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -449,6 +453,19 @@ impl Config {
             (&["commformer.lambda_world"], finite_range(former.lambda_world), "0 or more"),
             (&["icp.symbols"], (2..=4096).contains(&self.icp.symbols), "2 to 4096"),
             (&["icp.lambda_message"], finite_range(self.icp.lambda_message), "0 or more"),
+            (&["maddpg.replay"], (1..=10_000).contains(&self.maddpg.replay), "1 to 10000"),
+            (&["maddpg.updates"], (1..=100_000).contains(&self.maddpg.updates), "1 to 100000"),
+            (&["maddpg.target_rate"], self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate), "above 0, to 1"),
+            (
+                &["network.encoder", "algorithm"],
+                !recurrent || able.is_none_or(|able| able.recurrent),
+                "mlp or attention: this method replays single steps, which have no memory",
+            ),
+            (
+                &["exploration.mode", "algorithm"],
+                x.mode == settings::NoiseMode::Schedule || able.is_none_or(|able| able.on_policy),
+                "schedule: nothing in this method learns how much noise to make",
+            ),
             (&["channel.bits"], (2..=32).contains(&c.bits), "2 to 32"),
             (&["channel.loss"], share(c.loss), "0 to 1"),
             (&["channel.delay"], c.delay <= 100, "0 to 100"),

@@ -10,10 +10,12 @@ use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer};
 use tch::{Kind, Tensor};
 
+// Over TraCI, as several trainers are alive at once, and libsumo has one place.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
          [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nreplay_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
+         [simulation]\nbackend = 'traci'\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
          [commformer]\ngraph_every = 2\n\

@@ -10,14 +10,14 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
-use super::parameters::{Optimised, Places, Set};
+use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_entry};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
     ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Observation, Pace,
     Reconstruction,
 };
 use crate::env::EnvSpec;
-use crate::nn::{self, ValueNorm, named_views};
+use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
@@ -119,11 +119,8 @@ pub(super) struct ActorCritic<N> {
     pool: Option<rayon::ThreadPool>,
     settings: Settings,
     device: Device,
-    /// The first one is the policy's.
-    sets: Vec<Optimised>,
+    weights: Weights,
     value_norm: ValueNorm,
-    /// Averaged weights of the first set, `[count]`.
-    average: Option<Tensor>,
     /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
     critic_memory: Option<Tensor>,
 }
@@ -137,27 +134,25 @@ impl<N: Networks> ActorCritic<N> {
             (networks, places)
         };
         let (networks, places) = build();
-        let mut sets = places.optimised();
+        let mut weights = Weights::new(places, settings.ppo.average > 0.0);
         let mut copies = vec![networks];
         // One device does one thing at a time.
         let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
         for _ in 1..shards {
             let (networks, places) = build();
-            places.replicate(&mut sets);
+            places.replicate(&mut weights);
             copies.push(networks);
         }
         let threads = rayon::ThreadPoolBuilder::new().num_threads(shards).thread_name(|k| format!("shard{k}"));
         // Libtorch counts its threads per thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
-        let average = (settings.ppo.average > 0.0).then(|| sets[0].adam.weights().copy());
         Self {
             copies,
             pool: (shards > 1).then(|| threads.build().expect("threads can be started")),
             settings: settings.clone(),
             device,
-            sets,
+            weights,
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
-            average,
             critic_memory: None,
         }
     }
@@ -234,20 +229,7 @@ impl<N: Networks> ActorCritic<N> {
             sums
         });
         let report = report.get_or_insert_default();
-        let limit = self.settings.ppo.max_grad_norm;
-        for Optimised { set, adam, .. } in &mut self.sets {
-            let norm = adam.clip_grad_norm(limit);
-            if !norm.is_finite() {
-                return Err(Error::NonFinite { what: set.gradient });
-            }
-            report.push((set.norm, norm));
-        }
-        for Optimised { set, adam, .. } in &mut self.sets {
-            match rate(*set) {
-                Some(rate) => adam.step(rate),
-                None => adam.zero_grad(),
-            }
-        }
+        report.extend(self.weights.step_all(self.settings.ppo.max_grad_norm, rate)?);
         Ok(std::mem::take(report))
     }
 }
@@ -266,21 +248,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        no_grad(|| {
-            if self.device == Device::Cpu {
-                return self.copies[0].act(input, mode);
-            }
-            let there = |tensor: &Tensor| tensor.to_device(self.device);
-            let input = input.map(there);
-            let decision = match mode {
-                ActMode::Deterministic => self.copies[0].act(&input, mode),
-                ActMode::Sample { action, graph, quiet } => {
-                    let (action, graph, quiet) = (there(action), there(graph), there(quiet));
-                    self.copies[0].act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
-                }
-            };
-            decision.map(|tensor| tensor.to_device(Device::Cpu))
-        })
+        act_on(self.device, input, mode, |input, mode| self.copies[0].act(input, mode))
     }
 
     fn message_width(&self) -> usize {
@@ -348,9 +316,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         }
         let head = self.copies[0].head();
         head.impose(pace.log_std);
-        if let Some(average) = &mut self.average {
-            let _ = no_grad(|| average.lerp_(self.sets[0].adam.weights(), 1.0 - ppo.average));
-        }
+        self.weights.follow_average(ppo.average);
         means.finish(&[
             ("ppo/explained_variance", batch.explained_variance),
             ("ppo/std", head.std()),
@@ -359,126 +325,76 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn swap_average(&mut self) {
-        if let Some(average) = &mut self.average {
-            let mut weights = self.sets[0].adam.weights().shallow_clone();
-            no_grad(|| {
-                let training = weights.copy();
-                weights.copy_(average);
-                average.copy_(&training);
-            });
-        }
+        self.weights.swap_average();
     }
 
     fn state(&self) -> Vec<(String, Tensor)> {
-        let mut state = Vec::new();
-        let mut add = |prefix: &str, tensors: &[(String, Tensor)]| {
-            let copy = |tensor: &Tensor| tensor.detach().to_device(Device::Cpu).copy();
-            state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), copy(tensor))));
-        };
-        for Optimised { set, params, .. } in &self.sets {
-            add(set.name, params.named());
-        }
-        if let Some(average) = &self.average {
-            add("actor_average", &named_views(average, &self.sets[0].params));
-        }
-        for Optimised { set, adam, .. } in &self.sets {
-            add(&format!("{}_adam", set.name), &adam.state());
-        }
-        add("value_norm", &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))]);
+        let mut state = self.weights.state();
+        state.push(value_norm_entry(&self.value_norm));
         if let Some(memory) = &self.critic_memory {
-            add("critic_memory", &[("last".to_owned(), memory.shallow_clone())]);
+            state.push(("critic_memory/last".to_owned(), memory.to_device(Device::Cpu).copy()));
         }
         state
     }
 
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        for Optimised { set, params, adam } in &mut self.sets {
-            params.copy_from(&part(state, set.name))?;
-            adam.load_state(&part(state, &format!("{}_adam", set.name)))?;
-        }
-        if let Some(average) = &self.average {
-            nn::copy_named(&named_views(average, &self.sets[0].params), &part(state, "actor_average"))?;
-        }
-        self.load_value_norm(state)?;
+        self.weights.load(state)?;
+        load_value_norm(&mut self.value_norm, state)?;
         self.critic_memory = part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
         Ok(())
     }
 
     fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        self.fits_agents(state)?;
-        let averaged = part(state, "actor_average");
-        // What is evaluated is what is gone on from. The noise is this run's own matter.
-        let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
-        let (policy, others) = self.sets.split_first().expect("a learner has a policy");
-        for (name, tensor) in &mut actor {
-            if let Some((_, own)) = policy.params.named().iter().find(|(own, _)| own == name && name == "head.log_std")
+        if let Some(path) = N::PER_AGENT {
+            let trained = state.iter().find(|(name, _)| name == path).map(|(_, t)| t.size()[0]);
+            if let (Some(trained), Some(agents)) = (trained, self.weights.rows(path))
+                && trained != agents
             {
-                *tensor = own.detach().copy();
+                return Err(Error::FixedAgents { algorithm: N::NAME, trained, agents });
             }
         }
-        policy.params.copy_from(&actor)?;
-        for Optimised { set, params, .. } in others {
-            params.copy_from(&part(state, set.name))?;
-        }
-        if let Some(average) = &mut self.average {
-            no_grad(|| average.copy_(policy.adam.weights()));
-        }
-        self.load_value_norm(state)
+        self.weights.load_weights(state)?;
+        load_value_norm(&mut self.value_norm, state)
     }
 
     fn parameters(&self) -> (i64, i64) {
-        let needed = |name: &str| !N::TRAINING_ONLY.iter().any(|part| name.starts_with(part));
-        let policy = self.sets[0].params.named().iter().filter(|(name, _)| needed(name));
-        let deployed = policy.map(|(_, t)| t.numel() as i64).sum();
-        (deployed, self.sets.iter().map(|set| set.params.count()).sum())
+        self.weights.parameters(N::TRAINING_ONLY)
     }
 }
 
-impl<N: Networks> ActorCritic<N> {
-    /// Whether a state is of as many agents as there are here, where that matters.
-    fn fits_agents(&self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        let Some((set, name)) = N::PER_AGENT.and_then(|path| path.split_once('/')) else {
-            return Ok(());
-        };
-        let rows = |named: &[(String, Tensor)]| named.iter().find(|(own, _)| own == name).map(|(_, t)| t.size()[0]);
-        let own = self.sets.iter().find(|own| own.set.name == set).and_then(|own| rows(own.params.named()));
-        match (rows(&part(state, set)), own) {
-            (Some(trained), Some(agents)) if trained != agents => {
-                Err(Error::FixedAgents { algorithm: N::NAME, trained, agents })
-            }
-            _ => Ok(()),
+/// One decision without gradients, on the device where the networks are.
+pub(super) fn act_on(
+    device: Device,
+    input: &Observation,
+    mode: &ActMode<'_>,
+    act: impl Fn(&Observation, &ActMode<'_>) -> Decision,
+) -> Decision {
+    no_grad(|| {
+        if device == Device::Cpu {
+            return act(input, mode);
         }
-    }
-
-    fn load_value_norm(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        let statistics = part(state, "value_norm");
-        let values =
-            statistics.first().map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double))).and_then(Result::ok);
-        let values: [f64; 3] = values
-            .and_then(|v| v.try_into().ok())
-            .ok_or_else(|| nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;
-        self.value_norm.load_state(values);
-        Ok(())
-    }
-}
-
-/// The tensors of a state below `prefix/`.
-fn part(state: &[(String, Tensor)], prefix: &str) -> Vec<(String, Tensor)> {
-    let strip = |(name, t): &(String, Tensor)| {
-        Some((name.strip_prefix(prefix)?.strip_prefix('/')?.to_owned(), t.shallow_clone()))
-    };
-    state.iter().filter_map(strip).collect()
+        let there = |tensor: &Tensor| tensor.to_device(device);
+        let input = input.map(there);
+        let decision = match mode {
+            ActMode::Deterministic => act(&input, mode),
+            ActMode::Sample { action, graph, quiet } => {
+                let (action, graph, quiet) = (there(action), there(graph), there(quiet));
+                act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
+            }
+        };
+        decision.map(|tensor| tensor.to_device(Device::Cpu))
+    })
 }
 
 /// Running means of diagnostics over the gradient steps of an update.
 #[derive(Default)]
-struct Means {
+pub(super) struct Means {
     sums: Losses,
     count: f64,
 }
 
 impl Means {
-    fn add(&mut self, values: &[(&'static str, f64)]) {
+    pub(super) fn add(&mut self, values: &[(&'static str, f64)]) {
         if self.sums.is_empty() {
             self.sums = values.iter().map(|(name, _)| (*name, 0.0)).collect();
         }
@@ -489,7 +405,7 @@ impl Means {
     }
 
     /// The means; an error when one is not finite.
-    fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
+    pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
         let mut losses: Losses = self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
         losses.extend_from_slice(extra);
         match losses.iter().find(|(_, value)| !value.is_finite()) {
@@ -500,6 +416,6 @@ impl Means {
 }
 
 /// The scalar of a tensor.
-fn scalar(tensor: &Tensor) -> f64 {
+pub(super) fn scalar(tensor: &Tensor) -> f64 {
     tensor.double_value(&[])
 }

@@ -58,6 +58,11 @@ impl WorldDecoder {
         self.decoder.loss(&shard.part(x, self.share), &shard.part(&truth, self.share))
     }
 
+    /// Mean squared error on samples, latents `[B, D]`, whose observations and states are these.
+    pub(super) fn error(&self, x: &Tensor, observation: &Tensor, state: &Tensor) -> Tensor {
+        self.decoder.loss(x, self.target.of(observation, state))
+    }
+
     /// What latents `[E, N, D]` say, beside the truth.
     pub(super) fn reconstruct(&self, x: &Tensor, input: &Observation, state: &Tensor) -> Reconstruction {
         let truth = self.target.of(&input.observation, state).shallow_clone();

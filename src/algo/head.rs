@@ -13,6 +13,8 @@ pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
     mode: NoiseMode,
+    /// Whether means are within -1 to 1.
+    bounded: bool,
 }
 
 impl GaussianHead {
@@ -21,7 +23,12 @@ impl GaussianHead {
         let _ = no_grad(|| mean.bias().shallow_clone().fill_(exploration.mean_bias));
         let log_std = path.create("log_std", &[actions], Init::Zeros);
         let _ = no_grad(|| log_std.shallow_clone().fill_(exploration.log_std_start));
-        Self { mean, log_std, mode: exploration.mode }
+        Self { mean, log_std, mode: exploration.mode, bounded: false }
+    }
+
+    /// With the tanh of its means.
+    pub(super) fn bounded(self) -> Self {
+        Self { bounded: true, ..self }
     }
 
     /// Imposes the logarithm of the standard deviation, unless it is learned.
@@ -35,7 +42,8 @@ impl GaussianHead {
     pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
         let log_std =
             if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
-        (self.mean.forward(x), log_std)
+        let mean = self.mean.forward(x);
+        (if self.bounded { mean.tanh() } else { mean }, log_std)
     }
 
     /// Actions and the log-probabilities of their dimensions, both `[E, N, A]`.

@@ -118,7 +118,6 @@ impl<D: Decomposition> Networks for Icp<D> {
     const NAME: &'static str = D::NAME;
     const HEARS: Hears = Hears::InRangeLater;
     const TEAM: bool = D::TEAM;
-    const TRAINING_ONLY: &'static [&'static str] = &[];
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         let (network, symbols, actions) = (&settings.network, settings.icp.symbols, spec.actions as i64);
@@ -186,7 +185,9 @@ impl<D: Decomposition> Networks for Icp<D> {
         let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         let told = Tensor::cat(&[f.detach(), shard.active(&batch.action)], -1);
-        let message = self.decoder.loss(&self.show(&f), &told);
+        // Like the policy, from actions that were sampled.
+        let error = (self.decoder.forward(&self.show(&f)) - told).square().mean_dim(-1, false, Kind::Float);
+        let message = ppo::masked_mean(&error, &shard.active(&batch.sampled));
 
         let mut report = vec![("loss/value", value.detach()), ("loss/message", message.detach())];
         report.extend(policy.report());

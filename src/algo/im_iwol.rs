@@ -24,12 +24,17 @@ use crate::nn::{Linear, ValueNorm};
 
 /// Implicit IWoL.
 pub(super) struct ImIwol {
-    encoder: Encoder,
-    latent: Latent,
-    head: GaussianHead,
-    world: WorldDecoder,
-    interaction: Decoder,
+    policy: LatentPolicy,
     critic: MessageCritic,
+}
+
+/// A policy on the latent of its own observation, from which the privileged state and a message are predicted.
+pub(super) struct LatentPolicy {
+    pub(super) encoder: Encoder,
+    latent: Latent,
+    pub(super) head: GaussianHead,
+    pub(super) world: WorldDecoder,
+    pub(super) interaction: Decoder,
     input: PolicyInput,
 }
 
@@ -45,9 +50,40 @@ impl Latent {
     }
 }
 
-impl ImIwol {
+impl LatentPolicy {
+    pub(super) fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+        let (network, iwol) = (&settings.network, &settings.iwol);
+        let hidden = network.hidden;
+        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
+        let latent = Latent {
+            first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
+            second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
+        };
+        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
+        let actions = spec.actions as i64;
+        Self {
+            encoder,
+            latent,
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), inputs, actions, &settings.exploration),
+            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
+            interaction: Decoder::new(
+                places.of(ACTOR).sub("interaction"),
+                iwol.latent,
+                hidden,
+                iwol.message,
+                iwol.interaction_tanh,
+            ),
+            input: iwol.policy_input,
+        }
+    }
+
+    /// With the tanh of its mean actions.
+    pub(super) fn bounded(self) -> Self {
+        Self { head: self.head.bounded(), ..self }
+    }
+
     /// Latent z and what the policy head reads.
-    fn policy_input(&self, f: &Tensor) -> (Tensor, Tensor) {
+    pub(super) fn read(&self, f: &Tensor) -> (Tensor, Tensor) {
         let z = self.latent.forward(f);
         let input = match self.input {
             PolicyInput::Latent => z.shallow_clone(),
@@ -64,38 +100,18 @@ impl Networks for ImIwol {
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (network, iwol) = (&settings.network, &settings.iwol);
-        let hidden = network.hidden;
-        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
-        let latent = Latent {
-            first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
-            second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
-        };
-        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
-        let head = GaussianHead::new(places.of(ACTOR).sub("head"), inputs, spec.actions as i64, &settings.exploration);
         Self {
-            encoder,
-            latent,
-            head,
-            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
-            interaction: Decoder::new(
-                places.of(ACTOR).sub("interaction"),
-                iwol.latent,
-                hidden,
-                iwol.message,
-                iwol.interaction_tanh,
-            ),
-            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
-            input: iwol.policy_input,
+            policy: LatentPolicy::new(spec, settings, places),
+            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, &settings.network, &settings.iwol),
         }
     }
 
     fn head(&self) -> &GaussianHead {
-        &self.head
+        &self.policy.head
     }
 
     fn memory(&self) -> i64 {
-        self.encoder.memory()
+        self.policy.encoder.memory()
     }
 
     fn value_memory(&self) -> i64 {
@@ -103,8 +119,8 @@ impl Networks for ImIwol {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let (f, memory) = encode_locally(&self.encoder, input);
-        let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode);
+        let (f, memory) = encode_locally(&self.policy.encoder, input);
+        let (action, log_prob) = self.policy.head.sample(&self.policy.read(&f).1, mode);
         Decision { action, log_prob, memory }
     }
 
@@ -121,12 +137,12 @@ impl Networks for ImIwol {
         let (values, messages) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
-        let (z, input) = self.policy_input(&f);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
+        let f = encode_active(&self.policy.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
+        let (z, input) = self.policy.read(&f);
+        let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
-        let world = self.world.loss(batch, shard, &z);
-        let interaction = self.interaction.loss(&some(&z), &some(&messages.detach()));
+        let world = self.policy.world.loss(batch, shard, &z);
+        let interaction = self.policy.interaction.loss(&some(&z), &some(&messages.detach()));
 
         let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
         let mut report = vec![
@@ -139,10 +155,10 @@ impl Networks for ImIwol {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let z = self.latent.forward(&encode_locally(&self.encoder, input).0);
-        let mut all = vec![self.world.reconstruct(&z, input, state)];
+        let z = self.policy.latent.forward(&encode_locally(&self.policy.encoder, input).0);
+        let mut all = vec![self.policy.world.reconstruct(&z, input, state)];
         if let Some(truth) = self.critic.messages(input) {
-            all.push(Reconstruction { name: "interaction", found: self.interaction.forward(&z), truth });
+            all.push(Reconstruction { name: "interaction", found: self.policy.interaction.forward(&z), truth });
         }
         all
     }

@@ -14,12 +14,14 @@ mod ex_iwol;
 mod head;
 mod icp;
 mod im_iwol;
+mod maddpg;
 mod magic;
 mod mappo;
 mod mat;
 mod message;
 mod parameters;
 pub mod ppo;
+mod replay;
 mod scene;
 mod sequence;
 pub mod settings;
@@ -38,7 +40,7 @@ use crate::rng::Seed;
 use crate::rollout::Rollout;
 
 /// The methods, in the order in which they are named.
-const METHODS: [Method; 9] = [
+const METHODS: [Method; 11] = [
     Method::of::<mappo::Mappo>(),
     Method::of::<im_iwol::ImIwol>(),
     Method::of::<ex_iwol::ExIwol>(),
@@ -48,6 +50,8 @@ const METHODS: [Method; 9] = [
     Method::of::<icp::Icp<icp::Separate>>(),
     Method::of::<icp::Icp<icp::Sum>>(),
     Method::of::<icp::Icp<icp::Monotonic>>(),
+    maddpg::MADDPG,
+    maddpg::MADDPG_IWOL,
 ];
 
 /// Names of the algorithms, as on the command line.
@@ -71,8 +75,13 @@ struct Method {
 impl Method {
     /// One of networks that are trained by proximal policy optimisation.
     const fn of<N: Networks + 'static>() -> Self {
-        let capabilities =
-            Capabilities { hears: N::HEARS, any_number: N::PER_AGENT.is_none(), recurrent: true, latent: N::LATENT };
+        let capabilities = Capabilities {
+            hears: N::HEARS,
+            any_number: N::PER_AGENT.is_none(),
+            recurrent: true,
+            on_policy: true,
+            latent: N::LATENT,
+        };
         Self {
             name: N::NAME,
             capabilities,
@@ -95,6 +104,8 @@ pub struct Capabilities {
     pub any_number: bool,
     /// Whether the encoder may have a memory (`network.encoder = "gru"`).
     pub recurrent: bool,
+    /// Whether it learns from the last rollout alone, by the probabilities of its actions (proximal policy optimisation).
+    pub on_policy: bool,
     /// What its latent is trained to tell, by default: `world` (the privileged state), `interaction` (messages).
     pub latent: &'static [&'static str],
 }

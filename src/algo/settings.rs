@@ -27,6 +27,8 @@ pub struct Settings {
     pub commformer: CommFormer,
     /// ICP's own.
     pub icp: Icp,
+    /// MADDPG's own.
+    pub maddpg: Maddpg,
 }
 
 impl Settings {
@@ -326,6 +328,24 @@ pub struct Icp {
 impl Default for Icp {
     fn default() -> Self {
         Self { symbols: 16, lambda_message: 0.05 }
+    }
+}
+
+/// MADDPG's own settings. Of the common ones it takes learning rate, minibatch, discount, largest gradient norm and averaging.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Maddpg {
+    /// Rollouts that are kept and replayed. They stand in checkpoints, whose size grows with them.
+    pub replay: usize,
+    /// Minibatches of replayed steps that are learned from after each rollout.
+    pub updates: usize,
+    /// Share τ of their distance by which target networks follow after each.
+    pub target_rate: f64,
+}
+
+impl Default for Maddpg {
+    fn default() -> Self {
+        Self { replay: 16, updates: 64, target_rate: 0.005 }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::scenario::Scenario;
 impl Config {
     /// Those of `algorithm` with so many agents; `trained`: it begins with a trained policy.
     pub(super) fn defaults(scenario: &Scenario, algorithm: &str, agents: u32, trained: bool) -> Table {
-        let algo::Settings { network, ppo, exploration, iwol, transformer, magic, commformer, icp } =
+        let algo::Settings { network, ppo, exploration, iwol, transformer, magic, commformer, icp, maddpg } =
             algo::Settings::of(algorithm);
         let train = Train::default();
         // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
@@ -65,6 +65,7 @@ impl Config {
             magic,
             commformer,
             icp,
+            maddpg,
             channel: algo::Channel::default(),
             env: Env::of(scenario, agents),
         };
