@@ -237,7 +237,7 @@ pub struct Iwol {
     pub mask: MaskMode,
     /// Whether the physical mask applies (released: no).
     pub physical_mask: bool,
-    /// Noise of the graph in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
+    /// Noise of sampled graphs (also MAGIC's and CommFormer's) in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
     /// each (released).
     pub graph_noise: GraphNoise,
     /// What Im-IWoL's policy head reads: `latent-embedding` (z and f; released) or `latent` (z alone; Algorithm 1).
