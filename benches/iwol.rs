@@ -133,7 +133,7 @@ fn act(c: &mut Criterion) {
             observation: zeros(&[worlds, agents, task.spec.observation.len() as i64]),
             comm: zeros(&[worlds, agents, agents]) + 1.0,
             start: zeros(&[worlds]),
-            memory: zeros(&[worlds, agents, 0]),
+            memory: zeros(&[worlds, agents, learner.memory() as i64]),
         };
         c.bench_function(&format!("act/{name}"), |b| {
             b.iter(|| learner.act(black_box(&input), &ActMode::Deterministic));
@@ -157,8 +157,8 @@ fn update(c: &mut Criterion) {
             observation: task.spec.observation.len(),
             state: task.spec.state.len(),
             actions: 1,
-            memory: 0,
-            graph_noise: learner.samples_graph(),
+            memory: learner.memory(),
+            graphs: learner.graphs(),
         };
         let mut rollout = Rollout::new(sizes);
         rng::fill_normal(&mut Seed::new(1).rng(), &mut rollout.observation);

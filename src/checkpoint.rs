@@ -80,8 +80,12 @@ impl Checkpoint {
                 *name = format!("actor/{rest}");
             }
         }
-        let kept = ["actor/", "critic/", "value_norm/"];
-        self.learner.retain(|(name, _)| kept.iter().any(|prefix| name.starts_with(prefix)));
+        let dropped = |name: &str| {
+            name.split('/')
+                .next()
+                .is_some_and(|set| ["_adam", "_memory", "_target"].iter().any(|end| set.ends_with(end)))
+        };
+        self.learner.retain(|(name, _)| !dropped(name));
         self.worlds.clear();
         self.memory.clear();
         self

@@ -51,6 +51,16 @@ pub struct Config {
     pub exploration: settings::Exploration,
     /// IWoL.
     pub iwol: settings::Iwol,
+    /// The transformer of MAT and CommFormer.
+    pub transformer: settings::Transformer,
+    /// MAGIC.
+    pub magic: settings::Magic,
+    /// CommFormer.
+    pub commformer: settings::CommFormer,
+    /// ICP.
+    pub icp: settings::Icp,
+    /// MADDPG.
+    pub maddpg: settings::Maddpg,
     /// The radio between agents, in evaluation.
     pub channel: algo::Channel,
     /// The scenario's numbers.
@@ -340,6 +350,11 @@ impl Config {
             ppo: self.ppo.clone(),
             exploration: self.exploration.clone(),
             iwol: self.iwol.clone(),
+            transformer: self.transformer.clone(),
+            magic: self.magic.clone(),
+            commformer: self.commformer.clone(),
+            icp: self.icp.clone(),
+            maddpg: self.maddpg.clone(),
         }
     }
 
@@ -357,14 +372,17 @@ impl Config {
     /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
     fn out_of_range(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
-        let c = &self.channel;
+        let (c, former) = (&self.channel, &self.commformer);
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
         // A rollout's observations alone must fit into memory.
         let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
+        let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
+        let heads = self.transformer.heads;
+        let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 75] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 89] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -435,6 +453,36 @@ impl Config {
             (&["iwol.decoded"], i.decoded > 0.0 && share(i.decoded), "above 0, to 1"),
             (&["iwol.lambda_world"], finite_range(i.lambda_world), "0 or more"),
             (&["iwol.lambda_interaction"], finite_range(i.lambda_interaction), "0 or more"),
+            (&["transformer.blocks"], (1..=64).contains(&self.transformer.blocks), "1 to 64"),
+            (
+                &["transformer.heads", "network.hidden", "algorithm"],
+                heads >= 1 && (!sequential || n.hidden % heads == 0),
+                "a divisor of network.hidden",
+            ),
+            (&["magic.lambda_world"], finite_range(self.magic.lambda_world), "0 or more"),
+            (&["commformer.sparsity"], former.sparsity > 0.0 && share(former.sparsity), "above 0, to 1"),
+            (
+                &["commformer.graph_every", "ppo.epochs", "algorithm"],
+                (2..=p.epochs.max(2)).contains(&former.graph_every) || self.algorithm != "commformer",
+                "2 to ppo.epochs: in every so many passes over a rollout, one trains the graph",
+            ),
+            (&["commformer.graph_rate"], finite_range(former.graph_rate), "0 or more"),
+            (&["commformer.lambda_world"], finite_range(former.lambda_world), "0 or more"),
+            (&["icp.symbols"], (2..=4096).contains(&self.icp.symbols), "2 to 4096"),
+            (&["icp.lambda_message"], finite_range(self.icp.lambda_message), "0 or more"),
+            (&["maddpg.replay"], (1..=10_000).contains(&self.maddpg.replay), "1 to 10000"),
+            (&["maddpg.updates"], (1..=100_000).contains(&self.maddpg.updates), "1 to 100000"),
+            (&["maddpg.target_rate"], self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate), "above 0, to 1"),
+            (
+                &["network.encoder", "algorithm"],
+                !recurrent || able.is_none_or(|able| able.recurrent),
+                "mlp or attention: this method replays single steps, which have no memory",
+            ),
+            (
+                &["exploration.mode", "algorithm"],
+                x.mode == settings::NoiseMode::Schedule || able.is_none_or(|able| able.on_policy),
+                "schedule: nothing in this method learns how much noise to make",
+            ),
             (&["channel.bits"], (2..=32).contains(&c.bits), "2 to 32"),
             (&["channel.loss"], share(c.loss), "0 to 1"),
             (&["channel.delay"], c.delay <= 100, "0 to 100"),

@@ -23,8 +23,8 @@ pub struct Sizes {
     pub actions: usize,
     /// Memory of the policy per agent M (0: none).
     pub memory: usize,
-    /// Whether the policy samples communication graphs.
-    pub graph_noise: bool,
+    /// Communication graphs G that the policy samples at each decision (0: none).
+    pub graphs: usize,
 }
 
 /// One rollout; all arrays are row-major.
@@ -44,11 +44,11 @@ pub struct Rollout {
     pub start: Vec<f32>,
     /// Memory before the decision, `[T + 1, E, N, M]`.
     pub memory: Vec<f32>,
-    /// Noise of the policy's communication graph, `[T + 1, E, N, N]`; empty without one.
+    /// Noise of the policy's communication graphs, side by side in each row, `[T + 1, E, N, G · N]`.
     pub graph_noise: Vec<f32>,
     /// `[T, E, N, A]`, as sampled (not clipped).
     pub action: Vec<f32>,
-    /// `[T, E, N]`
+    /// Of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
     /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
     pub sampled: Vec<f32>,
@@ -74,9 +74,9 @@ impl Rollout {
             active: vec![0.0; closed],
             start: vec![0.0; (sizes.steps + 1) * sizes.envs],
             memory: vec![0.0; closed * sizes.memory],
-            graph_noise: vec![0.0; if sizes.graph_noise { closed * sizes.agents } else { 0 }],
+            graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],
-            log_prob: vec![0.0; rows],
+            log_prob: vec![0.0; rows * sizes.actions],
             sampled: vec![1.0; sizes.steps * sizes.envs],
             quiet: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
@@ -131,6 +131,28 @@ impl Rollout {
         (advantage, returns)
     }
 
+    /// The agents of each environment as one, who gets the sum of their rewards, acts while any of them does, and ends with the last:
+    /// for good, unless someone is cut short then. It has no observations, actions or memory.
+    #[must_use]
+    pub fn team(&self) -> Self {
+        let mut team =
+            Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
+        let rows = self.sizes.steps * self.sizes.envs;
+        for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
+            let crew = || (0..self.sizes.agents).filter(|&i| active[i] > 0.0).map(|i| row * self.sizes.agents + i);
+            let any = crew().next().is_some();
+            team.active[row] = f32::from(u8::from(any));
+            if row < rows && any {
+                team.reward[row] = crew().map(|i| self.reward[i]).sum();
+                let over = crew().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
+                let cut = crew().any(|i| self.truncated[i] > 0.0);
+                team.terminated[row] = f32::from(u8::from(over && !cut));
+                team.truncated[row] = f32::from(u8::from(over && cut));
+            }
+        }
+        team
+    }
+
     /// Chunks of `length` consecutive steps of one environment, as `(first step, environment)`; the last chunk of an
     /// environment is left out if it would be shorter.
     pub fn chunks(&self, length: usize) -> Vec<(usize, usize)> {
@@ -158,7 +180,7 @@ mod tests {
             state: 1,
             actions: 1,
             memory: 0,
-            graph_noise: false,
+            graphs: 0,
         });
         // A trajectory per slot: an end is followed by inactivity until the next start.
         for k in 0..width {
@@ -184,6 +206,19 @@ mod tests {
             }
         }
         rollout
+    }
+
+    #[test]
+    fn a_team_earns_together_and_ends_with_its_last() {
+        let mut rollout = random_rollout(3, 2, &[0], &[0.0]);
+        // The first agent ends at once, the second one is cut short in the last step.
+        rollout.reward.copy_from_slice(&[1.0, 2.0, 9.0, 3.0, 9.0, 4.0]);
+        (rollout.terminated[0], rollout.truncated[5]) = (1.0, 1.0);
+        (rollout.active[2], rollout.active[4]) = (0.0, 0.0);
+        let team = rollout.team();
+        assert_eq!(team.sizes.agents, 1);
+        assert_eq!((&team.reward[..], &team.active[..]), (&[3.0, 3.0, 4.0][..], &[1.0; 4][..]));
+        assert_eq!((&team.terminated[..], &team.truncated[..]), (&[0.0; 3][..], &[0.0, 0.0, 1.0][..]));
     }
 
     proptest! {
@@ -236,7 +271,7 @@ mod tests {
         #[test]
         fn chunks_partition_the_rollout(steps in 1usize..40, envs in 1usize..5, length in 1usize..11) {
             let rollout = Rollout::new(Sizes {
-                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graph_noise: false,
+                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graphs: 0,
             });
             let chunks = rollout.chunks(length);
             let mut rows = rollout.rows(&chunks, length);

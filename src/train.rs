@@ -140,7 +140,7 @@ impl Trainer {
             state: task.spec.state.len(),
             actions: task.spec.actions,
             memory: learner.memory(),
-            graph_noise: learner.samples_graph(),
+            graphs: learner.graphs(),
         };
         let shape = [worlds as i64, task.agents as i64, learner.memory() as i64];
         let count = worlds * task.agents * learner.memory();
@@ -249,16 +249,16 @@ impl Trainer {
                 for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
                     noise.fill(0.0);
                 }
-                let cell = self.rollout.at(t, s.agents);
-                let graph = if s.graph_noise {
+                let cell = self.rollout.at(t, s.agents * s.graphs);
+                let graph = if s.graphs > 0 {
                     rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
                     // Quiet worlds are as close to the most likely graph as to the mean action.
                     for (e, late) in late.iter().enumerate() {
-                        let of_world = self.rollout.cell(t, e, s.agents);
+                        let of_world = self.rollout.cell(t, e, s.agents * s.graphs);
                         let scale = f32::from(u8::from(!late)) * (self.rollout.quiet[e] + schedule).exp();
                         self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
                     }
-                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, n])
+                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
                 } else {
                     Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
                 };

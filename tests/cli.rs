@@ -28,7 +28,7 @@ fn folder() -> tempfile::TempDir {
 fn wrong_names_are_told_what_there_is() {
     assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--algorithm", "im-iwool"])), @r#"
     2
-    error: --algorithm: bad value for `algorithm`: there is no algorithm `im-iwool` (there are mappo, im-iwol, ex-iwol); did you mean `im-iwol`?
+    error: --algorithm: bad value for `algorithm`: there is no algorithm `im-iwool` (there are mappo, im-iwol, ex-iwol, mat, magic, commformer, icp-dec, icp-sum, icp-monotonic, maddpg, maddpg-iwol); did you mean `im-iwol`?
     "#);
     assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "throtle:1"])), @r#"
     2

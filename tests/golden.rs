@@ -5,9 +5,10 @@
 //! for outputs of networks and for gradients, tighter where stated.
 
 use iwol_sumo::algo::ppo;
+use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
-    Adam, CommGraph, Entity, GraphTransformer, Gru, MaskMode, Mlp, Packing, Params, Path, TokenGroup, ValueNorm,
-    gaussian_entropy, gaussian_log_prob,
+    Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init, MaskMode, Mixer, Mlp,
+    Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, ValueNorm, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
 use tch::{Device, Kind, Tensor};
@@ -155,10 +156,78 @@ fn transformer_in_both_mask_modes() {
 }
 
 #[test]
+fn decoder_of_mat() {
+    let case = Case::new("decoder");
+    let (params, decoder) = case.network(|path| Decoder::new(path, 2, 8, 1, 2, None));
+    let (previous, rep) = (case.input("previous"), case.input("rep"));
+    let reach = Reach::of(&case.get("seen")).causal();
+    let out = decoder.forward(&previous, &rep, &reach, &mut Decoded::default());
+    case.check("out", &out);
+    let embed = parameter(&params, "embed.weight");
+    case.check_gradients(&out, &[("grad_previous", &previous), ("grad_rep", &rep), ("grad_embed", &embed)]);
+}
+
+/// Graph, encoder block and decoder in one, so that the gradient of the graph's scores is that through all of them.
+#[test]
+fn commformer() {
+    let case = Case::new("commformer");
+    let (_, (edges, relations, block, decoder)) = case.network(|mut path| {
+        let relations = path.create("relations", &[2, 8], Init::Zeros);
+        let edges = path.create("edges", &[5, 5], Init::Zeros);
+        let block = RelationBlock::new(path.sub("block"), 8, 2);
+        let decoder = Decoder::new(path.sub("decoder"), 1, 8, 1, 2, Some(&relations));
+        (edges, relations, block, decoder)
+    });
+    let x = case.input("x");
+    let best = sample_best(&(edges.unsqueeze(0) + case.get("noise")), 2, 1.0);
+    case.check_within("best", &best, 1e-6);
+    let links = best * case.get("physical");
+    let graph = with_self_loops(&links);
+    let reach = Reach::over(&graph, &links.gt(0.5).to_kind(Kind::Float));
+    let known = block.forward(&x, &reach, &relations);
+    case.check("block", &known);
+    case.check_gradients(&known, &[("grad_block_edges", &edges)]);
+    let out = decoder.forward(&case.get("previous"), &known, &reach.causal(), &mut Decoded::default());
+    case.check("out", &out);
+    case.check_gradients(&out, &[("grad_x", &x), ("grad_edges", &edges), ("grad_relations", &relations)]);
+}
+
+#[test]
+fn magic() {
+    let case = Case::new("magic");
+    let (_, (scheduler, layers)) = case.network(|mut path| {
+        let scheduler = Scheduler::new(path.sub("scheduler"), 16);
+        let joined = GraphAttention::new(path.sub("joined"), 16, 2, 3, true);
+        (scheduler, [("joined", joined), ("mean", GraphAttention::new(path.sub("mean"), 16, 2, 3, false))])
+    });
+    let (f, graph) = (case.input("f"), case.input("graph"));
+    let (flat, packing) = all_places(&f);
+    let scores = scheduler.scores(&flat, &packing);
+    case.check("scores", &scores);
+    case.check_gradients(&scores, &[("grad_f_scores", &f)]);
+    for (name, layer) in layers {
+        let out = packing.unpack(&layer.forward(&flat, &packing, &graph));
+        case.check(&format!("out_{name}"), &out);
+        case.check_gradients(&out, &[(&format!("grad_f_{name}"), &f), (&format!("grad_graph_{name}"), &graph)]);
+    }
+}
+
+#[test]
+fn mixer_of_those_who_are_there() {
+    let case = Case::new("mixer");
+    let (_, mixer) = case.network(|path| Mixer::new(path, 5));
+    let (values, state) = (case.input("values"), case.input("state"));
+    let out = mixer.forward(&values, &state, &case.get("present"));
+    case.check("out", &out);
+    case.check_gradients(&out, &[("grad_values", &values), ("grad_state", &state)]);
+}
+
+#[test]
 fn gaussian() {
     let case = Case::new("gaussian");
     let (mean, log_std) = (case.input("mean"), case.input("log_std"));
     let log_prob = gaussian_log_prob(&mean, &log_std, &case.get("action"));
+    let log_prob = log_prob.sum_dim_intlist(-1, false, Kind::Float);
     let entropy = gaussian_entropy(&log_std);
     case.check("log_prob", &log_prob);
     case.check("entropy", &entropy.expand([6], false));
@@ -218,7 +287,8 @@ fn ppo_losses() {
     let case = Case::new("ppo");
     let active = case.get("active");
     let log_prob = case.input("log_prob");
-    let policy = ppo::policy_loss(&log_prob, &case.get("old_log_prob"), &case.get("advantage"), &active, 0.2);
+    let (new, old) = (log_prob.unsqueeze(-1), case.get("old_log_prob").unsqueeze(-1));
+    let policy = ppo::policy_loss(&new, &old, &case.get("advantage"), &active, 0.2);
     case.check("policy_loss", &policy);
     case.check("grad_log_prob", &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0]);
 

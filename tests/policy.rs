@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use assert_cmd::Command;
+use iwol_sumo::algo::{self, Capabilities};
 use serde_json::Value;
 
 const SMALL: [&str; 9] = [
@@ -49,7 +50,10 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let name = |name: &str| at(name).display().to_string();
-    for (algorithm, known) in [("mappo", 0), ("ex-iwol", 1), ("im-iwol", 2)] {
+    for algorithm in algo::NAMES {
+        let Capabilities { any_number, latent, .. } = algo::capabilities(algorithm).expect("known");
+        // The numbers of vehicles among which it is used afterwards.
+        let (more, next_agents) = if any_number { ("16", "5") } else { ("4", "4") };
         let run = format!("{algorithm}_0");
         text(&mut train(&at(&run), &["--algorithm", algorithm, "--agents", "4"]));
         let small = name(&format!("{algorithm}_small"));
@@ -66,17 +70,26 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             serde_json::from_str(&text(&mut iwol(&args))).expect("JSON")
         };
         assert_eq!(evaluate(&name(&run), "4"), evaluate(&small, "4"));
-        let wide = evaluate(&small, "16");
+        if !any_number {
+            let refused = refused(&mut iwol(&["evaluate", &small, "--agents", "16"]));
+            assert!(refused.contains("cannot be used among 16"), "{refused}");
+        }
+        let wide = evaluate(&small, more);
         let reconstruction = wide["metrics"]["reconstruction"].as_array().expect("a list");
-        assert_eq!(reconstruction.len(), known, "{algorithm}");
+        assert_eq!(reconstruction.len(), latent.len(), "{algorithm}");
         assert!(reconstruction.iter().all(|k| k["error"].as_f64().is_some_and(|e| e > 0.0)), "{wide}");
 
         // Training starts from it with more vehicles; its metrics say what the latent knows.
         let next = format!("{algorithm}_next");
-        text(&mut train(&at(&next), &["--algorithm", algorithm, "--agents", "5", "--init-from", &small]));
+        text(&mut train(&at(&next), &["--algorithm", algorithm, "--agents", next_agents, "--init-from", &small]));
         let metrics = fs::read_to_string(at(&next).join("metrics.jsonl")).expect("metrics");
-        assert_eq!(metrics.contains("validation/world_explained"), known > 0);
-        assert_eq!(metrics.contains("validation/interaction_explained"), known > 1);
+        for name in ["world", "interaction"] {
+            assert_eq!(
+                metrics.contains(&format!("validation/{name}_explained")),
+                latent.contains(&name),
+                "{algorithm}"
+            );
+        }
 
         let refusals = [
             (refused(&mut train(Path::new(&small), &["--algorithm", algorithm])), "holds a policy; start from it"),

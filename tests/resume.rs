@@ -3,18 +3,22 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use iwol_sumo::algo;
 use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer};
 use tch::{Kind, Tensor};
 
+// Over TraCI, as several trainers are alive at once, and libsumo has one place.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
          [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nreplay_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
+         [simulation]\nbackend = 'traci'\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
+         [commformer]\ngraph_every = 2\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
          [env]\nhorizon = 60\n",
         Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml").display()
@@ -47,12 +51,16 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     all
 }
 
-const RUNS: [(&str, &str); 4] = [("mappo", "mlp"), ("im-iwol", "attention"), ("ex-iwol", "mlp"), ("im-iwol", "gru")];
+/// Every method, and those with an encoder whose memory is carried along.
+fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
+    algo::NAMES.into_iter().map(|name| (name, "mlp")).chain(recurrent).chain([("im-iwol", "attention")])
+}
 
 #[test]
 fn training_is_reproducible_and_resumable_bit_for_bit() {
     let stop = AtomicBool::new(false);
-    for (algorithm, encoder) in RUNS {
+    for (algorithm, encoder) in runs() {
         // Four iterations in one go. Episodes of at most 60 steps end within the segments of 40.
         let mut whole = trainer(algorithm, encoder);
         for _ in 0..4 {

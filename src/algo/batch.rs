@@ -24,13 +24,13 @@ pub(super) struct Batch {
     pub(super) memory: Tensor,
     /// Memory of the value, `[(T + 1) · E, N, M]`.
     pub(super) value_memory: Tensor,
-    /// Noise of the policy's communication graph, `[(T + 1) · E, N, N]`; empty without one.
+    /// Noise of the policy's G communication graphs side by side, `[(T + 1) · E, N, G · N]`; empty without one.
     pub(super) policy_graph: Tensor,
-    /// Noise of the value's communication graph, likewise.
+    /// Noise of the value's communication graph, `[(T + 1) · E, N, N]`; empty without one.
     pub(super) value_graph: Tensor,
     /// `[T · E, N, A]`
     pub(super) action: Tensor,
-    /// `[T · E, N]`
+    /// Of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
     /// Added to the logarithm of the standard deviation, `[T · E, N]`.
     pub(super) quiet: Tensor,
@@ -54,7 +54,7 @@ impl Batch {
         let start = tensor(&rollout.start, &[closed, 1]);
         let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
-        let policy_graph = if s.graph_noise { [closed, n, n] } else { [0, n, n] };
+        let policy_graph = if s.graphs > 0 { [closed, n, n * s.graphs as i64] } else { [0, n, n] };
         Self {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
@@ -66,7 +66,7 @@ impl Batch {
             policy_graph: tensor(&rollout.graph_noise, &policy_graph),
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
-            log_prob: tensor(&rollout.log_prob, &[rows, n]),
+            log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
             quiet: tensor(&rollout.quiet, &[1, s.envs as i64, 1])
                 .expand([s.steps as i64, -1, n], false)
                 .reshape([rows, n]),
@@ -78,14 +78,22 @@ impl Batch {
         }
     }
 
-    /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns.
-    pub(super) fn estimate(&mut self, rollout: &Rollout, outputs: &Tensor, norm: &ValueNorm, ppo: &Ppo) {
+    /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns: each agent's own, or
+    /// those of the team, of which all outputs of a row are the value.
+    pub(super) fn estimate(&mut self, rollout: &Rollout, outputs: &Tensor, norm: &ValueNorm, ppo: &Ppo, team: bool) {
+        let agents = rollout.sizes.agents;
         let values = norm.denormalize(outputs).reshape([-1]).to_device(Device::Cpu);
         let values = Vec::<f32>::try_from(values).expect("values are floats");
-        let (mut advantage, returns) = rollout.advantages(&values, ppo.gamma, ppo.gae_lambda);
+        let (mut advantage, returns) = if team {
+            let values: Vec<f32> = values.iter().copied().step_by(agents).collect();
+            let (advantage, returns) = rollout.team().advantages(&values, ppo.gamma, ppo.gae_lambda);
+            let shared = |of: &[f32]| of.iter().flat_map(|&x| std::iter::repeat_n(x, agents)).collect::<Vec<_>>();
+            (shared(&advantage), shared(&returns))
+        } else {
+            rollout.advantages(&values, ppo.gamma, ppo.gae_lambda)
+        };
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
-        let agents = rollout.sizes.agents;
         let learned: Vec<f32> = rollout.active[..count]
             .iter()
             .enumerate()
@@ -232,11 +240,11 @@ impl Shard {
     }
 }
 
-/// Logistic noise of this scale for the graphs of all rows, `[(T + 1) · E, N, N]`.
-pub(super) fn graph_noise(rollout: &Rollout, scale: f64, device: Device, seed: Seed) -> Tensor {
+/// Logistic noise of this scale for G graphs in each row, `[(T + 1) · E, N, G · N]`.
+pub(super) fn graph_noise(rollout: &Rollout, graphs: usize, scale: f64, device: Device, seed: Seed) -> Tensor {
     let s = rollout.sizes;
-    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
+    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents * graphs];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
-    let shape = [((s.steps + 1) * s.envs) as i64, s.agents as i64, s.agents as i64];
+    let shape = [((s.steps + 1) * s.envs) as i64, s.agents as i64, (s.agents * graphs) as i64];
     (Tensor::from_slice(&noise).view(shape) * scale).to_device(device)
 }

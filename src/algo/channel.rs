@@ -7,6 +7,9 @@
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor};
 
+use super::Observation;
+use super::encoder::{Encoder, encode_rows};
+
 /// What happens to messages.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -53,18 +56,42 @@ pub struct ChannelNoise {
 }
 
 /// What arrives.
-pub(super) struct Heard {
+struct Heard {
     /// `[E, N, N, H]`; row `i` is what agent `i` knows of everyone, itself included.
-    pub(super) embedding: Tensor,
+    embedding: Tensor,
     /// Whether it arrived, `[E, N, N]`.
-    pub(super) arrived: Tensor,
+    arrived: Tensor,
+}
+
+/// One decision where embeddings pass through a channel. Each agent works out by itself what it makes of what it heard: `read`
+/// gets a row of agents for each receiver, `known [E · N, N, H]`, and who arrived there, `[E · N, 1, N]`, and gives what each
+/// of the row would make of it, `[E · N, N, D]`. Gives the receivers' own, `[E, N, D]`, embeddings `[E, N, H]`, and the memory of
+/// encoder and channel.
+pub(super) fn exchange(
+    encoder: &Encoder,
+    input: &Observation,
+    channel: &Channel,
+    noise: &ChannelNoise,
+    read: impl Fn(&Tensor, &Tensor) -> Tensor,
+) -> (Tensor, Tensor, Tensor) {
+    let (envs, agents, _) = input.observation.size3().expect("observations are [E, N, O]");
+    let (own, total) = (encoder.memory(), input.memory.size()[2]);
+    let memory = input.memory.narrow(2, 0, own);
+    let (f, after) = encode_rows(encoder, &input.observation, &memory, &input.keep(), 1);
+    let past = input.memory.narrow(2, own, total - own);
+    let (Heard { embedding, arrived }, past) = channel.send(&f, &input.keep(), &past, noise);
+    // Those whom a receiver did not hear reach it by no way.
+    let made = read(&embedding.flatten(0, 1), &arrived.reshape([envs * agents, 1, agents]));
+    let made = made.view([envs, agents, agents, -1]).diagonal(0, 1, 2).transpose(1, 2).contiguous();
+    let memory = after.map_or(memory, |after| after.view([envs, agents, own]));
+    (made, f, Tensor::cat(&[&memory, &past], -1))
 }
 
 impl Channel {
     /// Sends the embeddings `f [E, N, H]`. `past [E, N, 1 + delay · H]` is how long
     /// ago the episode began, and what was sent since, forgotten where `keep [E, N]` is 0; gives what arrives, and the past of
     /// the next decision.
-    pub(super) fn send(&self, f: &Tensor, keep: &Tensor, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
+    fn send(&self, f: &Tensor, keep: &Tensor, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
         let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
         let sent = self.rounded(f);
         let (sent, silent, past) = self.delayed(&sent, keep, past);

@@ -1,5 +1,5 @@
-//! What all actor-critic learners here share: two parameter sets with their optimisers, value normalisation, averaged
-//! weights, and the passes over a rollout, on as many threads as minibatches have shards.
+//! What all actor-critic learners here share: parameters with their optimisers, value normalisation, averaged weights, and
+//! the passes over a rollout, on as many threads as minibatches have shards.
 //!
 //! Every shard has a copy of the networks. The copies share their weights and have gradients of their own, which are added
 //! up before a step: both cores are busy in forward and backward alike, without a thread pool inside libtorch, and the
@@ -10,12 +10,14 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::GaussianHead;
+use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_entry};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
-    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Insight, Losses, Observation, Pace, Reconstruction,
+    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Observation, Pace,
+    Reconstruction,
 };
 use crate::env::EnvSpec;
-use crate::nn::{self, Adam, Params, Path, ValueNorm, named_views};
+use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
@@ -23,15 +25,29 @@ use crate::rollout::Rollout;
 pub(super) trait Networks: Sized + Send {
     /// Name, as on the command line.
     const NAME: &'static str;
-    /// Whether the policy samples a communication graph.
-    const SAMPLES_GRAPH: bool = false;
+    /// Whose observations can change an agent's action.
+    const HEARS: Hears = Hears::Nobody;
+    /// What its latent is trained to tell, by default.
+    const LATENT: &'static [&'static str] = &[];
+    /// Communication graphs that the policy samples at each decision.
+    const GRAPHS: usize = 0;
     /// Whether the value samples one.
     const VALUE_SAMPLES_GRAPH: bool = false;
     /// Parts of the actor that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
-    /// Creates the networks' parameters below these places.
-    fn new(spec: &EnvSpec, settings: &Settings, actor: Path<'_>, critic: Path<'_>) -> Self;
+    /// Whether agents share the value and the return of their team.
+    const TEAM: bool = false;
+    /// A parameter with a row for each agent, as `<set>/<name>`, where there is one.
+    const PER_AGENT: Option<&'static str> = None;
+
+    /// Creates the networks and their parameters.
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self;
+
+    /// How fast a set of parameters learns in the pass over the rollout of this number; `None` where it rests.
+    fn rate(_set: Set, _epoch: usize, learning_rate: f64, _settings: &Settings) -> Option<f64> {
+        Some(learning_rate)
+    }
 
     /// The policy's head.
     fn head(&self) -> &GaussianHead;
@@ -39,8 +55,15 @@ pub(super) trait Networks: Sized + Send {
     /// Memory of the policy per agent, M.
     fn memory(&self) -> i64;
 
-    /// Memory of the value per agent.
-    fn value_memory(&self) -> i64;
+    /// Whether that memory is learned through time, in sequences.
+    fn is_recurrent(&self) -> bool {
+        self.memory() > 0
+    }
+
+    /// Memory of the value per agent, where it has one of its own.
+    fn value_memory(&self) -> i64 {
+        0
+    }
 
     /// Chooses actions.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
@@ -96,13 +119,8 @@ pub(super) struct ActorCritic<N> {
     pool: Option<rayon::ThreadPool>,
     settings: Settings,
     device: Device,
-    actor: Params,
-    critic: Params,
-    actor_adam: Adam,
-    critic_adam: Adam,
+    weights: Weights,
     value_norm: ValueNorm,
-    /// Averaged weights of the actor, `[count]`.
-    average: Option<Tensor>,
     /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
     critic_memory: Option<Tensor>,
 }
@@ -111,37 +129,30 @@ impl<N: Networks> ActorCritic<N> {
     /// A learner with weights drawn from `seed`.
     pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
         let build = || {
-            let (mut actor, mut critic) = (Params::new(device), Params::new(device));
-            let (mut first, mut second) = (seed.child("actor").rng(), seed.child("critic").rng());
-            let networks = N::new(spec, settings, actor.root(&mut first), critic.root(&mut second));
-            (networks, actor, critic)
+            let mut places = Places::new(seed, device);
+            let networks = N::new(spec, settings, &mut places);
+            (networks, places)
         };
-        let (networks, mut actor, mut critic) = build();
-        let (mut actor_adam, mut critic_adam) = (Adam::new(&mut actor), Adam::new(&mut critic));
+        let (networks, places) = build();
+        let mut weights = Weights::new(places, settings.ppo.average > 0.0);
         let mut copies = vec![networks];
         // One device does one thing at a time.
         let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
         for _ in 1..shards {
-            let (networks, mut actor, mut critic) = build();
-            actor_adam.replica(&mut actor);
-            critic_adam.replica(&mut critic);
+            let (networks, places) = build();
+            places.replicate(&mut weights);
             copies.push(networks);
         }
         let threads = rayon::ThreadPoolBuilder::new().num_threads(shards).thread_name(|k| format!("shard{k}"));
         // Libtorch counts its threads per thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
-        let average = (settings.ppo.average > 0.0).then(|| actor_adam.weights().copy());
         Self {
             copies,
             pool: (shards > 1).then(|| threads.build().expect("threads can be started")),
             settings: settings.clone(),
             device,
-            actor,
-            critic,
-            actor_adam,
-            critic_adam,
+            weights,
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
-            average,
             critic_memory: None,
         }
     }
@@ -196,12 +207,12 @@ impl<N: Networks> ActorCritic<N> {
         joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
     }
 
-    /// One gradient step on a minibatch; gives what to report.
+    /// One gradient step on a minibatch; gives what to report. `rate` as [`Networks::rate`].
     fn step(
         &mut self,
         batch: &Batch,
         shards: Vec<Shard>,
-        learning_rate: f64,
+        rate: impl Fn(Set) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         // The reference updates the normalisation in every evaluation of the loss.
         let returns: Vec<Tensor> = shards.iter().map(|shard| shard.active(&batch.returns)).collect();
@@ -218,16 +229,7 @@ impl<N: Networks> ActorCritic<N> {
             sums
         });
         let report = report.get_or_insert_default();
-        let limit = self.settings.ppo.max_grad_norm;
-        let norms = (self.actor_adam.clip_grad_norm(limit), self.critic_adam.clip_grad_norm(limit));
-        for (what, norm) in [("the policy's gradient", norms.0), ("the value's gradient", norms.1)] {
-            if !norm.is_finite() {
-                return Err(Error::NonFinite { what });
-            }
-        }
-        self.actor_adam.step(learning_rate);
-        self.critic_adam.step(learning_rate);
-        report.extend([("ppo/grad_norm_actor", norms.0), ("ppo/grad_norm_critic", norms.1)]);
+        report.extend(self.weights.step_all(self.settings.ppo.max_grad_norm, rate)?);
         Ok(std::mem::take(report))
     }
 }
@@ -241,26 +243,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.copies[0].memory() as usize
     }
 
-    fn samples_graph(&self) -> bool {
-        N::SAMPLES_GRAPH
+    fn graphs(&self) -> usize {
+        N::GRAPHS
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        no_grad(|| {
-            if self.device == Device::Cpu {
-                return self.copies[0].act(input, mode);
-            }
-            let there = |tensor: &Tensor| tensor.to_device(self.device);
-            let input = input.map(there);
-            let decision = match mode {
-                ActMode::Deterministic => self.copies[0].act(&input, mode),
-                ActMode::Sample { action, graph, quiet } => {
-                    let (action, graph, quiet) = (there(action), there(graph), there(quiet));
-                    self.copies[0].act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
-                }
-            };
-            decision.map(|tensor| tensor.to_device(Device::Cpu))
-        })
+        act_on(self.device, input, mode, |input, mode| self.copies[0].act(input, mode))
     }
 
     fn message_width(&self) -> usize {
@@ -295,39 +283,40 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
-        let (ppo, network) = (self.settings.ppo.clone(), self.settings.network.clone());
-        let recurrent = self.copies[0].memory() > 0;
-        let length = if recurrent { network.chunk_length } else { 1 };
+        let settings = self.settings.clone();
+        let (ppo, network) = (&settings.ppo, &settings.network);
+        let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy's graph is sampled ever more quietly, so is the value's.
-        let imposed = N::SAMPLES_GRAPH && self.settings.exploration.mode == NoiseMode::Schedule;
+        let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
+            batch.value_graph = graph_noise(rollout, 1, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(rollout, &outputs, &self.value_norm, &ppo);
+        batch.estimate(rollout, &outputs, &self.value_norm, ppo, N::TEAM);
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
-                let noise = |of: &str| graph_noise(rollout, scale, self.device, seed.child(of).index(epoch as u64));
+                let noise = |of: &str, graphs: usize| {
+                    graph_noise(rollout, graphs, scale, self.device, seed.child(of).index(epoch as u64))
+                };
                 if N::VALUE_SAMPLES_GRAPH {
-                    batch.value_graph = noise("resampled");
+                    batch.value_graph = noise("resampled", 1);
                 }
-                if N::SAMPLES_GRAPH {
-                    batch.policy_graph = noise("resampled policy");
+                if N::GRAPHS > 0 {
+                    batch.policy_graph = noise("resampled policy", N::GRAPHS);
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
             for shards in minibatches(rollout, length, ppo.minibatch, self.copies.len(), self.device, order) {
-                means.add(&self.step(&batch, shards, pace.learning_rate)?);
+                let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
+                means.add(&self.step(&batch, shards, rate)?);
             }
         }
         let head = self.copies[0].head();
         head.impose(pace.log_std);
-        if let Some(average) = &mut self.average {
-            let _ = no_grad(|| average.lerp_(self.actor_adam.weights(), 1.0 - ppo.average));
-        }
+        self.weights.follow_average(ppo.average);
         means.finish(&[
             ("ppo/explained_variance", batch.explained_variance),
             ("ppo/std", head.std()),
@@ -336,103 +325,76 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn swap_average(&mut self) {
-        if let Some(average) = &mut self.average {
-            let mut weights = self.actor_adam.weights().shallow_clone();
-            no_grad(|| {
-                let training = weights.copy();
-                weights.copy_(average);
-                average.copy_(&training);
-            });
-        }
+        self.weights.swap_average();
     }
 
     fn state(&self) -> Vec<(String, Tensor)> {
-        let mut state = Vec::new();
-        let mut add = |prefix: &str, tensors: &[(String, Tensor)]| {
-            let copy = |tensor: &Tensor| tensor.detach().to_device(Device::Cpu).copy();
-            state.extend(tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), copy(tensor))));
-        };
-        add("actor", self.actor.named());
-        add("critic", self.critic.named());
-        if let Some(average) = &self.average {
-            add("actor_average", &named_views(average, &self.actor));
-        }
-        add("actor_adam", &self.actor_adam.state());
-        add("critic_adam", &self.critic_adam.state());
-        add("value_norm", &[("statistics".to_owned(), Tensor::from_slice(&self.value_norm.state()))]);
+        let mut state = self.weights.state();
+        state.push(value_norm_entry(&self.value_norm));
         if let Some(memory) = &self.critic_memory {
-            add("critic_memory", &[("last".to_owned(), memory.shallow_clone())]);
+            state.push(("critic_memory/last".to_owned(), memory.to_device(Device::Cpu).copy()));
         }
         state
     }
 
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        self.actor.copy_from(&part(state, "actor"))?;
-        self.critic.copy_from(&part(state, "critic"))?;
-        if let Some(average) = &self.average {
-            nn::copy_named(&named_views(average, &self.actor), &part(state, "actor_average"))?;
-        }
-        self.actor_adam.load_state(&part(state, "actor_adam"))?;
-        self.critic_adam.load_state(&part(state, "critic_adam"))?;
-        self.load_value_norm(state)?;
+        self.weights.load(state)?;
+        load_value_norm(&mut self.value_norm, state)?;
         self.critic_memory = part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
         Ok(())
     }
 
     fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        let averaged = part(state, "actor_average");
-        // What is evaluated is what is gone on from. The noise is this run's own matter.
-        let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
-        for (name, tensor) in &mut actor {
-            if let Some((_, own)) = self.actor.named().iter().find(|(own, _)| own == name && name == "head.log_std") {
-                *tensor = own.detach().copy();
+        if let Some(path) = N::PER_AGENT {
+            let trained = state.iter().find(|(name, _)| name == path).map(|(_, t)| t.size()[0]);
+            if let (Some(trained), Some(agents)) = (trained, self.weights.rows(path))
+                && trained != agents
+            {
+                return Err(Error::FixedAgents { algorithm: N::NAME, trained, agents });
             }
         }
-        self.actor.copy_from(&actor)?;
-        self.critic.copy_from(&part(state, "critic"))?;
-        if let Some(average) = &mut self.average {
-            no_grad(|| average.copy_(self.actor_adam.weights()));
-        }
-        self.load_value_norm(state)
+        self.weights.load_weights(state)?;
+        load_value_norm(&mut self.value_norm, state)
     }
 
     fn parameters(&self) -> (i64, i64) {
-        let needed = |name: &str| !N::TRAINING_ONLY.iter().any(|part| name.starts_with(part));
-        let deployed = self.actor.named().iter().filter(|(name, _)| needed(name)).map(|(_, t)| t.numel() as i64).sum();
-        (deployed, self.actor.count() + self.critic.count())
+        self.weights.parameters(N::TRAINING_ONLY)
     }
 }
 
-impl<N> ActorCritic<N> {
-    fn load_value_norm(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
-        let statistics = part(state, "value_norm");
-        let values =
-            statistics.first().map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double))).and_then(Result::ok);
-        let values: [f64; 3] = values
-            .and_then(|v| v.try_into().ok())
-            .ok_or_else(|| nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;
-        self.value_norm.load_state(values);
-        Ok(())
-    }
-}
-
-/// The tensors of a state below `prefix/`.
-fn part(state: &[(String, Tensor)], prefix: &str) -> Vec<(String, Tensor)> {
-    let strip = |(name, t): &(String, Tensor)| {
-        Some((name.strip_prefix(prefix)?.strip_prefix('/')?.to_owned(), t.shallow_clone()))
-    };
-    state.iter().filter_map(strip).collect()
+/// One decision without gradients, on the device where the networks are.
+pub(super) fn act_on(
+    device: Device,
+    input: &Observation,
+    mode: &ActMode<'_>,
+    act: impl Fn(&Observation, &ActMode<'_>) -> Decision,
+) -> Decision {
+    no_grad(|| {
+        if device == Device::Cpu {
+            return act(input, mode);
+        }
+        let there = |tensor: &Tensor| tensor.to_device(device);
+        let input = input.map(there);
+        let decision = match mode {
+            ActMode::Deterministic => act(&input, mode),
+            ActMode::Sample { action, graph, quiet } => {
+                let (action, graph, quiet) = (there(action), there(graph), there(quiet));
+                act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
+            }
+        };
+        decision.map(|tensor| tensor.to_device(Device::Cpu))
+    })
 }
 
 /// Running means of diagnostics over the gradient steps of an update.
 #[derive(Default)]
-struct Means {
+pub(super) struct Means {
     sums: Losses,
     count: f64,
 }
 
 impl Means {
-    fn add(&mut self, values: &[(&'static str, f64)]) {
+    pub(super) fn add(&mut self, values: &[(&'static str, f64)]) {
         if self.sums.is_empty() {
             self.sums = values.iter().map(|(name, _)| (*name, 0.0)).collect();
         }
@@ -443,7 +405,7 @@ impl Means {
     }
 
     /// The means; an error when one is not finite.
-    fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
+    pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
         let mut losses: Losses = self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
         losses.extend_from_slice(extra);
         match losses.iter().find(|(_, value)| !value.is_finite()) {
@@ -454,6 +416,6 @@ impl Means {
 }
 
 /// The scalar of a tensor.
-fn scalar(tensor: &Tensor) -> f64 {
+pub(super) fn scalar(tensor: &Tensor) -> f64 {
     tensor.double_value(&[])
 }

@@ -79,6 +79,23 @@ impl Encoder {
     }
 }
 
+/// Embeddings of rows of all N agents, features `[L · C, N, O]` to `[L · C, N, H]`, from the `memory` before the first of L steps
+/// (`C · N · M` numbers), with `keep: [L · C, N]`; and the memory after each step, `[L, C · N, M]`, if there is one.
+pub(super) fn encode_rows(
+    encoder: &Encoder,
+    features: &Tensor,
+    memory: &Tensor,
+    keep: &Tensor,
+    length: i64,
+) -> (Tensor, Option<Tensor>) {
+    let (rows, agents, width) = features.size3().expect("features are [rows, N, O]");
+    let together = rows / length * agents;
+    let x = features.reshape([length, together, width]);
+    let keep = keep.reshape([length, together, 1]);
+    let (f, after) = encoder.forward(&x, &memory.reshape([together, -1]), &keep);
+    (f.view([rows, agents, -1]), after)
+}
+
 /// Embeddings of a shard's active samples, `[B, H]`, of one or more features side by side, by an encoder with the given
 /// memory before each row.
 pub(super) fn encode_active(
@@ -88,31 +105,24 @@ pub(super) fn encode_active(
     memory: &Tensor,
     keep: &Tensor,
 ) -> Tensor {
-    let all = |parts: Vec<Tensor>| if parts.len() == 1 { parts[0].shallow_clone() } else { Tensor::cat(&parts, -1) };
+    let parts: Vec<Tensor> = features.iter().map(|f| shard.take(f)).collect();
+    let x = if parts.len() == 1 { parts[0].shallow_clone() } else { Tensor::cat(&parts, -1) };
+    encode_shard(encoder, shard, &x, memory, keep)
+}
+
+/// As [`encode_active`], of features that are of the shard's rows only, `[L · C, N, O]`; memory and `keep` are for all rows.
+pub(super) fn encode_shard(encoder: &Encoder, shard: &Shard, x: &Tensor, memory: &Tensor, keep: &Tensor) -> Tensor {
     if encoder.memory() == 0 {
         // Without memory, inactive samples need not be computed at all.
-        let x = all(features.iter().map(|f| shard.active(f)).collect()).unsqueeze(0);
-        return encoder.forward(&x, memory, keep).0.squeeze_dim(0);
+        return encoder.forward(&shard.pick(x).unsqueeze(0), memory, keep).0.squeeze_dim(0);
     }
-    let x = all(features.iter().map(|f| shard.take(f)).collect());
-    let (rows, agents, width) = x.size3().expect("features are [rows, N, F]");
-    let together = rows / shard.length * agents;
-    let first = memory.index_select(0, &shard.first).reshape([together, -1]);
-    let keep = shard.take(keep).view([shard.length, together, 1]);
-    let (f, _) = encoder.forward(&x.view([shard.length, together, width]), &first, &keep);
-    shard.pick(&f.view([rows, agents, -1]))
+    let first = memory.index_select(0, &shard.first);
+    shard.pick(&encode_rows(encoder, x, &first, &shard.take(keep), shard.length).0)
 }
 
 /// One decision of an encoder on local observations: embeddings `[E, N, H]` and the memory after it, `[E, N, M]`.
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
-    let (envs, agents, features) = input.observation.size3().expect("observations are [E, N, O]");
-    let x = input.observation.view([1, envs * agents, features]);
-    if encoder.memory() == 0 {
-        let (f, _) = encoder.forward(&x, &input.memory, &input.start);
-        return (f.view([envs, agents, -1]), input.memory.shallow_clone());
-    }
-    let keep = input.keep().reshape([1, envs * agents, 1]);
-    let (f, memory) = encoder.forward(&x, &input.memory.reshape([envs * agents, -1]), &keep);
-    let memory = memory.expect("an encoder with memory has one afterwards");
-    (f.view([envs, agents, -1]), memory.view([envs, agents, -1]))
+    let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
+    let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+    (f, memory)
 }

@@ -8,45 +8,51 @@ use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
-use super::head::{GaussianHead, PolicyTerms};
-use super::im_iwol::Decoder;
-use super::message::{MessageCritic, MessageTrunk, Messages, Scene};
-use super::settings::WorldTarget;
-use super::{ActMode, Channel, ChannelNoise, Decision, Observation, Reconstruction, Settings, ppo};
+use super::decoder::WorldDecoder;
+use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::message::{MessageCritic, MessageTrunk, Messages};
+use super::parameters::{ACTOR, CRITIC, Places};
+use super::scene::Scene;
+use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::{Path, ValueNorm};
+use crate::nn::ValueNorm;
 
 /// Explicit IWoL.
 pub(super) struct ExIwol {
     trunk: MessageTrunk,
     head: GaussianHead,
-    world: Decoder,
+    world: WorldDecoder,
     critic: MessageCritic,
-    target: WorldTarget,
 }
 
 impl ExIwol {
     /// The message path at one decision.
     fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
-        self.trunk.forward(&Scene::of(input, &input.keep(), graph))
+        self.trunk.forward(&Scene::of(input, graph))
     }
 }
 
 impl Networks for ExIwol {
     const NAME: &'static str = "ex-iwol";
-    const SAMPLES_GRAPH: bool = true;
+    const HEARS: Hears = Hears::InRange;
+    const LATENT: &'static [&'static str] = &["world"];
+    const GRAPHS: usize = 1;
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
         Self {
-            trunk: MessageTrunk::new(actor.sub("trunk"), &spec.observation, network, iwol),
-            head: GaussianHead::new(actor.sub("head"), message + hidden, spec.actions as i64, &settings.exploration),
-            world: Decoder::new(actor.sub("world"), message, hidden, iwol.world_target.width(spec), true),
-            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
-            target: iwol.world_target,
+            trunk: MessageTrunk::new(places.of(ACTOR).sub("trunk"), &spec.observation, network, iwol),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                message + hidden,
+                spec.actions as i64,
+                &settings.exploration,
+            ),
+            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, message),
+            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
         }
     }
 
@@ -102,14 +108,12 @@ impl Networks for ExIwol {
         let (values, _) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let messages = self.trunk.shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let messages = self.trunk.forward(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
         let positions = shard.positions(&messages.packing);
         let m = messages.message.index_select(0, &positions);
         let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
-        let some = |x: &Tensor| shard.part(x, iwol.decoded);
-        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
-        let world = self.world.loss(&some(&m), &some(&truth));
+        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
+        let world = self.world.loss(batch, shard, &m);
 
         let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach())];
         report.extend(policy.report());
@@ -117,9 +121,7 @@ impl Networks for ExIwol {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let truth = self.target.of(&input.observation, state).shallow_clone();
         let messages = self.exchange(input, None);
-        let found = self.world.forward(&messages.packing.unpack(&messages.message));
-        vec![Reconstruction { name: "world", found, truth }]
+        vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), input, state)]
     }
 }

@@ -15,6 +15,8 @@ pub(super) struct GaussianHead {
     /// How many times the throttle's the logarithm of each action's noise is, `[A]`.
     relative: Tensor,
     mode: NoiseMode,
+    /// Whether means are within -1 to 1.
+    bounded: bool,
 }
 
 impl GaussianHead {
@@ -25,13 +27,18 @@ impl GaussianHead {
         let log_std = path.create("log_std", &[actions], Init::Zeros);
         let relative = log_std.detach().ones_like();
         let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering);
-        let head = Self { mean, log_std, relative, mode: exploration.mode };
+        let head = Self { mean, log_std, relative, mode: exploration.mode, bounded: false };
         head.set(exploration.log_std_start);
         head
     }
 
     fn set(&self, log_std: f64) {
         no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative * log_std)));
+    }
+
+    /// With the tanh of its means.
+    pub(super) fn bounded(self) -> Self {
+        Self { bounded: true, ..self }
     }
 
     /// Imposes the logarithm of the standard deviation, unless it is learned.
@@ -45,10 +52,11 @@ impl GaussianHead {
     pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
         let log_std =
             if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
-        (self.mean.forward(x), log_std)
+        let mean = self.mean.forward(x);
+        (if self.bounded { mean.tanh() } else { mean }, log_std)
     }
 
-    /// Actions `[E, N, A]` and their log-probabilities `[E, N]`.
+    /// Actions and the log-probabilities of their dimensions, both `[E, N, A]`.
     pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
         let (action, log_std) = match mode {
@@ -68,6 +76,15 @@ impl GaussianHead {
     }
 }
 
+/// Which probability the clipped ratio is one of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ratio {
+    /// That of the whole action.
+    Joint,
+    /// That of each dimension of it by itself (MAT, CommFormer).
+    PerDimension,
+}
+
 /// Loss and diagnostics of the policy on the active samples of a shard.
 pub(super) struct PolicyTerms {
     pub(super) loss: Tensor,
@@ -78,12 +95,23 @@ pub(super) struct PolicyTerms {
 }
 
 impl PolicyTerms {
-    pub(super) fn new(batch: &Batch, shard: &Shard, head: &GaussianHead, input: &Tensor, ppo: &Ppo) -> Self {
+    pub(super) fn new(
+        batch: &Batch,
+        shard: &Shard,
+        head: &GaussianHead,
+        input: &Tensor,
+        ppo: &Ppo,
+        ratio: Ratio,
+    ) -> Self {
         let (mean, log_std) = head.forward(input);
         let quiet = shard.active(&batch.quiet);
         let log_std = log_std + quiet.unsqueeze(-1);
         let log_prob = gaussian_log_prob(&mean, &log_std, &shard.active(&batch.action));
-        let old = shard.active(&batch.log_prob);
+        let counted = |log_prob: Tensor| match ratio {
+            Ratio::Joint => log_prob.sum_dim_intlist(-1, true, Kind::Float),
+            Ratio::PerDimension => log_prob,
+        };
+        let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
         let sampled = shard.active(&batch.sampled);
         // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
@@ -91,10 +119,10 @@ impl PolicyTerms {
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
-            let ratio = difference.exp();
-            let outside = (&ratio - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
+            let outside = (difference.exp() - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
+            let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
             let mean = |x: &Tensor| ppo::masked_mean(x, &sampled);
-            (mean(&(ratio - 1.0 - difference)), mean(&outside))
+            (mean(&(difference.exp() - 1.0 - difference)), mean(&outside.mean_dim(-1, false, Kind::Float)))
         });
         Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
     }

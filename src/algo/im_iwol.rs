@@ -8,28 +8,34 @@
 //!   target and gets no gradient
 //! - deployed: encoder, Enc_IW and head; no message path
 
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
+use super::decoder::{Decoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
-use super::head::{GaussianHead, PolicyTerms};
+use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
-use super::settings::{PolicyInput, WorldTarget};
+use super::parameters::{ACTOR, CRITIC, Places};
+use super::settings::PolicyInput;
 use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::{Init, Linear, Path, ValueNorm};
+use crate::nn::{Linear, ValueNorm};
 
 /// Implicit IWoL.
 pub(super) struct ImIwol {
-    encoder: Encoder,
-    latent: Latent,
-    head: GaussianHead,
-    world: Decoder,
-    interaction: Decoder,
+    policy: LatentPolicy,
     critic: MessageCritic,
+}
+
+/// A policy on the latent of its own observation, from which the privileged state and a message are predicted.
+pub(super) struct LatentPolicy {
+    pub(super) encoder: Encoder,
+    latent: Latent,
+    pub(super) head: GaussianHead,
+    pub(super) world: WorldDecoder,
+    pub(super) interaction: Decoder,
     input: PolicyInput,
-    target: WorldTarget,
 }
 
 /// Enc_IW: embedding to latent z.
@@ -44,37 +50,40 @@ impl Latent {
     }
 }
 
-/// A three-layer decoder, optionally ending in tanh.
-pub(super) struct Decoder {
-    layers: [Linear; 3],
-    tanh: bool,
-}
-
-impl Decoder {
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, hidden: i64, outputs: i64, tanh: bool) -> Self {
-        let layers = [
-            Linear::new(path.sub(0), inputs, hidden, Init::Orthogonal(1.0)),
-            Linear::new(path.sub(1), hidden, hidden, Init::Orthogonal(1.0)),
-            Linear::new(path.sub(2), hidden, outputs, Init::Orthogonal(0.01)),
-        ];
-        Self { layers, tanh }
+impl LatentPolicy {
+    pub(super) fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+        let (network, iwol) = (&settings.network, &settings.iwol);
+        let hidden = network.hidden;
+        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
+        let latent = Latent {
+            first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
+            second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
+        };
+        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
+        let actions = spec.actions as i64;
+        Self {
+            encoder,
+            latent,
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), inputs, actions, &settings.exploration),
+            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
+            interaction: Decoder::new(
+                places.of(ACTOR).sub("interaction"),
+                iwol.latent,
+                hidden,
+                iwol.message,
+                iwol.interaction_tanh,
+            ),
+            input: iwol.policy_input,
+        }
     }
 
-    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
-        let [first, second, third] = &self.layers;
-        let output = third.forward(&second.forward(&first.forward(x).relu()).relu());
-        if self.tanh { output.tanh() } else { output }
+    /// With the tanh of its mean actions.
+    pub(super) fn bounded(self) -> Self {
+        Self { head: self.head.bounded(), ..self }
     }
 
-    /// Mean squared error against `target`, over samples and dimensions.
-    pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
-        (self.forward(x) - target).square().mean(Kind::Float)
-    }
-}
-
-impl ImIwol {
     /// Latent z and what the policy head reads.
-    fn policy_input(&self, f: &Tensor) -> (Tensor, Tensor) {
+    pub(super) fn read(&self, f: &Tensor) -> (Tensor, Tensor) {
         let z = self.latent.forward(f);
         let input = match self.input {
             PolicyInput::Latent => z.shallow_clone(),
@@ -86,44 +95,23 @@ impl ImIwol {
 
 impl Networks for ImIwol {
     const NAME: &'static str = "im-iwol";
+    const LATENT: &'static [&'static str] = &["world", "interaction"];
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, mut actor: Path<'_>, mut critic: Path<'_>) -> Self {
-        let (network, iwol) = (&settings.network, &settings.iwol);
-        let hidden = network.hidden;
-        let encoder = Encoder::new(actor.sub("encoder"), &spec.observation, network);
-        let latent = Latent {
-            first: Linear::torch_default(actor.sub("latent").sub(0), hidden, hidden / 2),
-            second: Linear::torch_default(actor.sub("latent").sub(1), hidden / 2, iwol.latent),
-        };
-        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
-        let head = GaussianHead::new(actor.sub("head"), inputs, spec.actions as i64, &settings.exploration);
-        let truth = iwol.world_target.width(spec);
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         Self {
-            encoder,
-            latent,
-            head,
-            world: Decoder::new(actor.sub("world"), iwol.latent, hidden, truth, true),
-            interaction: Decoder::new(
-                actor.sub("interaction"),
-                iwol.latent,
-                hidden,
-                iwol.message,
-                iwol.interaction_tanh,
-            ),
-            critic: MessageCritic::new(critic.sub(""), &spec.observation, network, iwol),
-            input: iwol.policy_input,
-            target: iwol.world_target,
+            policy: LatentPolicy::new(spec, settings, places),
+            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, &settings.network, &settings.iwol),
         }
     }
 
     fn head(&self) -> &GaussianHead {
-        &self.head
+        &self.policy.head
     }
 
     fn memory(&self) -> i64 {
-        self.encoder.memory()
+        self.policy.encoder.memory()
     }
 
     fn value_memory(&self) -> i64 {
@@ -131,8 +119,8 @@ impl Networks for ImIwol {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let (f, memory) = encode_locally(&self.encoder, input);
-        let (action, log_prob) = self.head.sample(&self.policy_input(&f).1, mode);
+        let (f, memory) = encode_locally(&self.policy.encoder, input);
+        let (action, log_prob) = self.policy.head.sample(&self.policy.read(&f).1, mode);
         Decision { action, log_prob, memory }
     }
 
@@ -149,13 +137,12 @@ impl Networks for ImIwol {
         let (values, messages) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
-        let (z, input) = self.policy_input(&f);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo);
+        let f = encode_active(&self.policy.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
+        let (z, input) = self.policy.read(&f);
+        let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
-        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
-        let world = self.world.loss(&some(&z), &some(&truth));
-        let interaction = self.interaction.loss(&some(&z), &some(&messages.detach()));
+        let world = self.policy.world.loss(batch, shard, &z);
+        let interaction = self.policy.interaction.loss(&some(&z), &some(&messages.detach()));
 
         let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
         let mut report = vec![
@@ -168,11 +155,10 @@ impl Networks for ImIwol {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let z = self.latent.forward(&encode_locally(&self.encoder, input).0);
-        let truth = self.target.of(&input.observation, state).shallow_clone();
-        let mut all = vec![Reconstruction { name: "world", found: self.world.forward(&z), truth }];
+        let z = self.policy.latent.forward(&encode_locally(&self.policy.encoder, input).0);
+        let mut all = vec![self.policy.world.reconstruct(&z, input, state)];
         if let Some(truth) = self.critic.messages(input) {
-            all.push(Reconstruction { name: "interaction", found: self.interaction.forward(&z), truth });
+            all.push(Reconstruction { name: "interaction", found: self.policy.interaction.forward(&z), truth });
         }
         all
     }

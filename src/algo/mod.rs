@@ -1,17 +1,29 @@
 //! The learners. An algorithm is one file: networks that decide and say what they lose. [`ppo`] holds the losses as pure
-//! functions, `core` the passes over a rollout; a method that does not fit them implements [`Algorithm`] itself.
+//! functions, `core` the passes over a rollout; a method that does not fit them implements [`Algorithm`] itself. Another one
+//! is a file, its `mod`, and its line among the `METHODS` below, from which all else follows: commands, messages and tests.
 
 mod batch;
 mod channel;
+mod commformer;
 mod core;
+mod critic;
+mod decoder;
 mod device;
 mod encoder;
 mod ex_iwol;
 mod head;
+mod icp;
 mod im_iwol;
+mod maddpg;
+mod magic;
 mod mappo;
+mod mat;
 mod message;
+mod parameters;
 pub mod ppo;
+mod replay;
+mod scene;
+mod sequence;
 pub mod settings;
 
 pub use channel::{Channel, ChannelNoise};
@@ -20,15 +32,104 @@ pub use settings::Settings;
 
 use tch::{Device, Tensor};
 
-use self::core::ActorCritic;
+use self::core::{ActorCritic, Networks};
 
 use crate::env::EnvSpec;
 use crate::nn;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
+/// The methods, in the order in which they are named.
+const METHODS: [Method; 11] = [
+    Method::of::<mappo::Mappo>(),
+    Method::of::<im_iwol::ImIwol>(),
+    Method::of::<ex_iwol::ExIwol>(),
+    Method::of::<mat::Mat>(),
+    Method::of::<magic::Magic>(),
+    Method::of::<commformer::CommFormer>(),
+    Method::of::<icp::Icp<icp::Separate>>(),
+    Method::of::<icp::Icp<icp::Sum>>(),
+    Method::of::<icp::Icp<icp::Monotonic>>(),
+    maddpg::MADDPG,
+    maddpg::MADDPG_IWOL,
+];
+
 /// Names of the algorithms, as on the command line.
-pub const NAMES: [&str; 3] = ["mappo", "im-iwol", "ex-iwol"];
+pub const NAMES: [&str; METHODS.len()] = {
+    let mut names = [""; METHODS.len()];
+    let mut i = 0;
+    while i < names.len() {
+        names[i] = METHODS[i].name;
+        i += 1;
+    }
+    names
+};
+
+/// What is known of a method before it is built.
+struct Method {
+    name: &'static str,
+    capabilities: Capabilities,
+    build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
+}
+
+impl Method {
+    /// One of networks that are trained by proximal policy optimisation.
+    const fn of<N: Networks + 'static>() -> Self {
+        let capabilities = Capabilities {
+            hears: N::HEARS,
+            any_number: N::PER_AGENT.is_none(),
+            recurrent: true,
+            on_policy: true,
+            latent: N::LATENT,
+        };
+        Self {
+            name: N::NAME,
+            capabilities,
+            build: |spec, settings, seed, device| Box::new(ActorCritic::<N>::new(spec, settings, seed, device)),
+        }
+    }
+
+    fn named(name: &str) -> Result<&'static Self, Error> {
+        let found = METHODS.iter().find(|method| method.name == name);
+        found.ok_or_else(|| Error::UnknownAlgorithm { name: name.to_owned() })
+    }
+}
+
+/// What a method can do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Capabilities {
+    /// Whose observations can change an agent's action at run time.
+    pub hears: Hears,
+    /// Whether one policy serves any number of agents.
+    pub any_number: bool,
+    /// Whether the encoder may have a memory (`network.encoder = "gru"`).
+    pub recurrent: bool,
+    /// Whether it learns from the last rollout alone, by the probabilities of its actions (proximal policy optimisation).
+    pub on_policy: bool,
+    /// What its latent is trained to tell, by default: `world` (the privileged state), `interaction` (messages).
+    pub latent: &'static [&'static str],
+}
+
+/// Whose observations can change an agent's action at run time, besides its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Hears {
+    /// Nobody's: no radio is needed.
+    Nobody,
+    /// Of those within range: messages.
+    InRange,
+    /// Of those within range, a step later: what they do shows it.
+    InRangeLater,
+    /// Everyone's: one place decides for all.
+    Everyone,
+}
+
+/// What an algorithm can do, by its name.
+///
+/// # Errors
+/// [`Error::UnknownAlgorithm`].
+pub fn capabilities(name: &str) -> Result<Capabilities, Error> {
+    Ok(Method::named(name)?.capabilities)
+}
 
 /// What a policy sees at one decision of E environments with N agents each.
 #[derive(Debug)]
@@ -60,7 +161,7 @@ pub enum ActMode<'a> {
     Sample {
         /// Standard normal, `[E, N, A]`.
         action: &'a Tensor,
-        /// Standard logistic, `[E, N, N]`; empty for policies without a graph.
+        /// Standard logistic, `[E, N, G · N]` for G graphs side by side; empty for policies without one.
         graph: &'a Tensor,
         /// Added to the logarithm of the standard deviation, `[E]`: how much quieter each environment is.
         quiet: &'a Tensor,
@@ -72,7 +173,7 @@ pub enum ActMode<'a> {
 pub struct Decision {
     /// `[E, N, A]`, not clipped.
     pub action: Tensor,
-    /// `[E, N]`
+    /// Of each dimension of the action, `[E, N, A]`.
     pub log_prob: Tensor,
     /// `[E, N, M]`
     pub memory: Tensor,
@@ -135,9 +236,9 @@ pub trait Algorithm {
     /// Memory of the policy per agent, M.
     fn memory(&self) -> usize;
 
-    /// Whether the policy samples a communication graph.
-    fn samples_graph(&self) -> bool {
-        false
+    /// Communication graphs G that the policy samples at each decision.
+    fn graphs(&self) -> usize {
+        0
     }
 
     /// Chooses actions; no gradients, nothing of the learner changes.
@@ -198,12 +299,7 @@ pub fn build(
     seed: Seed,
     device: Device,
 ) -> Result<Box<dyn Algorithm>, Error> {
-    match name {
-        "mappo" => Ok(Box::new(ActorCritic::<mappo::Mappo>::new(spec, settings, seed, device))),
-        "im-iwol" => Ok(Box::new(ActorCritic::<im_iwol::ImIwol>::new(spec, settings, seed, device))),
-        "ex-iwol" => Ok(Box::new(ActorCritic::<ex_iwol::ExIwol>::new(spec, settings, seed, device))),
-        _ => Err(Error::UnknownAlgorithm { name: name.to_owned() }),
-    }
+    Ok((Method::named(name)?.build)(spec, settings, seed, device))
 }
 
 /// What can go wrong in a learner.
@@ -221,6 +317,20 @@ pub enum Error {
     NonFinite {
         /// Which quantity.
         what: &'static str,
+    },
+    /// A stored state is of another number of agents, which the algorithm cannot do without.
+    #[error(
+        "{algorithm} learned something about each of {trained} agents and cannot be used among {agents}; train it with \
+         --agents {agents}, or choose a method for any number: {}",
+        METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
+    )]
+    FixedAgents {
+        /// The algorithm.
+        algorithm: &'static str,
+        /// Of the state.
+        trained: i64,
+        /// Of the task.
+        agents: i64,
     },
     /// A stored state is of another network.
     #[error(transparent)]

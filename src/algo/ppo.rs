@@ -6,11 +6,12 @@ use super::batch::{Batch, Shard};
 use super::settings::Ppo;
 use crate::nn::ValueNorm;
 
-/// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. All arguments `[B]`.
+/// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. Log-probabilities are `[B, K]`: the surrogates of a
+/// sample's K ratios are added. The other arguments are `[B]`.
 pub fn policy_loss(log_prob: &Tensor, old_log_prob: &Tensor, advantage: &Tensor, active: &Tensor, clip: f64) -> Tensor {
-    let ratio = (log_prob - old_log_prob).exp();
-    let surrogate = (&ratio * advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage));
-    -masked_mean(&surrogate, active)
+    let (ratio, advantage) = ((log_prob - old_log_prob).exp(), advantage.unsqueeze(-1));
+    let surrogate = (&ratio * &advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * &advantage));
+    -masked_mean(&surrogate.sum_dim_intlist(-1, false, Kind::Float), active)
 }
 
 /// Clipped Huber loss, the larger of the plain and the clipped one, in normalised value space. All tensors `[B]`.

@@ -19,6 +19,16 @@ pub struct Settings {
     pub exploration: Exploration,
     /// IWoL's own.
     pub iwol: Iwol,
+    /// The transformer of MAT and CommFormer.
+    pub transformer: Transformer,
+    /// MAGIC's own.
+    pub magic: Magic,
+    /// CommFormer's own.
+    pub commformer: CommFormer,
+    /// ICP's own.
+    pub icp: Icp,
+    /// MADDPG's own.
+    pub maddpg: Maddpg,
 }
 
 impl Settings {
@@ -231,7 +241,7 @@ pub struct Iwol {
     pub mask: MaskMode,
     /// Whether the physical mask applies (released: no).
     pub physical_mask: bool,
-    /// Noise of the graph in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
+    /// Noise of sampled graphs (also MAGIC's and CommFormer's) in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
     /// each (released).
     pub graph_noise: GraphNoise,
     /// What Im-IWoL's policy head reads: `latent-embedding` (z and f; released) or `latent` (z alone; Algorithm 1).
@@ -262,6 +272,84 @@ impl Default for Iwol {
             world_target: WorldTarget::State,
             interaction_tanh: false,
         }
+    }
+}
+
+/// The transformer of MAT and CommFormer, as wide as the network's layers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Transformer {
+    /// Blocks of its encoder, and of its decoder.
+    pub blocks: usize,
+    /// Attention heads (MAT's and CommFormer's scripts: 1; the paper has 4 for every method).
+    pub heads: i64,
+}
+
+impl Default for Transformer {
+    fn default() -> Self {
+        Self { blocks: 1, heads: 4 }
+    }
+}
+
+/// MAGIC's own settings.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Magic {
+    /// Weight of the loss of a world decoder on the messages, as Ex-IWoL has one (paper, RQ3); 0: no decoder.
+    pub lambda_world: f64,
+}
+
+/// CommFormer's own settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommFormer {
+    /// Share of the agents that each one listens to.
+    pub sparsity: f64,
+    /// Of so many passes over a rollout, the last trains the graph, and nothing else.
+    pub graph_every: usize,
+    /// Learning rate of the graph, as a share of the others' (reference: 1e-4 beside 5e-4).
+    pub graph_rate: f64,
+    /// Weight of the loss of a world decoder on the representations, as Ex-IWoL has one (paper, RQ3); 0: no decoder.
+    pub lambda_world: f64,
+}
+
+impl Default for CommFormer {
+    fn default() -> Self {
+        Self { sparsity: 0.4, graph_every: 5, graph_rate: 0.2, lambda_world: 0.0 }
+    }
+}
+
+/// ICP's own settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Icp {
+    /// Symbols K that an action can show.
+    pub symbols: i64,
+    /// Weight of the loss of the decoder, which tells from a symbol what its sender saw and did.
+    pub lambda_message: f64,
+}
+
+impl Default for Icp {
+    fn default() -> Self {
+        Self { symbols: 16, lambda_message: 0.05 }
+    }
+}
+
+/// MADDPG's own settings. Of the common ones it takes learning rate, minibatch, discount, largest gradient norm and averaging.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Maddpg {
+    /// Rollouts that are kept and replayed. They stand in checkpoints, whose size grows with them.
+    pub replay: usize,
+    /// Minibatches of replayed steps that are learned from after each rollout.
+    pub updates: usize,
+    /// Share τ of their distance by which target networks follow after each.
+    pub target_rate: f64,
+}
+
+impl Default for Maddpg {
+    fn default() -> Self {
+        Self { replay: 16, updates: 64, target_rate: 0.005 }
     }
 }
 

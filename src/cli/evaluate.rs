@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo::{self, Algorithm};
+use iwol_sumo::algo::{self, Algorithm, Hears};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
@@ -124,6 +124,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         None => None,
     };
     if let Some(learner) = &learner {
+        let hears = algo::capabilities(learner.name())?.hears;
+        if !config.channel.is_perfect() && hears != Hears::Nobody && learner.message_width() == 0 {
+            bail!(
+                "[channel] is for messages that agents send at once and each receiver reads by itself; {} has none: leave it out",
+                learner.name()
+            );
+        }
         policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
     }
 

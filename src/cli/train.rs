@@ -7,6 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
@@ -21,8 +22,8 @@ pub(super) struct Args {
     /// Scenario file, e.g. scenarios/intersection.xml
     #[arg(long)]
     scenario: Option<PathBuf>,
-    /// mappo, im-iwol or ex-iwol
-    #[arg(long)]
+    /// The method
+    #[arg(long, value_name = "NAME", help = format!("One of {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
     /// Number of vehicles under control
     #[arg(long)]

@@ -52,7 +52,7 @@ impl SelfAttention {
 
 /// Softmax over the last dimension from elementwise operations. libtorch's own takes several times as long on rows of a
 /// dozen keys, where it was the dearest part of an encoder.
-fn softmax(logits: &Tensor) -> Tensor {
+pub(super) fn softmax(logits: &Tensor) -> Tensor {
     let top = tch::no_grad(|| logits.amax(-1, true));
     let exponentials = (logits - top).exp();
     &exponentials / exponentials.sum_dim_intlist(-1, true, Kind::Float)

@@ -49,14 +49,25 @@ impl CommGraph {
     /// `noise: [B, N, N]` is logistic (the difference of two Gumbel variables); without it an edge exists where its
     /// probability exceeds one half.
     pub fn forward(&self, f: &Tensor, packing: &Packing, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
-        let mut scores = self.scores(f, packing);
-        if let Some(noise) = noise {
-            scores += noise;
-        }
-        let soft = (&scores / self.temperature).sigmoid();
-        let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
-        with_self_loops(&(learned * physical.to_kind(Kind::Float)))
+        sample_edges(&self.scores(f, packing), physical, noise, self.temperature)
     }
+}
+
+/// A graph from scores, as [`CommGraph::forward`] describes it; all arguments `[B, N, N]`.
+pub fn sample_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>, temperature: f64) -> Tensor {
+    let scores = noise.map_or_else(|| scores.shallow_clone(), |noise| scores + noise);
+    let soft = (&scores / temperature).sigmoid();
+    let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
+    with_self_loops(&(learned * physical.to_kind(Kind::Float)))
+}
+
+/// The `count` best of each row of `scores: [.., N]`: 1 where an entry is among them, else 0, with the gradient of the softmax
+/// of the row at this temperature (CommFormer's static graph).
+pub fn sample_best(scores: &Tensor, count: i64, temperature: f64) -> Tensor {
+    let (_, best) = tch::no_grad(|| scores.topk(count, -1, true, true));
+    let hard = scores.zeros_like().scatter_value(-1, &best, 1.0).detach();
+    let soft = (scores / temperature).softmax(-1, Kind::Float);
+    hard + (&soft - soft.detach())
 }
 
 /// `graph: [B, N, N]` (floating point) with its diagonal set to 1; no gradient flows through the diagonal.

@@ -13,6 +13,8 @@ pub enum Init {
     /// A `[rows, columns]` matrix with orthonormal rows (or columns, where there are fewer of those) times a gain, drawn
     /// uniformly (Haar measure). The distribution of PyTorch's `init.orthogonal_`.
     Orthogonal(f64),
+    /// Normal with this standard deviation.
+    Normal(f64),
     /// Normal with standard deviation `gain * sqrt(2 / (rows + columns))`.
     XavierNormal(f64),
     /// Uniform in `[-bound, bound)`.
@@ -30,6 +32,7 @@ impl Init {
             Init::Zeros => vec![0.0; count],
             Init::Constant(value) => vec![value as f32; count],
             Init::Uniform(bound) => (0..count).map(|_| (symmetric(rng) * bound) as f32).collect(),
+            Init::Normal(std) => gaussians(count, rng).into_iter().map(|v| (std * v) as f32).collect(),
             Init::XavierNormal(gain) => {
                 let (rows, columns) = matrix(shape);
                 let std = gain * (2.0 / (rows + columns) as f64).sqrt();

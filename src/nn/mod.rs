@@ -8,6 +8,7 @@
 //! Shapes in the docs: `B` batch, `N` agents, `L` steps of a sequence, `T` tokens, `H` hidden width, `d` token width.
 
 pub mod attention;
+pub mod decoder;
 pub mod distributions;
 pub mod entity;
 mod error;
@@ -15,6 +16,8 @@ pub mod graph;
 pub mod gru;
 pub mod init;
 pub mod linear;
+pub mod magic;
+pub mod mixer;
 pub mod mlp;
 pub mod norm;
 pub mod optim;
@@ -24,6 +27,7 @@ pub mod transformer;
 pub mod value_norm;
 
 pub use attention::{Mask, SelfAttention};
+pub use decoder::{Attention, Decoded, Decoder, Reach, RelationBlock};
 pub use distributions::{gaussian_entropy, gaussian_log_prob};
 pub use entity::{Entity, TokenGroup};
 pub use error::{Error, ensure_finite};
@@ -31,6 +35,8 @@ pub use graph::CommGraph;
 pub use gru::Gru;
 pub use init::Init;
 pub use linear::Linear;
+pub use magic::{GraphAttention, Scheduler};
+pub use mixer::Mixer;
 pub use mlp::Mlp;
 pub use norm::LayerNorm;
 pub use optim::{Adam, AdamConfig};

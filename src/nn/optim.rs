@@ -17,14 +17,15 @@ pub struct AdamConfig {
     pub beta1: f64,
     /// Decay of the mean of squared gradients.
     pub beta2: f64,
-    /// Added to the root of the second moment. Default 1e-5, as in MAPPO (PyTorch's is 1e-8).
+    /// Added to the root of the second moment.
     pub eps: f64,
 }
 
-impl Default for AdamConfig {
-    fn default() -> Self {
-        AdamConfig { beta1: 0.9, beta2: 0.999, eps: 1e-5 }
-    }
+impl AdamConfig {
+    /// Those of MAPPO's reference code.
+    pub const MAPPO: Self = AdamConfig { beta1: 0.9, beta2: 0.999, eps: 1e-5 };
+    /// PyTorch's.
+    pub const TORCH: Self = AdamConfig { eps: 1e-8, ..Self::MAPPO };
 }
 
 /// Adam (Kingma and Ba 2015) with PyTorch's bias correction, over all parameters of one store.
@@ -43,12 +44,12 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// An optimiser of `params` with the default coefficients. The parameters are flattened: the network must be complete.
+    /// An optimiser of `params` with MAPPO's coefficients. The parameters are flattened: the network must be complete.
     ///
     /// # Panics
     /// If there are no parameters (a bug).
     pub fn new(params: &mut Params) -> Self {
-        Adam::with_config(params, AdamConfig::default())
+        Adam::with_config(params, AdamConfig::MAPPO)
     }
 
     /// As [`Adam::new`], with other coefficients.

@@ -22,8 +22,10 @@ pub enum MaskMode {
     LogitMul,
 }
 
+/// A post-norm block of a transformer: self attention, then a perceptron of the same width with GELU; the output layers of both
+/// start near zero (MAT's encoder, `ma_transformer.py`).
 #[derive(Debug)]
-struct Block {
+pub struct Block {
     attention: SelfAttention,
     attention_norm: LayerNorm,
     up: Linear,
@@ -32,7 +34,11 @@ struct Block {
 }
 
 impl Block {
-    fn new(mut path: Path<'_>, width: i64, heads: i64) -> Self {
+    /// A block over tokens of `width` features.
+    ///
+    /// # Panics
+    /// If the heads do not divide the width.
+    pub fn new(mut path: Path<'_>, width: i64, heads: i64) -> Self {
         Block {
             attention: SelfAttention::new(path.sub("attention"), width, heads, Init::Orthogonal(0.01)),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
@@ -42,7 +48,8 @@ impl Block {
         }
     }
 
-    fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
+    /// Tokens `x: [P, width]` of the rows of a packing to the same shape.
+    pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
         let x = self.attention_norm.forward(&(x + self.attention.forward(x, packing, mask)));
         let change = self.down.forward(&self.up.forward(&x).gelu("none"));
         self.mlp_norm.forward(&(x + change))

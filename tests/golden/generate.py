@@ -225,6 +225,176 @@ def transformer():
         put("transformer", **{f"out_{name}": out, f"grad_f_{name}": gf, f"grad_graph_{name}": gg, f"grad_qkv_{name}": gw})
 
 
+def split_heads(x, heads):
+    return x.view(*x.shape[:-1], heads, -1).transpose(1, 2)
+
+
+def attention_layers(width, related):
+    """Query, key, value, output, and, where pairs have relations, the layer from a relation's embedding to both its vectors."""
+    layers = {name: linear(width, width) for name in ("query", "key", "value", "out")}
+    if related:
+        layers["relations"] = linear(width, 2 * width)
+    return layers
+
+
+def attention_params(path, layers):
+    """Under our names: keys and values are one layer."""
+    fused = {
+        part: torch.cat([getattr(layers["key"], part), getattr(layers["value"], part)]) for part in ("weight", "bias")
+    }
+    return {
+        f"{path}.query": layers["query"],
+        f"{path}.keys_values.weight": fused["weight"],
+        f"{path}.keys_values.bias": fused["bias"],
+        f"{path}.out": layers["out"],
+    } | ({f"{path}.relations": layers["relations"]} if "relations" in layers else {})
+
+
+def mat_attention(layers, heads, query, among, seen):
+    """SelfAttention of ma_transformer.py, where `seen: [B, N, N]` stands for its causal mask."""
+    q, k, v = (split_heads(layers[n](x), heads) for n, x in (("query", query), ("key", among), ("value", among)))
+    att = q @ k.transpose(-2, -1) / math.sqrt(q.shape[-1])
+    att = att.masked_fill(seen.unsqueeze(1) == 0, -torch.inf).softmax(-1)
+    return layers["out"]((att @ v).transpose(1, 2).reshape(query.shape))
+
+
+def relation_attention(layers, heads, query, among, graph, kinds, table):
+    """RelationMultiheadAttention of cformer.py: a vector for each pair, and the graph as a factor after the softmax."""
+    b, n, width = query.shape
+    q, k, v = (layers[name](x).view(b, n, heads, -1) for name, x in (("query", query), ("key", among), ("value", among)))
+    scale = (width // heads) ** -0.5
+    embedded = table[kinds.long()]  # [B, N, N, W]
+    ra, rb = layers["relations"](embedded).chunk(2, -1)
+    ra, rb = ra.view(b, n, n, heads, -1), rb.view(b, n, n, heads, -1)
+    score = torch.einsum("bijhd,bijhd->bijh", (q.unsqueeze(2) + ra) * scale, k.unsqueeze(1) + rb) * scale
+    score = score.masked_fill(graph.unsqueeze(-1) == 0, -torch.inf).softmax(2) * graph.unsqueeze(-1)
+    return layers["out"](torch.einsum("bijh,bjhd->bihd", score, v).reshape(b, n, width))
+
+
+def decoder_modules(actions, width, related):
+    block = {f"blocks.0.{n}": norm(width) for n in ("own_norm", "cross_norm", "mlp_norm")}
+    block |= {f"blocks.0.{n}": linear(width, width) for n in ("up", "down")}
+    own, cross = attention_layers(width, related), attention_layers(width, related)
+    ends = {"embed": linear(actions, width), "embed_norm": norm(width), "head": linear(width, width), "head_norm": norm(width)}
+    return ends | block, own, cross
+
+
+def decode(m, own, cross, attend, previous, rep):
+    """Decoder and DecodeBlock of ma_transformer.py."""
+    x = m["embed_norm"](F.gelu(m["embed"](previous)))
+    x = m["blocks.0.own_norm"](x + attend(own, x, x))
+    x = m["blocks.0.cross_norm"](rep + attend(cross, rep, x))
+    x = m["blocks.0.mlp_norm"](x + m["blocks.0.down"](F.gelu(m["blocks.0.up"](x))))
+    return m["head_norm"](F.gelu(m["head"](x)))
+
+
+def decoder():
+    batch, agents, width, heads = 3, 4, 8, 2
+    m, own, cross = decoder_modules(2, width, False)
+    previous = torch.randn(batch, agents, 2, requires_grad=True)
+    rep = torch.randn(batch, agents, width, requires_grad=True)
+    present = torch.ones(batch, agents)
+    present[1, 2] = present[2, 0] = 0
+    seen = present.unsqueeze(1).expand(batch, agents, agents).maximum(torch.eye(agents))
+    causal = seen.tril()
+    out = decode(m, own, cross, lambda layers, q, x: mat_attention(layers, heads, q, x, causal), previous, rep)
+    gp, gr, ge = grad(out, previous, rep, m["embed"].weight)
+    put_params("decoder", m | attention_params("blocks.0.own", own) | attention_params("blocks.0.cross", cross))
+    put("decoder", previous=previous, rep=rep, seen=seen, out=out, grad_previous=gp, grad_rep=gr, grad_embed=ge)
+
+
+def commformer():
+    batch, agents, width, heads, links = 3, 5, 8, 2, 2
+    edges = torch.randn(agents, agents, requires_grad=True)
+    noise = torch.randn(batch, agents, agents)
+    physical = (torch.rand(batch, agents, agents) > 0.2).float()
+    table = torch.randn(2, width, requires_grad=True)
+    x = torch.randn(batch, agents, width, requires_grad=True)
+    previous = torch.randn(batch, agents, 1)
+
+    scores = edges + noise
+    soft = scores.softmax(-1)
+    hard = torch.zeros_like(soft).scatter(-1, scores.topk(links, -1).indices, 1.0)
+    best = hard - soft.detach() + soft
+    eye = torch.eye(agents)
+    linked = best * physical
+    kinds = linked.detach().round()
+    # exact zeros and ones, with the gradient of the soft sample
+    exact = kinds + (linked - linked.detach())
+    graph = exact * (1 - eye) + eye
+
+    attention = attention_layers(width, True)
+    parts = {"attention_norm": norm(width), "up": linear(width, width), "down": linear(width, width), "mlp_norm": norm(width)}
+    y = parts["attention_norm"](x + relation_attention(attention, heads, x, x, graph, kinds, table))
+    y = parts["mlp_norm"](y + parts["down"](F.relu(parts["up"](y))))
+    m, own, cross = decoder_modules(1, width, True)
+    causal = graph.tril()
+    attend = lambda layers, q, among: relation_attention(layers, heads, q, among, causal, kinds, table)
+    out = decode(m, own, cross, attend, previous, y)
+    (gb,) = torch.autograd.grad(weighted(y), edges, retain_graph=True)
+    gx, ge, gt = grad(out, x, edges, table)
+    put_params("commformer", {f"block.{k}": v for k, v in (parts | attention_params("attention", attention)).items()})
+    named = m | attention_params("blocks.0.own", own) | attention_params("blocks.0.cross", cross)
+    put_params("commformer", {f"decoder.{k}": v for k, v in named.items()} | {"relations": table, "edges": edges})
+    put("commformer", noise=noise, physical=physical, x=x, previous=previous, best=hard, block=y, out=out)
+    put("commformer", grad_x=gx, grad_edges=ge, grad_relations=gt, grad_block_edges=gb)
+
+
+def magic():
+    batch, agents, width, heads = 3, 4, 16, 2
+    first, second, third = linear(2 * width, width // 2), linear(width // 2, width // 8), linear(width // 8, 2)
+    f = torch.randn(batch, agents, width, requires_grad=True)
+    g = ((torch.rand(batch, agents, agents) > 0.5).float()).maximum(torch.eye(agents)).requires_grad_()
+    pairs = torch.cat([f.unsqueeze(2).expand(-1, -1, agents, -1), f.unsqueeze(1).expand(-1, agents, -1, -1)], -1)
+    logits = third(F.relu(second(F.relu(first(pairs)))))
+    scores = logits[..., 1] - logits[..., 0]
+    (gs,) = grad(scores, f)
+    put_params("magic", {"scheduler.first": first, "scheduler.second": second, "scheduler.third": third})
+    put("magic", f=f, graph=g, scores=scores, grad_f_scores=gs)
+    for name, joined in (("joined", True), ("mean", False)):
+        weight, a_i, a_j = torch.randn(heads * 3, width), torch.randn(heads, 3), torch.randn(heads, 3)
+        bias = torch.randn(heads * 3 if joined else 3)
+        h = (f @ weight.T).view(batch, agents, heads, 3)
+        outs = []
+        for k in range(heads):  # GraphAttention.forward of gnn_layers.py, a head at a time, with `normalize`
+            hk = h[:, :, k]
+            e = F.leaky_relu((hk @ a_i[k]).unsqueeze(2) + (hk @ a_j[k]).unsqueeze(1), negative_slope=0.2)
+            att = (e * g).softmax(-1) * g + 1e-15
+            att = att / att.sum(-1, keepdim=True) * g
+            outs.append(att @ hk)
+        out = (torch.cat(outs, -1) if joined else torch.stack(outs).mean(0)) + bias
+        gf, gg = grad(out, f, g)
+        put_params("magic", {f"{name}.weight": weight, f"{name}.listener": a_i, f"{name}.speaker": a_j, f"{name}.bias": bias})
+        put("magic", **{f"out_{name}": out, f"grad_f_{name}": gf, f"grad_graph_{name}": gg})
+
+
+def mixer():
+    batch, agents, features = 4, 3, 5
+    m = {
+        f"{name}.{i}": linear(*sizes[i])
+        for name, sizes in (
+            ("weights", ((features, 64), (64, 32))),
+            ("out_weights", ((features, 64), (64, 32))),
+            ("offset", ((features, 64), (64, 1))),
+        )
+        for i in (0, 1)
+    } | {"shift": linear(features, 32)}
+    values = torch.randn(batch, agents, requires_grad=True)
+    state = torch.randn(batch, agents, features, requires_grad=True)
+    present = torch.tensor([[1, 1, 1], [1, 0, 1], [0, 0, 1], [1, 1, 0]]).float()
+    outs = []
+    for b in range(batch):  # QMixer.forward of q_mixer.py, an environment at a time, of those who are there
+        there = present[b] > 0
+        q, s = values[b, there], state[b, there]
+        hyper = lambda name: m[f"{name}.1"](F.relu(m[f"{name}.0"](s)))
+        hidden = F.elu(q @ hyper("weights").abs() + m["shift"](s).mean(0))
+        outs.append(hidden @ hyper("out_weights").mean(0).abs() + hyper("offset").mean())
+    out = torch.stack(outs)
+    gv, gs = grad(out, values, state)
+    put_params("mixer", m)
+    put("mixer", values=values, state=state, present=present, out=out, grad_values=gv, grad_state=gs)
+
+
 def gaussian():
     mean, log_std = torch.randn(6, 3, requires_grad=True), torch.randn(3, requires_grad=True)
     action = torch.randn(6, 3)
@@ -308,6 +478,6 @@ def write(path):
     print(f"{path}: {len(ARRAYS)} arrays, {8 + len(text) + len(data)} bytes")
 
 
-for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo):
+for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer):
     case()
 write(pathlib.Path(__file__).parent / "golden.safetensors")

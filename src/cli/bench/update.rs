@@ -143,7 +143,7 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
         state: task.spec.state.len(),
         actions: task.spec.actions,
         memory: learner.memory(),
-        graph_noise: learner.samples_graph(),
+        graphs: learner.graphs(),
     });
     let mut rng = Seed::new(1).rng();
     let s = rollout.sizes;

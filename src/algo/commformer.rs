@@ -1,0 +1,187 @@
+//! CommFormer: MAT over a communication graph that is learned for all time (Hu et al. 2024, "Learning multi-agent communication
+//! from graph modeling perspective"; charleshsc/CommFormer, `cformer.py`, `transformer_policy.py`, `mat_trainer.py`, with
+//! `--dec_actor`).
+//!
+//! 1. each agent listens to the `sparsity · N` others (at least one) with the best of its row of scores, which begin at 1
+//!    (`edges`, `edge_return`)
+//! 2. relations: being linked or not has an embedding, from which each attention makes a vector for queries and one for keys;
+//!    scores are scaled twice (`RelationMultiheadAttention`)
+//! 3. who is not linked has no weight, and what is left is multiplied by the graph, through which the scores get the gradient of
+//!    their row's softmax; agents always listen to themselves
+//! 4. of `graph_every` passes over a rollout, the last trains the scores alone, the others all else (`mat_trainer.py`: bi-level
+//!    optimisation)
+//! 5. encoder blocks with a rectifier, decoder blocks as MAT's; one ratio for each dimension of the action
+//!
+//! It differs on purpose: a graph is sampled for each decision, by the noise that all methods with graphs get (logistic), and an update sees
+//! the graph that acted (reference: exact in acting, new Gumbel noise in every update, so that ratios compare different graphs;
+//! `iwol.graph_noise = "resampled"` does likewise); no ten updates with the complete graph first, as noise tries all links; a
+//! link has weight 1, to itself, too (reference: 2 where that is chosen as well); an edge is one above ½ (reference: cut to an integer, which
+//! loses edges of 0.9999999); no dropout, which changes the ratio; one action head for all (reference: one for each agent).
+//! Edges beyond the radio range do not exist, and an agent reads the action before its own only from someone it
+//! listens to. For encoder, value, noise and agents who are gone see [`mat`](super::mat). `commformer.lambda_world` adds
+//! IWoL's world decoder.
+//!
+//! The graph is one of N slots: a policy is for as many agents as it was trained with, though some may be gone.
+
+use tch::Tensor;
+
+use super::batch::{Batch, Shard};
+use super::core::{Loss, Networks};
+use super::decoder::WorldDecoder;
+use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::parameters::{ACTOR, Places, Set};
+use super::scene::Scene;
+use super::sequence::{Input, Order, Sequence, ValueHead};
+use super::{ActMode, Decision, Hears, Observation, Reconstruction, Settings, ppo};
+use crate::env::EnvSpec;
+use crate::nn::graph::{sample_best, with_self_loops};
+use crate::nn::{AdamConfig, Decoder, Init, Reach, RelationBlock, ValueNorm};
+
+/// The scores of the graph.
+const GRAPH: Set =
+    Set { name: "graph", gradient: "the graph's gradient", norm: "ppo/grad_norm_graph", adam: AdamConfig::TORCH };
+
+/// Communication transformer.
+pub(super) struct CommFormer {
+    /// Scores of the links, `[N, N]`, row = listener.
+    edges: Tensor,
+    /// Others that each agent listens to.
+    links: i64,
+    /// Embeddings of both relations, `[2, H]`.
+    relations: Tensor,
+    input: Input,
+    blocks: Vec<RelationBlock>,
+    value: ValueHead,
+    sequence: Sequence,
+    world: Option<WorldDecoder>,
+}
+
+/// What comes of a scene.
+struct Represented {
+    /// `[rows, N, H]`
+    representation: Tensor,
+    order: Order,
+    /// Who listens to whom, `[rows, N, N]`.
+    graph: Tensor,
+    memory: Option<Tensor>,
+}
+
+impl CommFormer {
+    fn represent(&self, scene: &Scene) -> Represented {
+        let (x, memory) = self.input.forward(scene);
+        let scores = self.edges.unsqueeze(0);
+        let scores = scene.noise.as_ref().map_or_else(|| scores.shallow_clone(), |noise| &scores + noise);
+        let links = sample_best(&scores, self.links, 1.0) * &scene.comm;
+        let graph = with_self_loops(&links);
+        let reach = Reach::over(&graph, &links.gt(0.5).to_kind(tch::Kind::Float));
+        let representation = self.blocks.iter().fold(x, |x, block| block.forward(&x, &reach, &self.relations));
+        let order = Order::new(&scene.present(), &graph, &reach);
+        Represented { representation, order, graph, memory }
+    }
+
+    /// Loss of the world decoder on representations `[rows, N, H]`, if there is one.
+    fn world_loss(&self, batch: &Batch, shard: &Shard, representation: &Tensor) -> Option<Tensor> {
+        self.world.as_ref().map(|world| world.loss(batch, shard, &shard.pick(representation)))
+    }
+}
+
+impl Networks for CommFormer {
+    const NAME: &'static str = "commformer";
+    const HEARS: Hears = Hears::InRange;
+    const GRAPHS: usize = 1;
+    const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];
+    const PER_AGENT: Option<&'static str> = Some("graph/edges");
+
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+        let (hidden, actions, agents) = (settings.network.hidden, spec.actions as i64, spec.agents as i64);
+        let (count, heads) = (settings.transformer.blocks, settings.transformer.heads);
+        let relations = places.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
+        let block = |i| RelationBlock::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
+        let blocks = (0..count).map(block).collect();
+        let related = Some(&relations);
+        let decoder = Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, related);
+        let world = |places: &mut Places| WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden);
+        Self {
+            edges: places.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
+            links: ((agents as f64 * settings.commformer.sparsity) as i64).clamp(1, agents),
+            relations,
+            input: Input::new(places.of(ACTOR), spec, settings),
+            blocks,
+            value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
+            sequence: Sequence {
+                decoder,
+                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration),
+                actions,
+            },
+            world: (settings.commformer.lambda_world > 0.0).then(|| world(places)),
+        }
+    }
+
+    fn rate(set: Set, epoch: usize, learning_rate: f64, settings: &Settings) -> Option<f64> {
+        let turn = (epoch + 1).is_multiple_of(settings.commformer.graph_every);
+        if set == GRAPH {
+            turn.then_some(learning_rate * settings.commformer.graph_rate)
+        } else {
+            (!turn).then_some(learning_rate)
+        }
+    }
+
+    fn head(&self) -> &GaussianHead {
+        &self.sequence.head
+    }
+
+    fn memory(&self) -> i64 {
+        self.input.memory()
+    }
+
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        let noise = match mode {
+            ActMode::Deterministic => None,
+            ActMode::Sample { graph, .. } => Some(*graph),
+        };
+        let Represented { representation, order, memory, .. } = self.represent(&Scene::of(input, noise));
+        let (action, log_prob) = self.sequence.act(&representation, &order, mode);
+        let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+        Decision { action, log_prob, memory }
+    }
+
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        Some(self.value.forward(&self.represent(&Scene::of(input, None)).representation, state))
+    }
+
+    fn graph(&self, input: &Observation) -> Option<Tensor> {
+        Some(self.represent(&Scene::of(input, None)).graph)
+    }
+
+    fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        // The policy's own memory is known before each row.
+        let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
+        let value = |scene: &Scene, state: &Tensor| self.value.forward(&self.represent(scene).representation, state);
+        (rows.in_parts(&batch.state, value), None)
+    }
+
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let Represented { representation, order, .. } = self.represent(&scene);
+        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
+        let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
+        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
+        let policy =
+            PolicyTerms::new(batch, shard, self.head(), &shard.pick(&read), &settings.ppo, Ratio::PerDimension);
+        let mut report = vec![("loss/value", value.detach())];
+        report.extend(policy.report());
+        let mut total = &policy.loss + value;
+        if let Some(loss) = self.world_loss(batch, shard, &representation) {
+            report.push(("loss/world", loss.detach()));
+            total += settings.commformer.lambda_world * loss;
+        }
+        Loss { total, report }
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let reconstruct = |world: &WorldDecoder| {
+            world.reconstruct(&self.represent(&Scene::of(input, None)).representation, input, state)
+        };
+        self.world.as_ref().map(reconstruct).into_iter().collect()
+    }
+}

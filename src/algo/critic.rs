@@ -1,0 +1,84 @@
+//! Value functions of an agent's features: its own observation, and, where a method's value is told it, the privileged state.
+
+use tch::Tensor;
+
+use super::Observation;
+use super::batch::{Batch, Shard};
+use super::encoder::{Encoder, encode_active, encode_rows};
+use super::settings::Network;
+use crate::env::{EnvSpec, Features};
+use crate::nn::{Init, Linear, Path};
+
+/// An encoder and a linear layer.
+#[derive(Debug)]
+pub(super) struct Critic {
+    encoder: Encoder,
+    value: Linear,
+}
+
+impl Critic {
+    pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
+        Self {
+            encoder: Encoder::new(path.sub("encoder"), features, network),
+            value: Linear::new(path.sub("value"), network.hidden, 1, Init::Orthogonal(1.0)),
+        }
+    }
+
+    /// Memory per agent.
+    pub(super) fn memory(&self) -> i64 {
+        self.encoder.memory()
+    }
+
+    /// Values (normalised) of `features: [E, N, ..]` at one decision, `[E, N]`; only without memory, as that of the value is not
+    /// kept outside training.
+    pub(super) fn value(&self, features: &Tensor, input: &Observation) -> Option<Tensor> {
+        let nothing = input.memory.narrow(2, 0, 0);
+        (self.encoder.memory() == 0).then(|| self.values(features, &input.keep(), 1, &nothing).0)
+    }
+
+    /// Values (normalised) of sequences of `length` steps, `features: [rows, N, ..]` to `[rows, N]`, and the memory after each
+    /// step.
+    pub(super) fn values(
+        &self,
+        features: &Tensor,
+        keep: &Tensor,
+        length: i64,
+        memory: &Tensor,
+    ) -> (Tensor, Option<Tensor>) {
+        let (f, after) = encode_rows(&self.encoder, features, memory, keep, length);
+        (self.value.forward(&f).squeeze_dim(-1), after)
+    }
+}
+
+/// V(o, s) of each agent's own observation and its own view of the privileged state, own first, so that agents with individual
+/// rewards get individual values from one network.
+#[derive(Debug)]
+pub(super) struct PrivilegedCritic(Critic);
+
+impl PrivilegedCritic {
+    pub(super) fn new(path: Path<'_>, spec: &EnvSpec, network: &Network) -> Self {
+        Self(Critic::new(path, &spec.observation.join(&spec.state), network))
+    }
+
+    /// Memory per agent.
+    pub(super) fn memory(&self) -> i64 {
+        self.0.memory()
+    }
+
+    /// As [`Critic::value`].
+    pub(super) fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        self.0.value(&Tensor::cat(&[&input.observation, state], -1), input)
+    }
+
+    /// As [`Critic::values`], of all rows of a batch.
+    pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        self.0.values(&Tensor::cat(&[&batch.observation, &batch.state], -1), &batch.keep, length, memory)
+    }
+
+    /// Values (normalised) of a shard's active samples, `[B]`.
+    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
+        let privileged = [&batch.observation, &batch.state];
+        let f = encode_active(&self.0.encoder, shard, &privileged, &batch.value_memory, &batch.keep);
+        self.0.value.forward(&f).squeeze_dim(-1)
+    }
+}

@@ -1,0 +1,71 @@
+//! Decoders: what a latent must predict, so that it comes to hold it.
+
+use tch::{Kind, Tensor};
+
+use super::batch::{Batch, Shard};
+use super::settings::{Settings, WorldTarget};
+use super::{Observation, Reconstruction};
+use crate::env::EnvSpec;
+use crate::nn::{Init, Linear, Path};
+
+/// A three-layer decoder, optionally ending in tanh.
+pub(super) struct Decoder {
+    layers: [Linear; 3],
+    tanh: bool,
+}
+
+impl Decoder {
+    pub(super) fn new(mut path: Path<'_>, inputs: i64, hidden: i64, outputs: i64, tanh: bool) -> Self {
+        let layers = [
+            Linear::new(path.sub(0), inputs, hidden, Init::Orthogonal(1.0)),
+            Linear::new(path.sub(1), hidden, hidden, Init::Orthogonal(1.0)),
+            Linear::new(path.sub(2), hidden, outputs, Init::Orthogonal(0.01)),
+        ];
+        Self { layers, tanh }
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        let [first, second, third] = &self.layers;
+        let output = third.forward(&second.forward(&first.forward(x).relu()).relu());
+        if self.tanh { output.tanh() } else { output }
+    }
+
+    /// Mean squared error against `target`, over samples and dimensions.
+    pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
+        (self.forward(x) - target).square().mean(Kind::Float)
+    }
+}
+
+/// Predicts the privileged state (or what `iwol.world_target` says) from a latent.
+pub(super) struct WorldDecoder {
+    decoder: Decoder,
+    target: WorldTarget,
+    /// Share of the samples from which it learns.
+    share: f64,
+}
+
+impl WorldDecoder {
+    /// A decoder of latents of width `inputs`.
+    pub(super) fn new(path: Path<'_>, spec: &EnvSpec, settings: &Settings, inputs: i64) -> Self {
+        let target = settings.iwol.world_target;
+        let decoder = Decoder::new(path, inputs, settings.network.hidden, target.width(spec), true);
+        Self { decoder, target, share: settings.iwol.decoded }
+    }
+
+    /// Mean squared error on a part of a shard's active samples, whose latents are `x: [B, D]`.
+    pub(super) fn loss(&self, batch: &Batch, shard: &Shard, x: &Tensor) -> Tensor {
+        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
+        self.decoder.loss(&shard.part(x, self.share), &shard.part(&truth, self.share))
+    }
+
+    /// Mean squared error on samples, latents `[B, D]`, whose observations and states are these.
+    pub(super) fn error(&self, x: &Tensor, observation: &Tensor, state: &Tensor) -> Tensor {
+        self.decoder.loss(x, self.target.of(observation, state))
+    }
+
+    /// What latents `[E, N, D]` say, beside the truth.
+    pub(super) fn reconstruct(&self, x: &Tensor, input: &Observation, state: &Tensor) -> Reconstruction {
+        let truth = self.target.of(&input.observation, state).shallow_clone();
+        Reconstruction { name: "world", found: self.decoder.forward(x), truth }
+    }
+}

@@ -1,0 +1,390 @@
+//! MADDPG: deterministic policies by the gradient of a centralised critic, from replayed steps (Lowe et al. 2017;
+//! marlbenchmark/off-policy, `maddpg.py`, `MADDPGPolicy.py`, `actor_critic.py`), and IWoL inside of it (paper, appendix on
+//! off-policy learning: `maddpg-iwol`).
+//!
+//! 1. target y = r + γ Q'(s', μ'(o')), by copies of both networks that follow slowly (`soft_update`, τ = 0.005)
+//! 2. the policy is moved up the critic's gradient by its own action, those of the others being what was done
+//! 3. an agent's own reward and end; reference: agent 0's reward for a shared policy
+//! 4. actions are tanh of a linear layer, and Gaussian noise; reference: no tanh, noise of deviation 0.1
+//! 5. IWoL: the critic reads message and embedding, Q(m, f, a), of a message path of its own; the policy acts on [z; f], and its
+//!    latent z is shaped by both reconstruction losses
+//!
+//! It differs on purpose: the observation encoder (without memory: single steps are replayed), the noise schedule, learning rates,
+//! value normalisation and averaged weights are those of all methods; the critic attends to the others' observations, privileged
+//! states and actions (reference: reads all side by side), so that any number may be there and who is gone does not count; it is told
+//! the privileged state as every method's value is, but for IWoL's, whose messages are there for that.
+
+use std::f64::consts::SQRT_2;
+
+use tch::{Device, Kind, Tensor, no_grad};
+
+use super::core::{Means, act_on, scalar};
+use super::encoder::{Encoder, encode_locally};
+use super::head::GaussianHead;
+use super::im_iwol::LatentPolicy;
+use super::message::MessageTrunk;
+use super::parameters::{ACTOR, CRITIC, Places, Weights, load_value_norm, part, value_norm_entry};
+use super::replay::{Replay, Transitions, View};
+use super::scene::Scene;
+use super::{
+    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Method,
+    Observation, Pace, Reconstruction, Settings, ppo,
+};
+use crate::env::EnvSpec;
+use crate::nn::graph::with_self_loops;
+use crate::nn::{Attention, Init, LayerNorm, Linear, Reach, ValueNorm};
+use crate::rng::{self, Seed};
+use crate::rollout::Rollout;
+
+/// Multi-agent deep deterministic policy gradient.
+pub(super) const MADDPG: Method =
+    method("maddpg", &[], |spec, settings, seed, device| Box::new(Maddpg::new(spec, settings, seed, device, false)));
+/// The same with IWoL's latent and messages.
+pub(super) const MADDPG_IWOL: Method =
+    method("maddpg-iwol", &["world", "interaction"], |spec, settings, seed, device| {
+        Box::new(Maddpg::new(spec, settings, seed, device, true))
+    });
+
+const fn method(
+    name: &'static str,
+    latent: &'static [&'static str],
+    build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
+) -> Method {
+    let capabilities =
+        Capabilities { hears: Hears::Nobody, any_number: true, recurrent: false, on_policy: false, latent };
+    Method { name, capabilities, build }
+}
+
+/// A policy on the agent's own observation.
+enum Actor {
+    Plain { encoder: Encoder, head: GaussianHead },
+    Latent(LatentPolicy),
+}
+
+impl Actor {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
+        if iwol {
+            return Self::Latent(LatentPolicy::new(spec, settings, places).bounded());
+        }
+        let (hidden, actions) = (settings.network.hidden, spec.actions as i64);
+        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
+        let head = GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration);
+        Self::Plain { encoder, head: head.bounded() }
+    }
+
+    fn encoder(&self) -> &Encoder {
+        match self {
+            Self::Plain { encoder, .. } => encoder,
+            Self::Latent(policy) => &policy.encoder,
+        }
+    }
+
+    fn head(&self) -> &GaussianHead {
+        match self {
+            Self::Plain { head, .. } => head,
+            Self::Latent(policy) => &policy.head,
+        }
+    }
+
+    /// What the head reads, from embeddings `[.., H]`.
+    fn read(&self, f: &Tensor) -> Tensor {
+        match self {
+            Self::Plain { .. } => f.shallow_clone(),
+            Self::Latent(policy) => policy.read(f).1,
+        }
+    }
+
+    /// Embeddings of observations `[R, N, O]`.
+    fn embed(&self, observation: &Tensor) -> Tensor {
+        let nothing = Tensor::zeros([0], (Kind::Float, observation.device()));
+        self.encoder().forward(observation, &nothing, &nothing).0
+    }
+
+    /// Mean actions `[R, N, A]` for observations `[R, N, O]`.
+    fn mean(&self, observation: &Tensor) -> Tensor {
+        self.head().forward(&self.read(&self.embed(observation))).0
+    }
+}
+
+/// What the critic sees of each agent.
+enum Eyes {
+    /// Its observation and its view of the privileged state.
+    Privileged(Encoder),
+    /// Its embedding, and the message that reaches it.
+    Messages(Box<MessageTrunk>),
+}
+
+/// Q of each agent, from what is seen of it, its own action, and by attention what is seen of the others and what they do.
+struct Critic {
+    eyes: Eyes,
+    join: Linear,
+    join_norm: LayerNorm,
+    attention: Attention,
+    deep: Linear,
+    deep_norm: LayerNorm,
+    value: Linear,
+}
+
+impl Critic {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
+        let (network, hidden) = (&settings.network, settings.network.hidden);
+        let root = |places: &mut Places, name: &str, inputs: i64| {
+            Linear::new(places.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
+        };
+        let (eyes, seen) = if iwol {
+            let trunk = MessageTrunk::new(places.of(CRITIC).sub("trunk"), &spec.observation, network, &settings.iwol);
+            (Eyes::Messages(Box::new(trunk)), hidden + settings.iwol.message)
+        } else {
+            let features = spec.observation.join(&spec.state);
+            (Eyes::Privileged(Encoder::new(places.of(CRITIC).sub("encoder"), &features, network)), hidden)
+        };
+        Self {
+            eyes,
+            join: root(places, "join", seen + spec.actions as i64),
+            join_norm: LayerNorm::new(places.of(CRITIC).sub("join_norm"), hidden),
+            attention: Attention::new(places.of(CRITIC).sub("others"), hidden, 1, Init::Orthogonal(1.0), false),
+            deep: root(places, "deep", 2 * hidden),
+            deep_norm: LayerNorm::new(places.of(CRITIC).sub("deep_norm"), hidden),
+            value: Linear::new(places.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
+        }
+    }
+
+    /// What is seen of everyone, `[R, N, W]`, and the messages in it, `[R, N, D]`, where there are any; `noise` is the graph's,
+    /// `[R, N, N]`: without it, the most likely one.
+    fn look(&self, view: &View, noise: Option<Tensor>) -> (Tensor, Option<Tensor>) {
+        let nothing = Tensor::zeros([0], (Kind::Float, view.comm.device()));
+        match &self.eyes {
+            Eyes::Privileged(encoder) => {
+                let x = Tensor::cat(&[&view.observation, &view.state], -1);
+                (encoder.forward(&x, &nothing, &nothing).0, None)
+            }
+            Eyes::Messages(trunk) => {
+                let scene = Scene {
+                    observation: view.observation.shallow_clone(),
+                    keep: view.comm.diagonal(0, 1, 2).ones_like(),
+                    memory: nothing,
+                    comm: view.comm.shallow_clone(),
+                    noise,
+                    length: 1,
+                    pack: true,
+                };
+                let heard = trunk.forward(&scene);
+                let message = heard.packing.unpack(&heard.message);
+                (Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1), Some(message))
+            }
+        }
+    }
+
+    /// Values (normalised) `[R, N]` of each agent's own `action`, where the others do what was `done`, both `[R, N, A]`; `comm`
+    /// says who is there.
+    fn value(&self, seen: &Tensor, action: &Tensor, done: &Tensor, comm: &Tensor) -> Tensor {
+        let agents = comm.size()[1];
+        let together = |act: &Tensor| self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu());
+        let (own, others) = (together(action), together(done));
+        // The first place is nobody's, so that there is always something to attend to.
+        let others = others.constant_pad_nd([0, 0, 1, 0]);
+        let there = comm.diagonal(0, 1, 2).unsqueeze(1).expand([-1, agents, -1], false);
+        let reached = (&there - with_self_loops(&there.zeros_like())).clamp_min(0.0).constant_pad_nd([1, 0]);
+        let _ = reached.narrow(2, 0, 1).fill_(1.0);
+        let told = self.attention.forward(&own, &self.attention.keys_values(&others), &Reach::of(&reached), None);
+        let x = self.deep.forward(&Tensor::cat(&[own, told], -1)).relu();
+        self.value.forward(&self.deep_norm.forward(&x)).squeeze_dim(-1)
+    }
+}
+
+/// Policy and critic.
+struct Networks {
+    actor: Actor,
+    critic: Critic,
+}
+
+impl Networks {
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
+        let actor = Actor::new(spec, settings, places, iwol);
+        Self { actor, critic: Critic::new(spec, settings, places, iwol) }
+    }
+}
+
+struct Maddpg {
+    name: &'static str,
+    settings: Settings,
+    device: Device,
+    networks: Networks,
+    weights: Weights,
+    /// The same networks with weights that follow.
+    targets: Networks,
+    target_weights: Weights,
+    value_norm: ValueNorm,
+    replay: Replay,
+}
+
+impl Maddpg {
+    fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device, iwol: bool) -> Self {
+        let build = || {
+            let mut places = Places::new(seed, device);
+            (Networks::new(spec, settings, &mut places, iwol), places)
+        };
+        let ((networks, places), (targets, following)) = (build(), build());
+        Self {
+            name: if iwol { MADDPG_IWOL.name } else { MADDPG.name },
+            settings: settings.clone(),
+            device,
+            networks,
+            weights: Weights::new(places, settings.ppo.average > 0.0),
+            targets,
+            target_weights: Weights::new(following, false),
+            value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
+            replay: Replay::new(settings.maddpg.replay, device),
+        }
+    }
+
+    /// What the networks lose and learn on some steps; gives what to report.
+    fn step(&mut self, steps: &Transitions, learning_rate: f64, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
+        let Transitions { before, after, action, reward, active, ended } = steps;
+        let noise = |of: &str| {
+            let mut noise = vec![0.0; before.comm.numel()];
+            rng::fill_logistic(&mut seed.child(of).rng(), &mut noise);
+            Some(Tensor::from_slice(&noise).view_as(&before.comm).to_device(self.device))
+        };
+        let target = no_grad(|| {
+            let next = self.targets.actor.mean(&after.observation);
+            let (seen, _) = self.targets.critic.look(after, noise("after"));
+            let value = self.targets.critic.value(&seen, &next, &next, &after.comm);
+            reward + self.settings.ppo.gamma * (ended.ones_like() - ended) * self.value_norm.denormalize(&value)
+        });
+        let samples = active.reshape([-1]).nonzero().squeeze_dim(-1);
+        let of_active = |x: &Tensor| x.flatten(0, 1).index_select(0, &samples);
+        self.value_norm.update(&of_active(&target));
+        let target = self.value_norm.normalize(&target);
+        let (seen, message) = self.networks.critic.look(before, noise("before"));
+        let value = self.networks.critic.value(&seen, action, action, &before.comm);
+        let value_loss = ppo::masked_mean(&(value - target).square(), active);
+        value_loss.backward();
+        let mut report = self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, learning_rate)?;
+
+        let f = self.networks.actor.embed(&before.observation);
+        let mean = self.networks.actor.head().forward(&self.networks.actor.read(&f)).0;
+        let value = self.networks.critic.value(&seen.detach(), &mean, action, &before.comm);
+        let policy_loss = -ppo::masked_mean(&value, active);
+        report.extend([("loss/value", scalar(&value_loss)), ("loss/policy", scalar(&policy_loss))]);
+        let mut total = policy_loss;
+        if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
+            let iwol = &self.settings.iwol;
+            let (z, _) = policy.read(&of_active(&f));
+            let world = policy.world.error(&z, &of_active(&before.observation), &of_active(&before.state));
+            let interaction = policy.interaction.loss(&z, &of_active(&message.detach()));
+            report.extend([("loss/world", scalar(&world)), ("loss/interaction", scalar(&interaction))]);
+            total = total + iwol.lambda_world * world + iwol.lambda_interaction * interaction;
+        }
+        total.backward();
+        report.extend(self.weights.step(ACTOR, self.settings.ppo.max_grad_norm, learning_rate)?);
+        self.target_weights.follow(&self.weights, self.settings.maddpg.target_rate);
+        Ok(report)
+    }
+}
+
+impl Algorithm for Maddpg {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn memory(&self) -> usize {
+        0
+    }
+
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        act_on(self.device, input, mode, |input, mode| {
+            let (f, memory) = encode_locally(self.networks.actor.encoder(), input);
+            let (action, log_prob) = self.networks.actor.head().sample(&self.networks.actor.read(&f), mode);
+            Decision { action, log_prob, memory }
+        })
+    }
+
+    fn message_width(&self) -> usize {
+        0
+    }
+
+    fn act_through(&self, input: &Observation, _channel: &Channel, _noise: &ChannelNoise) -> Decision {
+        // Nothing is sent: what the channel remembers passes by.
+        let own = Observation { memory: input.memory.narrow(2, 0, 0), ..input.map(Tensor::shallow_clone) };
+        Decision { memory: input.memory.shallow_clone(), ..self.act(&own, &ActMode::Deterministic) }
+    }
+
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
+        let value = no_grad(|| {
+            let there = |tensor: &Tensor| tensor.to_device(self.device);
+            let view = View { observation: there(&input.observation), state: there(state), comm: there(&input.comm) };
+            let mean = self.networks.actor.mean(&view.observation);
+            let (seen, _) = self.networks.critic.look(&view, None);
+            self.value_norm.denormalize(&self.networks.critic.value(&seen, &mean, &mean, &view.comm))
+        });
+        Insight { value: Some(value.to_device(Device::Cpu)), graph: None }
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let Actor::Latent(policy) = &self.networks.actor else {
+            return Vec::new();
+        };
+        no_grad(|| {
+            let there = |tensor: &Tensor| tensor.to_device(self.device);
+            let (input, state) = (input.map(there), there(state));
+            let (z, _) = policy.read(&self.networks.actor.embed(&input.observation));
+            let mut all = vec![policy.world.reconstruct(&z, &input, &state)];
+            let view = View { observation: input.observation, state, comm: input.comm };
+            if let (_, Some(truth)) = self.networks.critic.look(&view, None) {
+                all.push(Reconstruction { name: "interaction", found: policy.interaction.forward(&z), truth });
+            }
+            let back = |r: Reconstruction| Reconstruction {
+                found: r.found.to_device(Device::Cpu),
+                truth: r.truth.to_device(Device::Cpu),
+                ..r
+            };
+            all.into_iter().map(back).collect()
+        })
+    }
+
+    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
+        self.replay.add(rollout);
+        let rows = (self.settings.ppo.minibatch / rollout.sizes.agents).max(1);
+        let mut means = Means::default();
+        for update in 0..self.settings.maddpg.updates {
+            let seed = seed.index(update as u64);
+            let steps = self.replay.draw(rows, &mut seed.child("steps").rng());
+            means.add(&self.step(&steps, pace.learning_rate, seed.child("graph"))?);
+        }
+        let head = self.networks.actor.head();
+        head.impose(pace.log_std);
+        self.weights.follow_average(self.settings.ppo.average);
+        means.finish(&[("ppo/std", head.std()), ("ppo/learning_rate", pace.learning_rate)])
+    }
+
+    fn swap_average(&mut self) {
+        self.weights.swap_average();
+    }
+
+    fn state(&self) -> Vec<(String, Tensor)> {
+        let mut state = self.weights.state();
+        state.extend(self.target_weights.values("_target"));
+        state.push(value_norm_entry(&self.value_norm));
+        let replay = self.replay.state().into_iter();
+        state.extend(replay.map(|(name, t)| (format!("replay_memory/{name}"), t.to_device(Device::Cpu).copy())));
+        state
+    }
+
+    fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        self.weights.load(state)?;
+        self.target_weights.load_values(state, "_target")?;
+        load_value_norm(&mut self.value_norm, state)?;
+        Ok(self.replay.load(&part(state, "replay_memory"))?)
+    }
+
+    fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
+        self.weights.load_weights(state)?;
+        self.target_weights.follow(&self.weights, 1.0);
+        load_value_norm(&mut self.value_norm, state)
+    }
+
+    fn parameters(&self) -> (i64, i64) {
+        self.weights.parameters(&["world.", "interaction."])
+    }
+}

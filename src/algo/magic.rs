@@ -1,0 +1,187 @@
+//! MAGIC: two rounds of graph attention, each over a learned graph of its own (Niu et al. 2021, "Multi-agent graph-attention
+//! communication and teaming"; CORE-Robotics-Lab/MAGIC, `magic.py`, `gnn_layers.py`).
+//!
+//! 1. a scheduler for each round decides on the edges between the agents' embeddings by a hard Gumbel-softmax
+//!    (`sub_scheduler_mlp1`, `sub_scheduler_mlp2`)
+//! 2. first round: attention with four heads, side by side, ELU; second round: one head (`sub_processor1`, `sub_processor2`)
+//! 3. attention weights are normalised over the edges, and agents always listen to themselves (its football script; the
+//!    traffic junction scripts take complete graphs instead)
+//! 4. the policy reads [f; m] (`action_head`)
+//!
+//! It differs on purpose: the observation encoder, proximal policy optimisation and the Gaussian head that all methods share
+//! (reference: LSTM, REINFORCE, discrete actions); a value of its own that is told the privileged state, as every method's is
+//! (reference: from hidden state and message); edges beyond the radio range do not exist; the noise of the graphs is kept
+//! with the rollout, and there is none in evaluation (reference: always new noise). `magic.lambda_world` adds IWoL's world decoder.
+
+use tch::Tensor;
+
+use super::batch::{Batch, Shard};
+use super::channel::exchange;
+use super::core::{Loss, Networks};
+use super::critic::PrivilegedCritic;
+use super::decoder::WorldDecoder;
+use super::encoder::Encoder;
+use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::parameters::{ACTOR, CRITIC, Places};
+use super::scene::Scene;
+use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
+use crate::env::EnvSpec;
+use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
+
+/// Heads of the first round.
+const HEADS: i64 = 4;
+
+/// Multi-agent graph-attention communication.
+pub(super) struct Magic {
+    encoder: Encoder,
+    schedulers: [Scheduler; 2],
+    rounds: [GraphAttention; 2],
+    head: GaussianHead,
+    world: Option<WorldDecoder>,
+    critic: PrivilegedCritic,
+    hidden: i64,
+}
+
+/// What comes of a scene, for the P agents who are there.
+struct Heard {
+    /// `[P, H]`
+    message: Tensor,
+    /// `[P, H]`
+    embedding: Tensor,
+    /// Who listens to whom in either round, `[rows, N, N]`.
+    graph: Tensor,
+    packing: Packing,
+    memory: Option<Tensor>,
+}
+
+impl Magic {
+    /// Messages `[P, H]` and the graphs of both rounds, from embeddings `f: [P, H]`; `physical: [rows, N, N]` is who can hear
+    /// whom, `noise: [rows, N, 2 N]`.
+    fn communicate(
+        &self,
+        f: &Tensor,
+        packing: &Packing,
+        physical: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> (Tensor, [Tensor; 2]) {
+        let agents = physical.size()[2];
+        let graph = |round: usize| {
+            let noise = noise.map(|noise| noise.narrow(2, round as i64 * agents, agents));
+            self.schedulers[round].forward(f, packing, physical, noise.as_ref())
+        };
+        let graphs = [graph(0), graph(1)];
+        let first = self.rounds[0].forward(f, packing, &graphs[0]).elu();
+        (self.rounds[1].forward(&first, packing, &graphs[1]), graphs)
+    }
+
+    fn hear(&self, scene: &Scene) -> Heard {
+        let (rows, agents) = scene.size();
+        let packing = if scene.pack { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
+        let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
+        let (message, [first, second]) = self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
+        Heard { message, embedding, graph: first.maximum(&second), packing, memory }
+    }
+}
+
+impl Networks for Magic {
+    const NAME: &'static str = "magic";
+    const HEARS: Hears = Hears::InRange;
+    const GRAPHS: usize = 2;
+    const TRAINING_ONLY: &'static [&'static str] = &["world."];
+
+    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+        let (network, hidden) = (&settings.network, settings.network.hidden);
+        // Four heads of a quarter each.
+        let width = (hidden / HEADS).max(1);
+        let exploration = &settings.exploration;
+        let world = |places: &mut Places| WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden);
+        Self {
+            encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
+            schedulers: [0, 1].map(|i| Scheduler::new(places.of(ACTOR).sub("scheduler").sub(i), hidden)),
+            rounds: [
+                GraphAttention::new(places.of(ACTOR).sub("round").sub(0), hidden, HEADS, width, true),
+                GraphAttention::new(places.of(ACTOR).sub("round").sub(1), HEADS * width, 1, hidden, false),
+            ],
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), 2 * hidden, spec.actions as i64, exploration),
+            world: (settings.magic.lambda_world > 0.0).then(|| world(places)),
+            critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
+            hidden,
+        }
+    }
+
+    fn head(&self) -> &GaussianHead {
+        &self.head
+    }
+
+    fn memory(&self) -> i64 {
+        self.encoder.memory()
+    }
+
+    fn value_memory(&self) -> i64 {
+        self.critic.memory()
+    }
+
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        let noise = match mode {
+            ActMode::Deterministic => None,
+            ActMode::Sample { graph, .. } => Some(*graph),
+        };
+        let Heard { message, embedding, packing, memory, .. } = self.hear(&Scene::of(input, noise));
+        let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
+        let (action, log_prob) = self.head.sample(&read, mode);
+        let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+        Decision { action, log_prob, memory }
+    }
+
+    fn message_width(&self) -> i64 {
+        self.hidden
+    }
+
+    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
+        let (message, f, memory) = exchange(&self.encoder, input, channel, noise, |known, edges| {
+            let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
+            let packing = Packing::full(rows, agents);
+            packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, edges, None).0)
+        });
+        let (action, log_prob) = self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
+        Decision { action, log_prob, memory }
+    }
+
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        self.critic.value(input, state)
+    }
+
+    fn graph(&self, input: &Observation) -> Option<Tensor> {
+        Some(self.hear(&Scene::of(input, None)).graph)
+    }
+
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        self.critic.values(batch, length, memory)
+    }
+
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let value = ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let heard = self.hear(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
+        let positions = shard.positions(&heard.packing);
+        let message = heard.message.index_select(0, &positions);
+        let read = Tensor::cat(&[&heard.embedding.index_select(0, &positions), &message], -1);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
+        let mut report = vec![("loss/value", value.detach())];
+        report.extend(policy.report());
+        let mut total = &policy.loss + value;
+        if let Some(world) = &self.world {
+            let loss = world.loss(batch, shard, &message);
+            report.push(("loss/world", loss.detach()));
+            total += settings.magic.lambda_world * loss;
+        }
+        Loss { total, report }
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let reconstruct = |world: &WorldDecoder| {
+            let heard = self.hear(&Scene::of(input, None));
+            world.reconstruct(&heard.packing.unpack(&heard.message), input, state)
+        };
+        self.world.as_ref().map(reconstruct).into_iter().collect()
+    }
+}

@@ -1,0 +1,325 @@
+//! Transformers over the agents of an environment as a sequence: attention of one sequence to another, and the decoder that
+//! lets each agent read what those before it do (MAT, Wen et al. 2022, PKU-MARL/Multi-Agent-Transformer,
+//! `ma_transformer.py`). With relations, it is CommFormer's (Hu et al. 2024, charleshsc/CommFormer, `cformer.py`).
+
+use std::f64::consts::SQRT_2;
+
+use tch::{Kind, Tensor};
+
+use super::attention::softmax;
+use super::{Init, LayerNorm, Linear, Path};
+
+/// Who attends to whom, among N agents of B environments.
+#[derive(Debug)]
+pub struct Reach {
+    bias: Tensor,
+    /// A learned graph, and which of two relations a pair has, both `[B, 1, Q, N]`.
+    graph: Option<(Tensor, Tensor)>,
+}
+
+impl Reach {
+    /// Those are seen where `seen: [B, N, N]` is not 0 (row = reader). Everybody must see somebody, usually itself.
+    pub fn of(seen: &Tensor) -> Self {
+        let bias = seen.zeros_like().masked_fill(&seen.le(0.5), f64::NEG_INFINITY).unsqueeze(1).detach();
+        Self { bias, graph: None }
+    }
+
+    /// As [`Reach::of`], by a learned graph whose gradient is that of a factor on the attention weights; `relation: [B, N, N]`
+    /// (0 or 1) is what attention with relations knows of a pair.
+    pub fn over(graph: &Tensor, relation: &Tensor) -> Self {
+        Self { graph: Some((graph.unsqueeze(1), relation.detach().unsqueeze(1))), ..Self::of(graph) }
+    }
+
+    /// The same without those who come later in the sequence.
+    #[must_use]
+    pub fn causal(&self) -> Self {
+        let later = Tensor::ones_like(&self.bias).triu(1).gt(0.5);
+        let graph = self.graph.as_ref().map(|(graph, relation)| (graph.tril(0), relation.shallow_clone()));
+        Self { bias: self.bias.masked_fill(&later, f64::NEG_INFINITY), graph }
+    }
+
+    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere.
+    pub fn bias(&self) -> &Tensor {
+        &self.bias
+    }
+
+    /// Of agent `i` alone, among the first of the sequence up to itself.
+    #[must_use]
+    pub fn up_to(&self, i: i64) -> Self {
+        let cut = |x: &Tensor| x.narrow(2, i, 1).narrow(3, 0, i + 1);
+        Self { bias: cut(&self.bias), graph: self.graph.as_ref().map(|(graph, relation)| (cut(graph), cut(relation))) }
+    }
+}
+
+/// Keys and values of a sequence, each `[B, heads, N, d]`.
+#[derive(Debug)]
+pub struct KeysValues(Tensor, Tensor);
+
+impl KeysValues {
+    fn join(&self, next: &Self) -> Self {
+        let join = |a: &Tensor, b: &Tensor| Tensor::cat(&[a, b], 2);
+        Self(join(&self.0, &next.0), join(&self.1, &next.1))
+    }
+}
+
+/// Scaled dot-product attention of one sequence to another, optionally with relations: each pair has one of two kinds, whose
+/// embeddings give each kind a vector that is added to the query and one that is added to the key.
+#[derive(Debug)]
+pub struct Attention {
+    heads: i64,
+    query: Linear,
+    keys_values: Linear,
+    out: Linear,
+    relations: Option<Linear>,
+}
+
+impl Attention {
+    /// Attention among sequences of `width` features, which `heads` must divide; all weights drawn by `init`, zero biases.
+    ///
+    /// # Panics
+    /// If `heads` does not divide `width`.
+    pub fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init, related: bool) -> Self {
+        assert!(heads > 0 && width % heads == 0, "{heads} attention heads do not divide a width of {width}");
+        Self {
+            heads,
+            query: Linear::new(path.sub("query"), width, width, init),
+            keys_values: Linear::fused(path.sub("keys_values"), width, width, 2, init),
+            out: Linear::new(path.sub("out"), width, width, init),
+            relations: related.then(|| Linear::fused(path.sub("relations"), width, width, 2, init)),
+        }
+    }
+
+    /// `x: [B, T, heads · d]` to `[B, heads, T, d]`.
+    fn split(&self, x: &Tensor) -> Tensor {
+        let (batch, count, width) = x.size3().expect("sequences are [B, T, W]");
+        x.view([batch, count, self.heads, width / self.heads]).transpose(1, 2)
+    }
+
+    /// What a sequence `[B, N, W]` is to those who attend to it.
+    pub fn keys_values(&self, x: &Tensor) -> KeysValues {
+        let parts = self.keys_values.forward(x).chunk(2, -1);
+        KeysValues(self.split(&parts[0].contiguous()), self.split(&parts[1].contiguous()))
+    }
+
+    /// What `queries: [B, Q, W]` make of a sequence, `[B, Q, W]`; `relations: [2, W]` are the embeddings of both kinds of
+    /// relation, which attention without relations does not read.
+    pub fn forward(&self, queries: &Tensor, among: &KeysValues, reach: &Reach, relations: Option<&Tensor>) -> Tensor {
+        let KeysValues(keys, values) = among;
+        let query = self.split(&self.query.forward(queries));
+        let scale = 1.0 / (query.size()[3] as f64).sqrt();
+        let mut logits = (&query * scale).matmul(&keys.transpose(-2, -1));
+        if let (Some(layer), Some(embeddings), Some((_, kinds))) = (&self.relations, relations, &reach.graph) {
+            // (q + a)(k + b) for both kinds, of which a pair has one. The reference scales twice.
+            let both = layer.forward(embeddings).chunk(2, -1);
+            let of = |kind: i64| {
+                let part = |x: &Tensor| x.get(kind).view([self.heads, 1, -1]);
+                let (a, b) = (part(&both[0]), part(&both[1]));
+                let sum = |x: Tensor| x.sum_dim_intlist(-1, true, Kind::Float);
+                sum(&query * &b) + sum(keys * &a).transpose(-2, -1) + sum(&a * &b)
+            };
+            let (none, one) = (of(0), of(1));
+            logits = (logits + (&none + (one - &none) * kinds) * scale) * scale;
+        }
+        let mut weights = softmax(&(logits + &reach.bias));
+        if let Some((graph, _)) = &reach.graph {
+            weights *= graph;
+        }
+        let mixed = weights.matmul(values).transpose(1, 2);
+        let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");
+        self.out.forward(&mixed.reshape([batch, count, heads * head]))
+    }
+}
+
+/// A block of the decoder: among the actions so far, then of the agents' representations to those, then each by itself.
+#[derive(Debug)]
+struct Block {
+    own: Attention,
+    own_norm: LayerNorm,
+    cross: Attention,
+    cross_norm: LayerNorm,
+    up: Linear,
+    down: Linear,
+    mlp_norm: LayerNorm,
+}
+
+/// What a block remembers of the agents that have decided: keys and values of both attentions.
+type Remembered = Option<(KeysValues, KeysValues)>;
+
+impl Block {
+    fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init, related: bool) -> Self {
+        Self {
+            own: Attention::new(path.sub("own"), width, heads, init, related),
+            own_norm: LayerNorm::new(path.sub("own_norm"), width),
+            cross: Attention::new(path.sub("cross"), width, heads, init, related),
+            cross_norm: LayerNorm::new(path.sub("cross_norm"), width),
+            up: Linear::new(path.sub("up"), width, width, Init::Orthogonal(SQRT_2)),
+            down: Linear::new(path.sub("down"), width, width, Init::Orthogonal(0.01)),
+            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+        }
+    }
+
+    /// The next agents of a sequence, after those that are remembered.
+    fn forward(
+        &self,
+        x: &Tensor,
+        representation: &Tensor,
+        reach: &Reach,
+        relations: Option<&Tensor>,
+        remembered: &mut Remembered,
+    ) -> Tensor {
+        let joined = |before: Option<&KeysValues>, next: KeysValues| match before {
+            Some(before) => before.join(&next),
+            None => next,
+        };
+        let own = joined(remembered.as_ref().map(|r| &r.0), self.own.keys_values(x));
+        let x = self.own_norm.forward(&(x + self.own.forward(x, &own, reach, relations)));
+        let cross = joined(remembered.as_ref().map(|r| &r.1), self.cross.keys_values(&x));
+        let heard = self.cross.forward(representation, &cross, reach, relations);
+        let x = self.cross_norm.forward(&(representation + heard));
+        *remembered = Some((own, cross));
+        self.mlp_norm.forward(&(&x + self.down.forward(&self.up.forward(&x).gelu("none"))))
+    }
+}
+
+/// Decodes agents one after another: each reads the actions of those before it and its own representation.
+#[derive(Debug)]
+pub struct Decoder {
+    embed: Linear,
+    embed_norm: LayerNorm,
+    blocks: Vec<Block>,
+    head: Linear,
+    head_norm: LayerNorm,
+    /// Embeddings of both kinds of relation, `[2, W]`.
+    relations: Option<Tensor>,
+}
+
+/// What a decoder remembers of the agents that have decided.
+#[derive(Debug, Default)]
+pub struct Decoded(Vec<Remembered>);
+
+impl Decoder {
+    /// A decoder for `actions` dimensions and representations of `width` features. Attention weights are orthogonal with gain 0.01
+    /// (MAT), with relations normal of deviation 0.02 (CommFormer).
+    ///
+    /// # Panics
+    /// If the heads do not divide the width.
+    pub fn new(
+        mut path: Path<'_>,
+        actions: i64,
+        width: i64,
+        blocks: usize,
+        heads: i64,
+        relations: Option<&Tensor>,
+    ) -> Self {
+        let init = if relations.is_some() { Init::Normal(0.02) } else { Init::Orthogonal(0.01) };
+        let embed = Linear::new(path.sub("embed"), actions, width, Init::Orthogonal(SQRT_2));
+        let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
+        let mut below = path.sub("blocks");
+        let blocks = (0..blocks).map(|i| Block::new(below.sub(i), width, heads, init, relations.is_some())).collect();
+        Self {
+            embed,
+            embed_norm,
+            blocks,
+            head: Linear::new(path.sub("head"), width, width, Init::Orthogonal(SQRT_2)),
+            head_norm: LayerNorm::new(path.sub("head_norm"), width),
+            relations: relations.map(Tensor::shallow_clone),
+        }
+    }
+
+    /// The next agents of a sequence, after those that have `decoded` so far, who join them: `previous: [B, Q, A]` is what each of
+    /// them is told of the action before its own (zeros for the first one), `representation: [B, Q, W]` what it knows. Gives
+    /// `[B, Q, W]` for the action head. All at once, with the actions that were taken, is the same as one after another.
+    pub fn forward(&self, previous: &Tensor, representation: &Tensor, reach: &Reach, decoded: &mut Decoded) -> Tensor {
+        decoded.0.resize_with(self.blocks.len(), || None);
+        let mut x = self.embed_norm.forward(&self.embed.forward(previous).gelu("none"));
+        for (block, remembered) in self.blocks.iter().zip(&mut decoded.0) {
+            x = block.forward(&x, representation, reach, self.relations.as_ref(), remembered);
+        }
+        self.head_norm.forward(&self.head.forward(&x).gelu("none"))
+    }
+}
+
+/// A block of CommFormer's encoder: attention with relations over the graph, then a perceptron with a rectifier, both post-norm,
+/// weights normal of deviation 0.02. Without the reference's dropout, which changes the ratio of an update.
+#[derive(Debug)]
+pub struct RelationBlock {
+    attention: Attention,
+    attention_norm: LayerNorm,
+    up: Linear,
+    down: Linear,
+    mlp_norm: LayerNorm,
+}
+
+impl RelationBlock {
+    /// A block over agents of `width` features.
+    ///
+    /// # Panics
+    /// If the heads do not divide the width.
+    pub fn new(mut path: Path<'_>, width: i64, heads: i64) -> Self {
+        let init = Init::Normal(0.02);
+        Self {
+            attention: Attention::new(path.sub("attention"), width, heads, init, true),
+            attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
+            up: Linear::new(path.sub("up"), width, width, init),
+            down: Linear::new(path.sub("down"), width, width, init),
+            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+        }
+    }
+
+    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation.
+    pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor) -> Tensor {
+        let heard = self.attention.forward(x, &self.attention.keys_values(x), reach, Some(relations));
+        let x = self.attention_norm.forward(&(x + heard));
+        self.mlp_norm.forward(&(&x + self.down.forward(&self.up.forward(&x).relu())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+    use crate::nn::Params;
+    use crate::rng::Seed;
+
+    const AGENTS: i64 = 5;
+
+    fn uniform(shape: &[i64], seed: u64) -> Tensor {
+        let values = Init::Uniform(1.0).sample(shape, &mut Seed::new(seed).rng());
+        Tensor::from_slice(&values).view(shape)
+    }
+
+    /// Decoding everyone at once is decoding one after another, and nobody hears of those who come later.
+    #[test]
+    fn at_once_is_one_after_another() {
+        for related in [false, true] {
+            let mut params = Params::new(Device::Cpu);
+            let mut rng = Seed::new(1).rng();
+            let table = related.then(|| params.root(&mut rng).create("relations", &[2, 8], Init::Normal(1.0)));
+            let decoder = Decoder::new(params.root(&mut rng).sub("decoder"), 2, 8, 2, 2, table.as_ref());
+            tch::no_grad(|| {
+                for (name, tensor) in params.named() {
+                    if name.ends_with("weight") && tensor.dim() == 2 {
+                        let _ = tensor.shallow_clone().multiply_scalar_(8.0);
+                    }
+                }
+            });
+            let (actions, known) = (uniform(&[3, AGENTS, 2], 2), uniform(&[3, AGENTS, 8], 3));
+            let seen = uniform(&[3, AGENTS, AGENTS], 4).gt(-0.3).to_kind(Kind::Float);
+            let graph = crate::nn::graph::with_self_loops(&seen);
+            let reach = if related { Reach::over(&graph, &seen) } else { Reach::of(&graph) }.causal();
+            let all = decoder.forward(&actions, &known, &reach, &mut Decoded::default());
+            let mut decoded = Decoded::default();
+            for i in 0..AGENTS {
+                let of = |x: &Tensor| x.narrow(1, i, 1);
+                let one = decoder.forward(&of(&actions), &of(&known), &reach.up_to(i), &mut decoded);
+                assert!((one - of(&all)).abs().max().double_value(&[]) < 1e-5, "{related} agent {i}");
+            }
+            let later = actions.copy();
+            let _ = later.select(1, 3).fill_(9.0);
+            let other = decoder.forward(&later, &known, &reach, &mut Decoded::default());
+            assert!(other.narrow(1, 0, 3).equal(&all.narrow(1, 0, 3)));
+            assert!(!other.select(1, 3).equal(&all.select(1, 3)));
+        }
+    }
+}
