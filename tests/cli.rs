@@ -74,7 +74,7 @@ fn a_mistake_in_a_scenario_is_located() {
     2
     error: DIR/mine.xml:71:18: unknown attribute `horizn` in <termination>; did you mean `horizon`?
 
-    hint: valid in <termination>: horizon, wreckTime
+    hint: valid in <termination>: horizon, wreckTime, border
     "#);
     assert_snapshot!(failure(&mut iwol(&["evaluate", "--policy", "sumo", "--scenario", "nowhere.xml"])), @r#"
     2

@@ -33,6 +33,8 @@ fn small(encoder: EncoderKind) -> Settings {
     // Every agent may listen to every other one.
     settings.commformer.sparsity = 1.0;
     settings.commformer.graph_every = 2;
+    settings.maddpg.updates = 20;
+    settings.maddpg.target_rate = 0.02;
     settings.magic.lambda_world = 0.05;
     settings.commformer.lambda_world = 0.05;
     settings.ppo.minibatch = 64;

@@ -326,7 +326,7 @@ prop_compose! {
             description: words.join(" "),
             agents: AgentRange { min, max, default: min },
             nets,
-            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: counts[0] % 2 == 0, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
+            routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: false, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {

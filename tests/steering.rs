@@ -30,7 +30,10 @@ struct Own {
 
 impl Own {
     fn start(task: &Arc<Task>) -> Self {
-        let arguments = ["--net-file".into(), task.net_file().into(), "--step-length".into(), "0.1".into()].to_vec();
+        let mut arguments = vec!["--net-file".into(), task.net_file().into()];
+        // As the environments have it.
+        let options = "--step-length 0.1 --collision.action none --time-to-teleport -1";
+        arguments.extend(options.split(' ').map(Into::into));
         let (process, mut sumo, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
         for (route, geometry) in task.scenario.routes.iter().zip(&task.routes) {
             let edges: Vec<&str> = geometry.path.edges.iter().map(String::as_str).collect();
@@ -49,6 +52,7 @@ impl Own {
                     let addition = Addition { depart_lane: &lane, depart_pos: &pos, ..Addition::on_route(route) };
                     self.sumo.vehicle().add(&vehicle(slot), &addition).unwrap();
                     self.sumo.vehicle().set_length(&vehicle(slot), self.task.scenario.vehicle.length).unwrap();
+                    self.sumo.vehicle().set_min_gap(&vehicle(slot), 0.0).unwrap();
                 }
                 Command::Remove { slot, .. } => self.sumo.vehicle().remove(&vehicle(slot), 3).unwrap(),
                 Command::SetSpeed { slot, speed, .. } => self.sumo.vehicle().set_speed(&vehicle(slot), speed).unwrap(),

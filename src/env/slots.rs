@@ -52,7 +52,7 @@ pub(super) struct Slot {
     pub(super) added: bool,
     /// Where SUMO has it, of those that steer.
     pub(super) track: Track,
-    /// Where it steers: pose and speed when SUMO was last told.
+    /// Where it steers: pose when SUMO was last told of it, and the speed that SUMO was given then \[m/s\].
     pub(super) sent: Option<(Pose, f64)>,
     /// Where it steers: how far along its route SUMO has its front, in SUMO's count \[m\]; none where SUMO may have it elsewhere.
     pub(super) held: Option<f64>,

@@ -95,6 +95,8 @@ impl Finding {
         let text = text.strip_prefix(&format!("{place}: ")).unwrap_or(&text);
         let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
         let message = causes.fold(text.to_owned(), |text, cause| format!("{text}: {cause}"));
+        // Files are quoted in it.
+        let message = message.replace(char::is_control, "\u{fffd}");
         Self { severity: Severity::Error, file: path.into(), at, message, hint: error.hint() }
     }
 }

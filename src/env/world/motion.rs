@@ -218,7 +218,7 @@ impl World {
 /// as it is: `moveToXY` takes SUMO many times longer. One that stands still SUMO leaves where it is.
 fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut Vec<Command>) {
     let pose = vehicle.motion.pose;
-    if vehicle.sent.replace((pose, vehicle.speed)) == Some((pose, vehicle.speed)) {
+    if vehicle.sent == Some((pose, 0.0)) {
         return;
     }
     let (sin, cos) = pose.heading.sin_cos();
@@ -235,11 +235,14 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
     if let Some(speed) = speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed)) {
         vehicle.held = Some(distance);
+        vehicle.sent = Some((pose, speed));
         commands.push(Command::SetSpeed { world, slot, speed });
         return;
     }
     // Over a junction SUMO may take another lane that lies there, and go on along that.
     vehicle.held = Some(distance).filter(|_| place == Place::Road);
-    commands.push(Command::SetSpeed { world, slot, speed: vehicle.speed.max(0.0) });
+    let speed = vehicle.speed.max(0.0);
+    vehicle.sent = Some((pose, speed));
+    commands.push(Command::SetSpeed { world, slot, speed });
     commands.push(Command::MoveTo { world, slot, x, y, heading: pose.heading, keep_route: place.keep_route() });
 }
