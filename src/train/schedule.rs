@@ -144,6 +144,15 @@ mod tests {
         config
     }
 
+    #[test]
+    fn penalties_grow_to_what_they_are() {
+        let mut config = config();
+        let at = |config: &Config, step| forgiven(config, &Progress { step, begun: 100, ..Progress::default() });
+        assert_eq!(at(&config, 100), 0.0, "by default they count at once");
+        config.train.penalty_steps = 200;
+        assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
+    }
+
     /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.
     fn play(config: &Config, success: impl Fn(&Progress) -> f64, mut see: impl FnMut(&Progress, Pace)) -> Progress {
         let mut progress = Progress { next_validation: config.train.validate_every, ..Progress::default() };
