@@ -73,6 +73,17 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
 }
 
 #[test]
+fn sumos_count_of_a_way_can_be_taken_back() {
+    // Lane c_0 is 40 m long in SUMO's count, its shape 20 m; the second lane over the junction 5 m and 15 m.
+    let path = route(&["a", "c"]).unwrap();
+    assert!((path.distance_of_arc(path.length()) - path.length()).abs() > 5.0, "SUMO counts otherwise here");
+    for k in 0..=100 {
+        let s = path.length() * f64::from(k) / 100.0;
+        assert!((path.arc_of_distance(path.distance_of_arc(s)) - s).abs() < 1e-9, "at {s}");
+    }
+}
+
+#[test]
 fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
     let path = route(&["a", "b"]).unwrap();
     assert_eq!(
