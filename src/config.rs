@@ -86,6 +86,11 @@ pub struct Train {
     /// Crashes and leaving the road cost nothing at first, and over so many environment steps rise to what the scenario says: who
     /// must learn to steer finds out sooner that driving pays. 0: at once. Evaluations always count them in full.
     pub penalty_steps: u64,
+    /// At first the policy imitates pure pursuit of the route ([`Train::imitate_speed`]) on its own episodes, and over so many
+    /// environment steps does so ever less and learns from rewards ever more (kickstarting: Schmitt et al., 2018); 0: not at all.
+    pub imitate_steps: u64,
+    /// Speed of the pursuit that is imitated \[m/s\].
+    pub imitate_speed: f64,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -115,6 +120,8 @@ impl Default for Train {
             fewest_agents: 0,
             replay_failed: 0.0,
             penalty_steps: 0,
+            imitate_steps: 0,
+            imitate_speed: 6.0,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,

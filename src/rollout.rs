@@ -48,6 +48,8 @@ pub struct Rollout {
     pub graph_noise: Vec<f32>,
     /// `[T, E, N, A]`, as sampled (not clipped).
     pub action: Vec<f32>,
+    /// What the teacher would have done, `[T, E, N, A]`; empty where there is none.
+    pub teacher: Vec<f32>,
     /// Of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
     /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
@@ -76,6 +78,7 @@ impl Rollout {
             memory: vec![0.0; closed * sizes.memory],
             graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],
+            teacher: Vec::new(),
             log_prob: vec![0.0; rows * sizes.actions],
             sampled: vec![1.0; sizes.steps * sizes.envs],
             quiet: vec![0.0; sizes.envs],

@@ -230,14 +230,20 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         let mut noise = vec![0.0; s.envs * s.agents * s.actions];
         // Each iteration begins anew: what it draws depends on its number alone.
-        let mut correlated = CorrelatedNoise::new(noise.len(), schedule::correlation(&self.config, &self.progress));
+        let mut correlated =
+            CorrelatedNoise::new(s.envs * s.agents, s.actions, schedule::correlation(&self.config, &self.progress));
         let quiet = Tensor::from_slice(&self.rollout.quiet);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
         let forgiven = schedule::forgiven(&self.config, &self.progress);
+        let taught = schedule::pace(&self.config, &self.progress).imitation > 0.0;
+        self.rollout.teacher.resize(if taught { self.rollout.action.len() } else { 0 }, 0.0);
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            if taught {
+                self.ask_teacher(t);
+            }
             let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
             for (e, late) in late.iter().enumerate() {
                 self.rollout.sampled[t * s.envs + e] = f32::from(u8::from(!late));
@@ -294,6 +300,20 @@ impl Trainer {
         }
         timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
         Ok(())
+    }
+
+    /// What the teacher would do at step `t` of the rollout.
+    fn ask_teacher(&mut self, t: usize) {
+        let (speed, actions) = (self.config.train.imitate_speed, self.rollout.sizes.actions);
+        for (e, world) in self.env.worlds().enumerate() {
+            let cell = self.rollout.cell(t, e, actions);
+            for (i, action) in self.rollout.teacher[cell].chunks_mut(actions).enumerate() {
+                let wanted = world.pursuit(i, speed);
+                // Who is on rails has no steering.
+                let wanted = &wanted[2 - actions..];
+                action.iter_mut().zip(wanted).for_each(|(to, from)| *to = *from as f32);
+            }
+        }
     }
 
     /// Whether a world's episode still goes without noise.

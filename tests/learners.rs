@@ -8,8 +8,8 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2 };
-const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0 };
+const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, imitation: 0.0 };
+const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, imitation: 0.0 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
@@ -378,7 +378,7 @@ fn the_policy_learns_nothing_from_actions_without_noise() {
                     rollout.log_prob[cell].iter_mut().for_each(|log_prob| *log_prob -= disturb);
                 }
             }
-            let pace = Pace { learning_rate: 1e-2, log_std: -0.5 };
+            let pace = Pace { learning_rate: 1e-2, log_std: -0.5, imitation: 0.0 };
             learner.update(&rollout, &pace, Seed::new(4)).expect("finite");
             let actor = learner.state().into_iter().filter(|(name, _)| name.starts_with("actor/"));
             actor.map(|(_, t)| Vec::<f32>::try_from(t.reshape([-1])).expect("floats")).collect::<Vec<_>>()
@@ -551,7 +551,11 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
             rollout.reward[cell].copy_from_slice(&rewards);
         }
         let share = (update + 1) as f64 / updates as f64;
-        let pace = Pace { learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)), log_std: -0.5 - share };
+        let pace = Pace {
+            learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
+            log_std: -0.5 - share,
+            imitation: 0.0,
+        };
         learner.update(&rollout, &pace, Seed::new(3).index(update)).expect("finite");
     }
     mean

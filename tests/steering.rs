@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use rand::RngExt;
+
 use iwol_sumo::env::{Driver, Task, World};
 use iwol_sumo::evaluate::{Onlooker, Policy, evaluate};
 use iwol_sumo::rng::Seed;
@@ -177,4 +179,31 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     let straight = play("intersection_turns_small", 4, Policy::Throttle(1.0));
     assert!(straight.out_of_road.mean > 0.2, "who should turn and does not ends beside the road: {straight:?}");
     assert!(straight.success.mean < 0.4, "{straight:?}");
+}
+
+/// A vehicle may come past the end of its route with its front in its lane and its middle beside it: it has not arrived, and SUMO
+/// has taken it off the road.
+#[test]
+fn who_drives_past_its_destination_beside_its_lane_has_left_the_road() {
+    let task = task("parking_lot", 5);
+    let mut own = Own::start(&task);
+    let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(4), 0, 1, 40);
+    world.reset(0);
+    let (mut commands, mut past, mut rng) = (Vec::new(), 0, Seed::new(9).rng());
+    while !world.is_idle() {
+        let shaky = |[steer, throttle]: [f64; 2], noise: f64| [(steer + noise) as f32, throttle as f32];
+        let actions: Vec<f32> =
+            (0..task.agents).flat_map(|i| shaky(world.pursuit(i, 6.0), rng.random_range(-0.9..0.9))).collect();
+        commands.clear();
+        world.act(0, &actions, &mut commands);
+        let snapshot = own.play(&commands);
+        let driving: Vec<bool> = world.agents().map(|agent| agent.driving).collect();
+        world.observe(0, &snapshot).expect("no vehicle vanishes");
+        let gone = |slot: usize| driving[slot] && snapshot.vehicles[slot].is_none() && world.is_running();
+        for (slot, agent) in world.agents().enumerate().filter(|&(slot, _)| gone(slot)) {
+            assert!(!agent.driving && !agent.wreck, "slot {slot} of episode {} is nowhere", world.episode());
+            past += 1;
+        }
+    }
+    assert!(past > 0, "none came past its destination");
 }

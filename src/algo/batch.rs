@@ -30,6 +30,10 @@ pub(super) struct Batch {
     pub(super) value_graph: Tensor,
     /// `[T · E, N, A]`
     pub(super) action: Tensor,
+    /// What the teacher would have done, `[T · E, N, A]`; empty where there is none.
+    pub(super) teacher: Tensor,
+    /// Weight of imitating it in the policy's loss.
+    pub(super) imitation: f64,
     /// Of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
     /// Added to the logarithm of the standard deviation, `[T · E, N]`.
@@ -66,6 +70,8 @@ impl Batch {
             policy_graph: tensor(&rollout.graph_noise, &policy_graph),
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
+            teacher: tensor(&rollout.teacher, &[-1, n, s.actions as i64]),
+            imitation: 0.0,
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
             quiet: tensor(&rollout.quiet, &[1, s.envs as i64, 1])
                 .expand([s.steps as i64, -1, n], false)
@@ -135,6 +141,8 @@ impl Batch {
             policy_graph: change(&self.policy_graph),
             value_graph: change(&self.value_graph),
             action: change(&self.action),
+            teacher: change(&self.teacher),
+            imitation: self.imitation,
             log_prob: change(&self.log_prob),
             quiet: change(&self.quiet),
             sampled: change(&self.sampled),

@@ -287,6 +287,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
+        batch.imitation = pace.imitation;
         // Where the policy's graph is sampled ever more quietly, so is the value's.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };

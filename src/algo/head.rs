@@ -12,7 +12,7 @@ use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
-    /// How many times the throttle's the logarithm of each action's noise is, `[A]`.
+    /// Added to the logarithm of the throttle's noise for each action's, `[A]`.
     relative: Tensor,
     mode: NoiseMode,
     /// Whether means are within -1 to 1.
@@ -25,7 +25,7 @@ impl GaussianHead {
         // The throttle comes last, after the steering of those that steer.
         let _ = no_grad(|| mean.bias().narrow(0, actions - 1, 1).fill_(exploration.mean_bias));
         let log_std = path.create("log_std", &[actions], Init::Zeros);
-        let relative = log_std.detach().ones_like();
+        let relative = log_std.detach().zeros_like();
         let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering);
         let head = Self { mean, log_std, relative, mode: exploration.mode, bounded: false };
         head.set(exploration.log_std_start);
@@ -33,7 +33,7 @@ impl GaussianHead {
     }
 
     fn set(&self, log_std: f64) {
-        no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative * log_std)));
+        no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative + log_std)));
     }
 
     /// With the tanh of its means.
@@ -54,6 +54,11 @@ impl GaussianHead {
             if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
         let mean = self.mean.forward(x);
         (if self.bounded { mean.tanh() } else { mean }, log_std)
+    }
+
+    /// Means before they are bounded, `[.., A]`.
+    pub(super) fn unbounded(&self, x: &Tensor) -> Tensor {
+        self.mean.forward(x)
     }
 
     /// Actions and the log-probabilities of their dimensions, both `[E, N, A]`.
@@ -116,6 +121,10 @@ impl PolicyTerms {
         let sampled = shard.active(&batch.sampled);
         // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
         let policy = ppo::policy_loss(&log_prob, &old, &advantage, &(quiet.exp() * &sampled), ppo.clip);
+        let imitation = (batch.imitation > 0.0).then(|| {
+            let error = (&mean - shard.active(&batch.teacher)) / head.log_std.detach().exp();
+            error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
+        });
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
@@ -124,7 +133,13 @@ impl PolicyTerms {
             let mean = |x: &Tensor| ppo::masked_mean(x, &sampled);
             (mean(&(difference.exp() - 1.0 - difference)), mean(&outside.mean_dim(-1, false, Kind::Float)))
         });
-        Self { loss: &policy - ppo.entropy * &entropy, policy, entropy, approx_kl, clip_fraction }
+        let earned = &policy - ppo.entropy * &entropy;
+        // The negative logarithm of the probability of what the teacher does, but for a constant.
+        let loss = match imitation {
+            Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,
+            None => earned,
+        };
+        Self { loss, policy, entropy, approx_kl, clip_fraction }
     }
 
     /// What to report of them.
@@ -148,7 +163,7 @@ mod tests {
     #[test]
     fn steering_begins_straight_and_has_noise_of_its_own() {
         let (mut params, mut rng) = (Params::new(Device::Cpu), Seed::new(0).rng());
-        let exploration = Exploration { log_std_start: -0.5, steering: 1.5, mean_bias: 0.5, ..Exploration::default() };
+        let exploration = Exploration { log_std_start: -0.5, steering: -1.0, mean_bias: 0.5, ..Exploration::default() };
         let head = GaussianHead::new(params.root(&mut rng), 8, 2, &exploration);
         let values = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
         let forward = || {
@@ -157,8 +172,8 @@ mod tests {
         };
         let close = |a: &[f64], b: [f64; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
         let (mean, log_std) = forward();
-        assert!(mean == [0.0, 0.5] && close(&log_std, [-0.75, -0.5]), "{mean:?} {log_std:?}");
+        assert!(mean == [0.0, 0.5] && close(&log_std, [-1.5, -0.5]), "{mean:?} {log_std:?}");
         head.impose(-1.0);
-        assert!(close(&forward().1, [-1.5, -1.0]), "{:?}", forward());
+        assert!(close(&forward().1, [-2.0, -1.0]), "{:?}", forward());
     }
 }

@@ -6,6 +6,7 @@
 //! 2. the policy is moved up the critic's gradient by its own action, those of the others being what was done
 //! 3. an agent's own reward and end; reference: agent 0's reward for a shared policy
 //! 4. actions are tanh of a linear layer, and Gaussian noise; reference: no tanh, noise of deviation 0.1
+//!    (what comes before the tanh is held small, as in the code of Lowe et al.)
 //! 5. IWoL: the critic reads message and embedding, Q(m, f, a), of a message path of its own; the policy acts on [z; f], and its
 //!    latent z is shaped by both reconstruction losses
 //!
@@ -263,11 +264,14 @@ impl Maddpg {
         let mut report = self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, learning_rate)?;
 
         let f = self.networks.actor.embed(&before.observation);
-        let mean = self.networks.actor.head().forward(&self.networks.actor.read(&f)).0;
+        let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
+        let mean = unbounded.tanh();
         let value = self.networks.critic.value(&seen.detach(), &mean, action, &before.comm);
         let policy_loss = -ppo::masked_mean(&value, active);
         report.extend([("loss/value", scalar(&value_loss)), ("loss/policy", scalar(&policy_loss))]);
-        let mut total = policy_loss;
+        // Means that a wrong value has driven far beyond the bound would stay there: no gradient passes the tanh.
+        let far = ppo::masked_mean(&unbounded.square().mean_dim(-1, false, Kind::Float), active);
+        let mut total = policy_loss + self.settings.maddpg.action_penalty * far;
         if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
             let iwol = &self.settings.iwol;
             let (z, _) = policy.read(&of_active(&f));

@@ -169,7 +169,7 @@ pub struct Exploration {
     /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
-    /// Correlation of an action's noise with that of the step before (first-order autoregressive, of the same variance), until
+    /// Correlation of the noise of throttle and brake with that of the step before (first-order autoregressive, of the same variance), until
     /// annealing begins; none after it. Such noise moves a vehicle further from where it would be, and so finds other orders
     /// of going first; but vehicles that must reckon with it drive slowly. Probabilities stay those of independent noise, which
     /// makes the policy gradient a biased estimate (Hollenstein et al., AAAI 2024).
@@ -177,8 +177,8 @@ pub struct Exploration {
     /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
     /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
     pub late_steps: u32,
-    /// The logarithm of the standard deviation of steering is so many times that of throttle and brake above: to stay on the road
-    /// takes a steadier hand than to find a speed.
+    /// Added to the logarithm of the standard deviation above for that of steering: to stay on the road takes a steadier hand than
+    /// to find a speed.
     pub steering: f64,
     /// Mean throttle of an untrained policy: above zero, agents move at once.
     pub mean_bias: f64,
@@ -195,7 +195,7 @@ impl Default for Exploration {
             spread: 1.2,
             correlation: 0.0,
             late_steps: 60,
-            steering: 1.5,
+            steering: -1.0,
             mean_bias: 0.5,
         }
     }
@@ -345,11 +345,13 @@ pub struct Maddpg {
     pub updates: usize,
     /// Share τ of their distance by which target networks follow after each.
     pub target_rate: f64,
+    /// Weight of the squared mean actions before the tanh in the policy's loss (Lowe et al., 2017: 1e-3).
+    pub action_penalty: f64,
 }
 
 impl Default for Maddpg {
     fn default() -> Self {
-        Self { replay: 16, updates: 64, target_rate: 0.005 }
+        Self { replay: 16, updates: 64, target_rate: 0.005, action_penalty: 1e-3 }
     }
 }
 

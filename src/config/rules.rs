@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 89] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 93] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -32,6 +32,13 @@ impl Config {
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.penalty_steps"], t.penalty_steps <= 1 << 50, "0 to 2^50"),
+            (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
+            (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
+            (
+                &["train.imitate_steps", "algorithm"],
+                t.imitate_steps == 0 || algo::capabilities(&self.algorithm).is_ok_and(|c| c.on_policy),
+                "0 with MADDPG, which learns from replayed steps",
+            ),
             (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
@@ -76,7 +83,7 @@ impl Config {
             (&["exploration.spread"], (0.0..=10.0).contains(&x.spread), "0 to 10"),
             (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
-            (&["exploration.steering"], finite_positive(x.steering), "above 0"),
+            (&["exploration.steering"], x.steering.is_finite() && x.steering <= 0.0, "finite and at most 0"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
@@ -107,6 +114,7 @@ impl Config {
             (&["icp.lambda_message"], finite_range(self.icp.lambda_message), "0 or more"),
             (&["maddpg.replay"], (1..=10_000).contains(&self.maddpg.replay), "1 to 10000"),
             (&["maddpg.updates"], (1..=100_000).contains(&self.maddpg.updates), "1 to 100000"),
+            (&["maddpg.action_penalty"], finite_positive(self.maddpg.action_penalty), "above 0"),
             (&["maddpg.target_rate"], self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate), "above 0, to 1"),
             (
                 &["network.encoder", "algorithm"],

@@ -95,6 +95,9 @@ fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
 
 /// First point, in driving order of `own`, where `other`'s centre line meets it outside the lanes that both use.
 fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
+    if let Some(way_out) = way_out(own, other) {
+        return Some(way_out);
+    }
     for i in 1..own.points.len() {
         let mut best: Option<(f64, f64)> = None;
         for j in 1..other.points.len() {
@@ -104,11 +107,8 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
             }
             let [a, b] = [own.points[i - 1], own.points[i]];
             let [c, d] = [other.points[j - 1], other.points[j]];
-            if let Some((t, u)) = crossing(a, b, c, d).or_else(|| overlap(a, b, c, d)) {
-                let at = |path: &Path, k: usize, t: f64| {
-                    path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
-                };
-                let found = (at(own, i, t), at(other, j, u));
+            if let Some((t, u)) = crossing(a, b, c, d).or_else(|| overlap(a, b, c, d).map(|lies| lies[0])) {
+                let found = (along(own, i, t), along(other, j, u));
                 // Two routes that fork from one lane touch at the fork; that is no meeting.
                 let fork = shared.iter().any(|k| (found.1 - k.to).abs() < 0.5);
                 if !fork && best.is_none_or(|b| found.0 < b.0) {
@@ -121,6 +121,32 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
         }
     }
     None
+}
+
+/// Who begins on the way in of another (leaves a space that the other is bound for) meets it at the end of their common way, where
+/// the one is out and the other not yet in; not where it stands, which it would have passed at once.
+fn way_out(own: &Path, other: &Path) -> Option<(f64, f64)> {
+    /// Common stretches this close to each other are one \[m\].
+    const GAP: f64 = 0.1;
+    let mut end: Option<(f64, f64)> = None;
+    for i in 1..own.points.len() {
+        let reached = end.map_or(0.0, |(s, _)| s);
+        let common = (1..other.points.len()).rev().find_map(|j| {
+            let lies = overlap(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j])?;
+            let [first, last] = lies.map(|(t, u)| (along(own, i, t), along(other, j, u)));
+            (last.1 < first.1 && first.0 <= reached + GAP && last.0 > reached + GAP).then_some(last)
+        });
+        if common.is_none() {
+            break;
+        }
+        end = common;
+    }
+    end
+}
+
+/// Position on a path at fraction `t` of its segment number `k`.
+fn along(path: &Path, k: usize, t: f64) -> f64 {
+    path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
 }
 
 /// Where segments `ab` and `cd` cross, as fractions of both; parallel segments do not.
@@ -137,8 +163,8 @@ pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Op
     (inside(t) && inside(u)).then_some((t, u))
 }
 
-/// Where `cd` begins to lie on `ab`, as fractions of both.
-fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
+/// Where `cd` begins and ends to lie on `ab`, in the direction of `ab` and as fractions of both.
+fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<[(f64, f64); 2]> {
     /// Segments this close are one way \[m\].
     const CLOSE: f64 = 0.1;
     let (r, length) = ([b[0] - a[0], b[1] - a[1]], (b[0] - a[0]).hypot(b[1] - a[1]));
@@ -150,5 +176,5 @@ fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f
     let (from, to) = (along(c), along(d));
     let (first, last) = (from.min(to).max(0.0), from.max(to).min(1.0));
     let lies_on = beside(c) < CLOSE && beside(d) < CLOSE && (last - first) * length > CLOSE;
-    lies_on.then(|| (first, (first - from) / (to - from)))
+    lies_on.then(|| [first, last].map(|t| (t, (t - from) / (to - from))))
 }

@@ -500,7 +500,18 @@ fn ways_that_lie_on_each_other_meet() {
     // Into a space, and out of it: they share its lanes' ground, and the last metres before it.
     let met = meeting("west_space1", "space1_north").expect("they meet");
     assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
-    assert!(meeting("space1_north", "west_space1").is_some());
+    for (leaves, enters) in
+        [("space1_north", "west_space1"), ("space5_west", "north_space5"), ("space7_south", "west_space7")]
+    {
+        // Who leaves meets who enters at the end of their common way: out of the space, which is 7 m long.
+        let met = meeting(leaves, enters).expect("they meet");
+        assert!((2.0..12.0).contains(&met.own), "{leaves}, {enters}: {met:?}");
+        let place = |id: &str, s: f64| task.routes[index(id)].path.at(s).0;
+        let (a, b) = (place(leaves, met.own), place(enters, met.other));
+        assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.2, "one place for both: {a:?} {b:?}");
+        let back = meeting(enters, leaves).expect("they meet");
+        assert!((met.own - back.other).abs() < 0.2 && (met.other - back.own).abs() < 0.2, "{met:?} {back:?}");
+    }
     assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
     assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
 }

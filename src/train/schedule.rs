@@ -21,7 +21,11 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     // A step of the same size changes a policy with less noise by more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
-    Pace { learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow), log_std }
+    Pace {
+        learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
+        log_std,
+        imitation: fading(config.train.imitate_steps, progress),
+    }
 }
 
 /// Correlation of the noise from step to step: none once annealing has begun.
@@ -31,8 +35,12 @@ pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
 
 /// The share of penalties that is not counted yet.
 pub(super) fn forgiven(config: &Config, progress: &Progress) -> f32 {
-    let steps = config.train.penalty_steps;
-    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step - progress.begun, steps) as f32 }
+    fading(config.train.penalty_steps, progress) as f32
+}
+
+/// From 1 to 0 over `steps` from when training began; 0 where there are none.
+fn fading(steps: u64, progress: &Progress) -> f64 {
+    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step - progress.begun, steps) }
 }
 
 /// Whether no validation has succeeded yet, or what was found was not good enough.
@@ -142,6 +150,15 @@ mod tests {
         (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) = (0.9, 200, 50);
         (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
         config
+    }
+
+    #[test]
+    fn imitation_fades() {
+        let mut config = config();
+        let at = |config: &Config, step| pace(config, &Progress { step, begun: 100, ..Progress::default() }).imitation;
+        assert_eq!(at(&config, 100), 0.0, "by default nobody is imitated");
+        config.train.imitate_steps = 200;
+        assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
     }
 
     #[test]

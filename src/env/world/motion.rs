@@ -181,8 +181,10 @@ impl World {
             }
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
-                // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
-                if slot.departed && steers && (slot.track != Track::Route || slot.status == Status::Wreck) {
+                // A vehicle that steers ends with the road it is on, be it off its route, past its destination beside its
+                // lane, or backwards over where the net begins: it leaves the net, on its own wheels.
+                let gone = slot.track != Track::Route || slot.status == Status::Wreck || at_an_end(task, slot);
+                if slot.departed && steers && gone {
                     slot.track = Track::Lost;
                     slot.pose = slot.motion.pose;
                     continue;
@@ -214,6 +216,15 @@ impl World {
     }
 }
 
+/// Whether the front of a vehicle that steers is where SUMO's route begins or ends.
+fn at_an_end(task: &Task, vehicle: &Slot) -> bool {
+    /// SUMO may have it so much further on \[m\].
+    const SLACK: f64 = 0.5;
+    let front = task.front(&vehicle.motion.pose);
+    let (s, length) = (task.locate(vehicle.route, front, vehicle.segment).1, task.routes[vehicle.route].path.length());
+    s <= SLACK || s >= length - SLACK
+}
+
 /// Puts a vehicle that steers where it is. On its lane SUMO has it on the middle, and is given the speed that takes it as far along
 /// as it is: `moveToXY` takes SUMO many times longer. One that stands still SUMO leaves where it is.
 fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut Vec<Command>) {
@@ -221,9 +232,7 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     if vehicle.sent == Some((pose, 0.0)) {
         return;
     }
-    let (sin, cos) = pose.heading.sin_cos();
-    let half = task.scenario.vehicle.length / 2.0;
-    let [x, y] = [pose.x + half * cos, pose.y + half * sin];
+    let [x, y] = task.front(&pose);
     let (place, s) = task.locate(vehicle.route, [x, y], vehicle.segment);
     if place == Place::Beside {
         vehicle.track = Track::Astray;
@@ -239,7 +248,10 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
         commands.push(Command::SetSpeed { world, slot, speed });
         return;
     }
-    // Over a junction SUMO may take another lane that lies there, and go on along that.
+    // Over a junction SUMO may take another lane that lies there, and go on along that: it has another route then.
+    if place == Place::Junction {
+        vehicle.track = Track::Astray;
+    }
     vehicle.held = Some(distance).filter(|_| place == Place::Road);
     let speed = vehicle.speed.max(0.0);
     vehicle.sent = Some((pose, speed));
