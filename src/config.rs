@@ -284,6 +284,9 @@ impl Config {
     /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`),
     /// annealing goes on from 90 % of success, and `ppo.gamma` is 0.998.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
+    /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
+    /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, in runs
+    /// twice as long; minibatches and `train.replay_failed` are those of 8.
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
@@ -550,7 +553,11 @@ mod tests {
     use super::*;
 
     fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
-        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        resolve_on("intersection", text, sets)
+    }
+
+    fn resolve_on(scenario: &str, text: &str, sets: &[&str]) -> Result<Config, Error> {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
         let layers = Layers {
             document: Document { name: "c.toml".to_owned(), text: text.to_owned() },
             sets: sets.iter().map(|s| (*s).to_owned()).collect(),
@@ -614,6 +621,21 @@ mod tests {
         let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.ppo.gamma);
         assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.9, 0.998), (0.0, 0.95, 0.99), (0.0, 0.95, 0.99)]);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
+    }
+
+    #[test]
+    fn vehicles_that_steer_begin_by_imitating() {
+        let teaches = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().train.imitate_steps;
+        assert_eq!(resolve("", &[]).unwrap().train.imitate_steps, 0);
+        assert!(teaches(&[]) > 0);
+        assert_eq!(teaches(&["init_from=runs/any"]), 0, "a trained policy can drive");
+        assert_eq!(teaches(&["algorithm=maddpg"]), 0);
+        let refused =
+            resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"]).expect_err("replays");
+        assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
+        let five = resolve_on("parking_lot", "", &[]).unwrap();
+        assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.ppo.minibatch), (0.8, 0, 2048));
+        assert_eq!(five.steps, 2 * resolve("agents = 5", &[]).unwrap().steps);
     }
 
     #[test]

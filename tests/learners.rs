@@ -387,6 +387,32 @@ fn the_policy_learns_nothing_from_actions_without_noise() {
     });
 }
 
+/// With all weight on imitation, policies come to do what the teacher would, and what was earned does not matter.
+#[test]
+fn a_teacher_is_imitated() {
+    for name in algo::NAMES {
+        if !algo::capabilities(name).expect("known").on_policy {
+            continue;
+        }
+        let taught = |reward: f32| {
+            let mut learner = algo::build(name, &spec(4), &small(EncoderKind::Mlp), Seed::new(1), Device::Cpu).unwrap();
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            rollout.teacher = vec![-0.4; rollout.action.len()];
+            rollout.reward.iter_mut().for_each(|earned| *earned *= reward);
+            let pace = Pace { learning_rate: 1e-2, log_std: 0.0, imitation: 1.0 };
+            for update in 0..12 {
+                learner.update(&rollout, &pace, Seed::new(update)).expect("finite");
+            }
+            act(&*learner, &noise(1, &[1, 4, 4]), &Tensor::ones([1, 4, 4], (Kind::Float, Device::Cpu)))
+        };
+        let actions = taught(1.0);
+        assert!(actions.iter().all(|action| (action[0] + 0.4).abs() < 0.15), "{name}: {actions:?}");
+        let far =
+            |a: &[Vec<f32>], b: &[Vec<f32>]| a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).abs()).fold(0.0, f32::max);
+        assert!(far(&actions, &taught(-3.0)) < 0.1, "{name}: rewards matter");
+    }
+}
+
 /// A channel that does nothing changes nothing, one that loses everything leaves every agent to itself, and local policies
 /// notice no channel at all.
 #[test]

@@ -18,13 +18,17 @@ impl Config {
         // of more; but among more the way takes longer to find.
         let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
         let envs = train.envs as u64;
+        // To stay on the road is imitated; what a vehicle that steers must find out is when to wait.
+        let steers = scenario.control.steering.is_some();
+        let imitates = steers && !trained && algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
         let train = Train {
             envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
             anneal_steps: scaled(train.anneal_steps),
             // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen.
-            replay_failed: if agents < 8 { 0.5 } else { train.replay_failed },
+            replay_failed: if agents < 8 && !steers { 0.5 } else { train.replay_failed },
+            imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
             // They also wait for ever for a success that only less noise brings.
             anneal_success: if agents < 8 { 0.9 } else { train.anneal_success },
             // Of 16, every second run finds a way in less than this.
@@ -33,15 +37,24 @@ impl Config {
         };
         let exploration = settings::Exploration {
             // Of 16, MAPPO found no way with worlds that differ by 1.2, in three runs of three.
-            spread: if agents > 8 { 0.0 } else { exploration.spread },
-            explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps),
+            spread: if agents > 8 || steers { 0.0 } else { exploration.spread },
+            // Of many routes, each meeting is seen seldom: noise that lasts makes one vehicle wait for the other more often, and is
+            // needed for longer. Vehicles that met without noise at the beginning of an episode would only learn from what is left.
+            correlation: if steers { 0.8 } else { exploration.correlation },
+            late_steps: if steers { 0 } else { exploration.late_steps },
+            explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps)
+                * if steers { 2 } else { 1 },
             // At the noise of new weights a policy forgets what it knows.
             log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
             ..exploration
         };
         // More gradient steps for these many ways; 256 samples were too few.
         let ppo = settings::Ppo {
-            minibatch: ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize),
+            minibatch: if steers {
+                ppo.minibatch
+            } else {
+                ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize)
+            },
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
             // in twenty costs.
             gamma: if agents < 8 { 0.998 } else { ppo.gamma },
@@ -52,7 +65,7 @@ impl Config {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: scaled(600_000).max(600_000),
+            steps: scaled(600_000).max(600_000) * if steers { 2 } else { 1 },
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train,
