@@ -1,6 +1,5 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
-use super::geometry::Pose;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
@@ -137,12 +136,6 @@ impl Task {
     /// The net.
     pub fn net_file(&self) -> &std::path::Path {
         &self.net_file
-    }
-
-    /// Where the front bumper of a vehicle with this pose is \[m\].
-    pub fn front(&self, pose: &Pose) -> [f64; 2] {
-        let (half, (sin, cos)) = (self.scenario.vehicle.length / 2.0, pose.heading.sin_cos());
-        [pose.x + half * cos, pose.y + half * sin]
     }
 
     /// Where the front bumper of a vehicle on a route is that was last on one of the route's segments, `front` in metres, and its

@@ -181,10 +181,8 @@ impl World {
             }
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
-                // A vehicle that steers ends with the road it is on, be it off its route, past its destination beside its
-                // lane, or backwards over where the net begins: it leaves the net, on its own wheels.
-                let gone = slot.track != Track::Route || slot.status == Status::Wreck || at_an_end(task, slot);
-                if slot.departed && steers && gone {
+                // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
+                if slot.departed && steers && (slot.track != Track::Route || slot.status == Status::Wreck) {
                     slot.track = Track::Lost;
                     slot.pose = slot.motion.pose;
                     continue;
@@ -216,15 +214,6 @@ impl World {
     }
 }
 
-/// Whether the front of a vehicle that steers is where SUMO's route begins or ends.
-fn at_an_end(task: &Task, vehicle: &Slot) -> bool {
-    /// SUMO may have it so much further on \[m\].
-    const SLACK: f64 = 0.5;
-    let front = task.front(&vehicle.motion.pose);
-    let (s, length) = (task.locate(vehicle.route, front, vehicle.segment).1, task.routes[vehicle.route].path.length());
-    s <= SLACK || s >= length - SLACK
-}
-
 /// Puts a vehicle that steers where it is. On its lane SUMO has it on the middle, and is given the speed that takes it as far along
 /// as it is: `moveToXY` takes SUMO many times longer. One that stands still SUMO leaves where it is.
 fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut Vec<Command>) {
@@ -232,7 +221,9 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     if vehicle.sent == Some((pose, 0.0)) {
         return;
     }
-    let [x, y] = task.front(&pose);
+    let (sin, cos) = pose.heading.sin_cos();
+    let half = task.scenario.vehicle.length / 2.0;
+    let [x, y] = [pose.x + half * cos, pose.y + half * sin];
     let (place, s) = task.locate(vehicle.route, [x, y], vehicle.segment);
     if place == Place::Beside {
         vehicle.track = Track::Astray;
