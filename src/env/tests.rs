@@ -21,7 +21,7 @@ struct Rails {
 
 impl Rails {
     fn new(task: &Arc<Task>) -> Self {
-        Self { task: Arc::clone(task), vehicles: vec![None; task.agents] }
+        Self { task: Arc::clone(task), vehicles: vec![None; task.slots()] }
     }
 
     fn step(&mut self, commands: &[Command]) -> Snapshot {
@@ -43,7 +43,7 @@ impl Rails {
                 Command::SpeedMode { slot, .. } | Command::KeepLane { slot, .. } => {
                     assert!(self.vehicles[slot as usize].is_some());
                 }
-                Command::MoveTo { .. } => panic!("nobody steers here"),
+                Command::MoveTo { .. } | Command::Depart { .. } => panic!("nobody steers here"),
             }
         }
         let step = self.task.scenario.control.interval;

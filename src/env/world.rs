@@ -5,13 +5,15 @@
 //! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
 
 mod motion;
+mod others;
 
 use std::sync::Arc;
 
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
-use super::geometry::{Pose, boxes_overlap};
+use self::others::Others;
+use super::geometry::{Pose, Size, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::road::BESIDE;
@@ -21,7 +23,7 @@ use super::task::Task;
 use super::{Error, observation, state};
 use crate::rng::Seed;
 use crate::scenario::Reward;
-use crate::sumo::Snapshot;
+use crate::sumo::{Collision, Snapshot};
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
@@ -94,10 +96,27 @@ pub struct AgentView {
     pub reward: f64,
 }
 
+/// A vehicle that SUMO drives, as an onlooker sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OtherView {
+    /// Whether it stands there as a wreck.
+    pub wreck: bool,
+    /// Of its centre.
+    pub pose: Pose,
+    /// Length and width.
+    pub size: Size,
+    /// Its route's number.
+    pub route: usize,
+    /// Position of its centre along that \[m\].
+    pub position: f64,
+    /// \[m/s\]
+    pub speed: f64,
+}
+
 /// Whom an agent overlaps with.
 #[derive(Debug, Clone, Copy)]
 struct Partner {
-    slot: usize,
+    route: usize,
     /// It is a wreck.
     wreck: bool,
 }
@@ -128,6 +147,7 @@ pub struct World {
     /// Agents of the current episode; the first slots are theirs.
     crew: usize,
     traffic: Traffic,
+    others: Others,
     frame: Frame,
     own_rewards: Vec<f64>,
     own_penalties: Vec<f64>,
@@ -159,7 +179,8 @@ impl World {
             phase: Phase::Idle,
             step: 0,
             crew: n,
-            traffic: Traffic::new(n, task.routes.len()),
+            traffic: Traffic::new(task.slots(), task.routes.len()),
+            others: Others::new(&task),
             frame: Frame {
                 observation: vec![0.0; n * o],
                 state: vec![0.0; n * s],
@@ -176,7 +197,7 @@ impl World {
             positions: vec![0.0; n],
             poses: vec![Pose::default(); n],
             present: vec![false; n],
-            partners: vec![None; n],
+            partners: vec![None; task.slots()],
             total_reward: 0.0,
             step_rewards: Vec::new(),
             pairs: Pairs::default(),
@@ -254,6 +275,24 @@ impl World {
         })
     }
 
+    /// The vehicles on the road that SUMO drives.
+    pub fn others(&self) -> impl Iterator<Item = OtherView> + '_ {
+        let slots = self.traffic.slots[self.task.agents..].iter().filter(|slot| slot.departed);
+        slots.map(|slot| OtherView {
+            wreck: slot.status == Status::Wreck,
+            pose: slot.pose,
+            size: slot.size,
+            route: slot.route,
+            position: slot.s,
+            speed: slot.speed,
+        })
+    }
+
+    /// SUMO's seed for the episode that comes next.
+    pub(super) fn simulator_seed(&self) -> u64 {
+        self.seed.child("sumo").index(self.order.position.next).word()
+    }
+
     /// Whether there is nothing left to play.
     pub fn is_idle(&self) -> bool {
         self.phase == Phase::Idle
@@ -312,7 +351,7 @@ impl World {
         }
         let horizon = self.step >= self.task.scenario.termination.horizon;
         let mut acting = 0;
-        for (i, slot) in self.traffic.slots.iter().enumerate() {
+        for (i, slot) in self.traffic.slots.iter().take(n).enumerate() {
             let present = slot.status == Status::Active;
             self.present[i] = present;
             self.poses[i] = slot.pose;
@@ -395,16 +434,18 @@ impl World {
         }
         self.place(world, snapshot)?;
         self.find_collisions(world, snapshot);
-        for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
+        let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < self.task.agents;
+        for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {
             let (a, b) = (collision.collider, collision.victim);
-            let (slots, vehicle) = (&self.traffic.slots, &self.task.scenario.vehicle);
-            self.pairs.sumo(a, b, || Sumos::reason(vehicle, &slots[a as usize], &slots[b as usize]));
+            let slots = &self.traffic.slots;
+            self.pairs.sumo(a, b, || Sumos::reason(&slots[a as usize], &slots[b as usize]));
         }
         let task = &*self.task;
         let scenario = &task.scenario;
         let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
         let mut sum = 0.0;
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
+        let agents = self.traffic.slots[..task.agents].iter_mut().enumerate();
+        for (i, slot) in agents.filter(|(_, slot)| slot.status == Status::Active) {
             let route = &task.routes[slot.route];
             let lane = route.path.widths[slot.segment];
             let steers = scenario.control.steering.is_some() && self.driver == Driver::Agents;
@@ -418,7 +459,7 @@ impl World {
                 crashed: self.partners[i].is_some(),
             };
             slot.fate = fate;
-            if let Some(Partner { slot: other, wreck }) = self.partners[i] {
+            if let Some(Partner { route: other, wreck }) = self.partners[i] {
                 let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
                 slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, upstream });
             }
@@ -451,24 +492,28 @@ impl World {
                 slot.motion = Motion::at(slot.pose);
             }
         }
+        self.meet_others(wreck_steps);
         self.total_reward += sum / self.crew as f64;
         self.step_rewards.push((sum / self.crew as f64) as f32);
         Ok(())
     }
 
-    /// Boxes of active vehicles against all others on the road, at fractions of the step.
+    /// Boxes of active vehicles against all others on the road, at fractions of the step; vehicles that SUMO drives are
+    /// not tested against each other.
     fn find_collisions(&mut self, world: u32, snapshot: &Snapshot) {
         let slots = &self.traffic.slots;
-        let vehicle = &self.task.scenario.vehicle;
+        let agents = self.task.agents;
         self.partners.fill(None);
         for i in 0..slots.len() {
             for j in 0..i {
                 let on_road = |k: usize| slots[k].status != Status::Empty && slots[k].departed;
                 let moving = |k: usize| slots[k].status == Status::Active;
-                if !on_road(i) || !on_road(j) || !(moving(i) || moving(j)) {
+                let strangers = j >= agents && moving(i) && moving(j);
+                if !on_road(i) || !on_road(j) || !(moving(i) || moving(j)) || strangers {
                     continue;
                 }
-                let reach = vehicle.length + vehicle.width;
+                let half = |k: usize| (slots[k].size[0] + slots[k].size[1]) / 2.0;
+                let reach = half(i) + half(j);
                 let travelled = slots[i].pose.distance(&slots[i].before) + slots[j].pose.distance(&slots[j].before);
                 if slots[i].pose.distance(&slots[j].pose) > reach + travelled {
                     continue;
@@ -477,11 +522,14 @@ impl World {
                     let t = f64::from(k) / f64::from(SUBSTEPS);
                     let (a, b) =
                         (slots[i].before.towards(&slots[i].pose, t), slots[j].before.towards(&slots[j].pose, t));
-                    boxes_overlap(&a, &b, vehicle.length, vehicle.width)
+                    boxes_overlap((&a, slots[i].size), (&b, slots[j].size))
                 });
                 if hit {
-                    self.partners[i].get_or_insert(Partner { slot: j, wreck: !moving(j) });
-                    self.partners[j].get_or_insert(Partner { slot: i, wreck: !moving(i) });
+                    self.partners[i].get_or_insert(Partner { route: slots[j].route, wreck: !moving(j) });
+                    self.partners[j].get_or_insert(Partner { route: slots[i].route, wreck: !moving(i) });
+                    if j >= agents {
+                        continue;
+                    }
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);
                     let reason = || Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world());
                     self.pairs.ours(j as u32, i as u32, reason);
@@ -516,17 +564,18 @@ impl World {
 
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
         let n = self.crew as f64;
-        let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
+        let slots = &self.traffic.slots[..self.task.agents];
+        let share = |flag: fn(&Slot) -> bool| slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
         let success = share(|slot| slot.fate.arrived);
         let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
-        let (slots, routes) = (&self.traffic.slots, &self.task.scenario.routes);
+        let routes = &self.task.route_ids;
         let mut failures = Failures::default();
         for slot in slots {
             failures.unfinished += u32::from(slot.status == Status::Active);
             failures.out_of_road += u32::from(slot.fate.out_of_road && slot.crash.is_none());
             if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
-                let both = [slot.route, slots[crash.other].route];
-                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].id.as_str()));
+                let both = [slot.route, crash.other];
+                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].as_str()));
             }
         }
         EpisodeRecord {
@@ -542,6 +591,7 @@ impl World {
             own_collisions: self.pairs.of_ours(),
             audit: self.pairs.audit(),
             failures,
+            others: self.others_record(),
             interrupted,
             replayed: self.order.position.replaying,
             step_rewards: std::mem::take(&mut self.step_rewards),
