@@ -71,6 +71,9 @@ pub(super) struct Args {
 struct Row {
     scenario: String,
     agents: u32,
+    /// How many of these vehicles the policy drives, where SUMO drives some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learners: Option<usize>,
     policy: String,
     episodes: u64,
     seed: u64,
@@ -168,6 +171,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         rows.push(Row {
             scenario: scenario.name.clone(),
             agents: config.agents,
+            learners: (task.others > 0).then_some(task.agents),
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
@@ -253,8 +257,14 @@ fn table(rows: &[Row]) -> String {
     if let Some(first) = rows.first() {
         let _ = writeln!(
             text,
-            "{}, {} agents, {} episodes, seed {}: mean [95 % interval]",
-            first.scenario, first.agents, first.episodes, first.seed
+            "{}, {}, {} episodes, seed {}: mean [95 % interval]",
+            first.scenario,
+            first.learners.map_or_else(
+                || format!("{} agents", first.agents),
+                |learners| format!("{learners} agents among {} vehicles at places", first.agents)
+            ),
+            first.episodes,
+            first.seed
         );
     }
     for line in 0..=lines.len() {

@@ -1,7 +1,7 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
-use super::road::Road;
 use super::geometry::Size;
+use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
 use crate::scenario::{Demand, Scenario, Source, SpawnPlace, VehicleKind};

@@ -9,10 +9,10 @@ mod others;
 
 use std::sync::Arc;
 
+use self::others::Others;
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
-use self::others::Others;
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};

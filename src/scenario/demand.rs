@@ -35,7 +35,7 @@ const SIZES: [(&str, [f64; 2]); 16] = [
     ("bus", [12.0, 2.5]),
     ("coach", [14.0, 2.6]),
     ("motorcycle", [2.2, 0.9]),
-    ("moped", [2.1, 0.8]),
+    ("moped", [2.1, 0.78]),
     ("bicycle", [1.6, 0.65]),
 ];
 
@@ -245,9 +245,9 @@ impl Demand {
         let types = self.mix(name).ok_or_else(unknown)?;
         let mut inner = node.children().filter(Node::is_element);
         let route = match (node.attribute("route"), inner.next()) {
-            (Some(route), None) => *routes.get(route).ok_or_else(|| {
-                reader.value(node, "route", "the id of a route that stands above it in the file")
-            })?,
+            (Some(route), None) => *routes
+                .get(route)
+                .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
             (None, Some(child)) if child.has_tag_name("route") && inner.next().is_none() => {
                 self.route(reader, child, id)?
             }
@@ -372,14 +372,20 @@ mod tests {
         let cases = [
             ("<trip id=\"t\" from=\"a\" to=\"b\" depart=\"0\"/>", "unknown element `trip` in <routes>"),
             ("<vehicle id=\"v\" depart=\"0\" route=\"r\"/>", "`r` is not a valid route of <vehicle>"),
-            ("<vehicle id=\"v\" depart=\"triggered\"><route edges=\"a\"/></vehicle>", "`triggered` is not a valid depart"),
+            (
+                "<vehicle id=\"v\" depart=\"triggered\"><route edges=\"a\"/></vehicle>",
+                "`triggered` is not a valid depart",
+            ),
             ("<flow id=\"f\"><route edges=\"a\"/></flow>", "<flow> lacks the attribute `period`"),
             ("<flow id=\"f\" period=\"0\"><route edges=\"a\"/></flow>", "`0` is not a valid period"),
             ("<vType id=\"agent\"/>", "`agent` is not a valid id of <vType>"),
             ("<vType id=\"x\" vClass=\"ship\"/>", "`ship` is not a valid vClass"),
             ("<vType id=\"x\"/><vType id=\"x\"/>", "a second vehicle type"),
             ("<vehicle id=\"v\" type=\"y\" depart=\"0\"><route edges=\"a\"/></vehicle>", "`y` is not a valid type"),
-            ("<vehicle id=\"v\" depart=\"0\"><route edges=\"a\"/><stop lane=\"a_0\"/></vehicle>", "unknown element `stop`"),
+            (
+                "<vehicle id=\"v\" depart=\"0\"><route edges=\"a\"/><stop lane=\"a_0\"/></vehicle>",
+                "unknown element `stop`",
+            ),
             ("<vTypeDistribution id=\"d\"/>", "`d` is not a valid id"),
             ("<person id=\"p\" depart=\"0\"/>", "unknown element `person`"),
         ];

@@ -314,6 +314,11 @@ impl Default for Traffic {
 }
 
 impl Traffic {
+    /// Whether SUMO drives some, with so many at spawn places.
+    pub fn is_mixed(&self, vehicles: u32) -> bool {
+        self.learners(vehicles) < vehicles || !self.files.is_empty()
+    }
+
     /// How many of so many vehicles learn: at least one.
     pub fn learners(&self, vehicles: u32) -> u32 {
         ((self.penetration * f64::from(vehicles)).round() as u32).clamp(1, vehicles.max(1))

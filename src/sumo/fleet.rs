@@ -128,11 +128,7 @@ impl Fleet {
             next: vec![false; vehicles],
             departed: vec![0.0; vehicles],
             next_departed: vec![0.0; vehicles],
-            snapshot: Snapshot {
-                vehicles: vec![None; vehicles],
-                bodies: vec![None; bodies],
-                ..Snapshot::default()
-            },
+            snapshot: Snapshot { vehicles: vec![None; vehicles], bodies: vec![None; bodies], ..Snapshot::default() },
             config,
         })
     }
@@ -243,7 +239,8 @@ impl Fleet {
                         return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
                     }
                     let ways = self.config.others.as_ref().map_or(&[][..], |others| &others.departures);
-                    let unknown = || Error::invalid(format!("there is no departure {departure}: there are {}", ways.len()));
+                    let unknown =
+                        || Error::invalid(format!("there is no departure {departure}: there are {}", ways.len()));
                     let way = ways.get(departure as usize).ok_or_else(unknown)?;
                     let (route, known) = (way.route as usize, self.config.routes.len());
                     if route >= known {

@@ -114,13 +114,7 @@ impl TraciSimulation {
         // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
         // that one for each vehicle would make respawns slow.
         for junction in &self.fleet.junctions {
-            batch.subscribe_context(
-                Domain::JUNCTION,
-                junction,
-                Domain::VEHICLE,
-                self.fleet.diagonal,
-                of_vehicles,
-            );
+            batch.subscribe_context(Domain::JUNCTION, junction, Domain::VEHICLE, self.fleet.diagonal, of_vehicles);
         }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
         outcomes.into_iter().try_for_each(|outcome| outcome.map(drop))

@@ -10,8 +10,8 @@ use super::super::geometry::{Pose, time_to_contact};
 use super::super::metrics::Others as Record;
 use super::super::slots::{EMPTY, Slot, Status};
 use super::super::task::Task;
-use super::motion::NO_CHECKS;
 use super::World;
+use super::motion::NO_CHECKS;
 use crate::rng::{Rng, Seed};
 use crate::scenario::Spacing;
 use crate::sumo::{Command, Snapshot};
@@ -306,7 +306,9 @@ impl World {
 /// vehicle that crosses there is wide.
 fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
     let half = slot.size[0] / 2.0;
-    for (time, passed) in times.iter_mut().zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0]) {
+    for (time, passed) in
+        times.iter_mut().zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
+    {
         if passed && time.is_infinite() {
             *time = now;
         }
