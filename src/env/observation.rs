@@ -256,7 +256,7 @@ impl View<'_> {
             return;
         };
         let other = &traffic.slots[j];
-        let gap = centre_gap - (own.size[0] + other.size[0]) / 2.0;
+        let gap = centre_gap - f64::midpoint(own.size[0], other.size[0]);
         let closing = (other.speed - own.speed) / 10.0;
         w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
     }

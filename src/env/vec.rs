@@ -424,6 +424,8 @@ mod tests {
                 places: vec![None; 16],
             }),
             forgetful: false,
+            seeded: false,
+            lost: 0,
             first: 0,
             worlds: worlds.collect(),
             commands: Vec::new(),

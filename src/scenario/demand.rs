@@ -243,18 +243,17 @@ impl Demand {
         let name = node.attribute("type").unwrap_or(DEFAULT_TYPE);
         let unknown = || reader.value(node, "type", "the id of a vType or vTypeDistribution that stands above");
         let types = self.mix(name).ok_or_else(unknown)?;
-        let mut inner = node.children().filter(Node::is_element);
-        let route = match (node.attribute("route"), inner.next()) {
+        let children: Vec<Node> = node.children().filter(Node::is_element).collect();
+        let inner = children.first().filter(|child| child.has_tag_name("route") && !node.has_attribute("route"));
+        if let Some(child) = children.get(usize::from(inner.is_some())) {
+            return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), &["route"]));
+        }
+        let route = match (node.attribute("route"), inner) {
+            (_, Some(child)) => self.route(reader, *child, id)?,
             (Some(route), None) => *routes
                 .get(route)
                 .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
-            (None, Some(child)) if child.has_tag_name("route") && inner.next().is_none() => {
-                self.route(reader, child, id)?
-            }
             (None, None) => return Err(reader.missing(node, "attribute", "route")),
-            (_, Some(child)) => {
-                return Err(reader.unknown(child, "element", child.tag_name().name(), in_element(node), &["route"]));
-            }
         };
         let text = |key: &'static str, otherwise: &str, words: &[&str]| {
             let value = node.attribute(key).unwrap_or(otherwise);

@@ -72,7 +72,7 @@ impl Others {
             clocks: Vec::with_capacity(task.demand.sources.len()),
             guests: vec![Guest::default(); task.others],
             passes: vec![NOT_YET; task.agents * task.others],
-            left: Vec::new(),
+            left: Vec::with_capacity(4 * task.others),
             ttc: HORIZON,
             pet: HORIZON,
         }
@@ -268,12 +268,7 @@ impl World {
                 let pass = &mut self.others.passes[agent * task.others + (i - first)];
                 note(&mut pass.agent, &slots[agent], met.own, slots[i].size[1], now);
                 note(&mut pass.other, &slots[i], met.other, slots[agent].size[1], now);
-                let (one, two) = (pass.agent, pass.other);
-                if one[0].is_finite() && two[0].is_finite() {
-                    let pet = if one[0] <= two[0] { two[0] - one[1] } else { one[0] - two[1] };
-                    // Both there at once is no time between them.
-                    self.others.pet = self.others.pet.min(pet.max(0.0));
-                }
+                self.others.pet = self.others.pet.min(post_encroachment(pass));
             }
         }
     }
@@ -302,6 +297,14 @@ impl World {
     }
 }
 
+/// Time from when the first of two left a place until the second came there; 0 where both were there at once, and for ever while
+/// one has not come \[s\].
+fn post_encroachment(pass: &Pass) -> f64 {
+    let (first, second) =
+        if pass.agent[0] <= pass.other[0] { (pass.agent, pass.other) } else { (pass.other, pass.agent) };
+    if second[0].is_infinite() { f64::INFINITY } else { (second[0] - first[1]).max(0.0) }
+}
+
 /// Notes when the front of a vehicle reaches a place on its way, and when its rear has left it; the place is as long as the
 /// vehicle that crosses there is wide.
 fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
@@ -323,4 +326,61 @@ fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
     }
     let contact = time_to_contact((&a.pose, a.size, a.speed), (&b.pose, b.size, b.speed));
     contact.map_or(HORIZON, |time| time.min(HORIZON))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A vehicle 4 m long whose middle is at `s`, at a speed.
+    fn at(s: f64, speed: f64) -> Slot {
+        let pose = Pose { x: s, y: 0.0, heading: 0.0 };
+        Slot { size: [4.0, 2.0], s, speed, pose, ..EMPTY }
+    }
+
+    /// Both drive at 10 m/s; the other comes `late` seconds later to where their ways cross, 50 m from both starts.
+    fn encounter(late: f64) -> f64 {
+        let (mut pass, mut least) = (NOT_YET, f64::INFINITY);
+        for step in 0..200 {
+            let now = f64::from(step) * 0.1;
+            note(&mut pass.agent, &at(10.0 * now, 10.0), 50.0, 2.0, now);
+            note(&mut pass.other, &at(10.0 * (now - late), 10.0), 50.0, 2.0, now);
+            least = least.min(post_encroachment(&pass));
+        }
+        least
+    }
+
+    #[test]
+    fn post_encroachment_is_the_time_between_leaving_and_coming() {
+        // From 47 m, with the front at 49, to 53 m, with the rear at 51, the place is taken: 0.6 s.
+        for (late, expected) in [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)] {
+            let found = encounter(late);
+            assert!((found - expected).abs() < 0.11 || found == expected, "{late}: {found}");
+        }
+    }
+
+    #[test]
+    fn time_to_collision_with_one_ahead_is_gap_over_closing_speed() {
+        let (own, ahead) = (at(0.0, 15.0), at(34.0, 5.0));
+        assert!(
+            (time_to_collision(&own, &ahead) - 3.0).abs() < 1e-9
+                && (time_to_collision(&ahead, &own) - 3.0).abs() < 1e-9
+        );
+        assert_eq!(time_to_collision(&at(0.0, 5.0), &at(34.0, 5.0)), HORIZON, "it keeps its distance");
+        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(900.0, 0.0)), HORIZON, "it is far");
+        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(3.0, 9.0)), 0.0, "they overlap");
+    }
+
+    #[test]
+    fn gaps_of_departures_have_their_means() {
+        let mut rng = Seed::new(1).rng();
+        for (spacing, mean) in [(Spacing::Equal(7.0), 7.0), (Spacing::Poisson(0.2), 5.0), (Spacing::Chance(0.25), 4.0)]
+        {
+            let sum: f64 = (0..20_000).map(|_| gap(spacing, &mut rng)).sum();
+            assert!((sum / 20_000.0 - mean).abs() < 0.03 * mean, "{spacing:?}: {}", sum / 20_000.0);
+        }
+        let mut counts = [0; 3];
+        (0..10_000).for_each(|_| counts[draw(&[(0, 1.0), (1, 0.0), (2, 3.0)], &mut rng)] += 1);
+        assert!(counts[1] == 0 && (2300..2700).contains(&counts[0]), "{counts:?}");
+    }
 }
