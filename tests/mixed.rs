@@ -138,7 +138,9 @@ fn stand(change: impl FnOnce(&mut Scenario), steps: usize) -> (Arc<Task>, World)
     });
     assert_eq!((task.agents, task.spec.agents), (1, 1));
     let mut env = VecEnv::new(&task, &options(1, 1, Backend::Traci)).expect("SUMO runs");
-    (0..steps).for_each(|_| env.step(&[0.0]).expect("a step"));
+    for _ in 0..steps {
+        env.step(&[0.0]).expect("a step");
+    }
     let world = env.worlds().next().expect("one world").clone();
     (task, world)
 }

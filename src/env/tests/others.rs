@@ -29,7 +29,9 @@ proptest! {
         let (mut actions, mut most, mut episodes) = (vec![0.0; n], 0, 0);
         for _ in 0..600 {
             crate::rng::fill_normal(&mut rng, &mut actions);
-            actions.iter_mut().for_each(|action| *action = 0.5 * *action + mean);
+            for action in &mut actions {
+                *action = 0.5 * *action + mean;
+            }
             exchange(&mut world, &mut rails, &actions);
             let others: Vec<OtherView> = world.others().collect();
             most = most.max(others.len());

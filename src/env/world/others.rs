@@ -380,7 +380,9 @@ mod tests {
             assert!((sum / 20_000.0 - mean).abs() < 0.03 * mean, "{spacing:?}: {}", sum / 20_000.0);
         }
         let mut counts = [0; 3];
-        (0..10_000).for_each(|_| counts[draw(&[(0, 1.0), (1, 0.0), (2, 3.0)], &mut rng)] += 1);
+        for _ in 0..10_000 {
+            counts[draw(&[(0, 1.0), (1, 0.0), (2, 3.0)], &mut rng)] += 1;
+        }
         assert!(counts[1] == 0 && (2300..2700).contains(&counts[0]), "{counts:?}");
     }
 }
