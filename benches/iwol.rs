@@ -88,7 +88,7 @@ fn parts(c: &mut Criterion) {
         b.iter(|| physical_mask(black_box(&poses), &present, 30.0, &mut mask));
     });
     c.bench_function("boxes overlap/one pair", |b| {
-        b.iter(|| boxes_overlap(black_box(&poses[0]), black_box(&poses[8]), 4.515, 1.852));
+        b.iter(|| boxes_overlap((black_box(&poses[0]), [4.515, 1.852]), (black_box(&poses[8]), [4.515, 1.852])));
     });
 }
 

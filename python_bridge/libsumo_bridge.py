@@ -23,6 +23,9 @@ SET = {
 }
 distance_of = native.vehicle_getDistance
 speed_of = native.vehicle_getSpeed
+position_of = native.vehicle_getPosition
+angle_of = native.vehicle_getAngle
+time_loss_of = native.vehicle_getTimeLoss
 arrived_ids = native.simulation_getArrivedIDList
 collisions_now = native.simulation_getCollisions
 time_now = native.simulation_getTime
@@ -75,11 +78,12 @@ def introduce(types, routes):
     return None
 
 
-def step(orders, vehicles):
+def step(orders, vehicles, others):
     """Carries out `orders`, a list of (call, columns…) with the vehicles as first column, and takes one step.
 
     Returns the time, the vehicles that arrived or were refused, the distances and speeds of the other `vehicles` in their order, the
-    pairs of colliding vehicles, and the first refusal as (call, vehicle, text) or None. A refused command is passed over.
+    pairs of colliding vehicles, the first refusal as (call, vehicle, text) or None, and, if there are `others` that SUMO drives,
+    positions, angles and time losses of the vehicles. A refused command is passed over.
     """
     refusal = None
     unknown = set()
@@ -107,4 +111,8 @@ def step(orders, vehicles):
     if unknown:
         vehicles = [name for name in vehicles if name not in unknown]
     collisions = [(c.collider, c.victim) for c in collisions_now()]
-    return time_now(), list(unknown), list(map(distance_of, vehicles)), list(map(speed_of, vehicles)), collisions, refusal
+    bodies = ([], [], [])
+    if others:
+        bodies = list(map(position_of, vehicles)), list(map(angle_of, vehicles)), list(map(time_loss_of, vehicles))
+    distances, speeds = list(map(distance_of, vehicles)), list(map(speed_of, vehicles))
+    return time_now(), list(unknown), distances, speeds, collisions, refusal, bodies

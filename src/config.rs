@@ -30,7 +30,7 @@ pub struct Config {
     pub scenario: PathBuf,
     /// Name of the algorithm.
     pub algorithm: String,
-    /// Number of agents.
+    /// Number of vehicles at spawn places; all are agents unless [`Env::penetration`] says otherwise.
     pub agents: u32,
     /// Seed of everything random.
     pub seed: u64,
@@ -193,6 +193,8 @@ pub struct Env {
     pub horizon: u32,
     /// A crashed vehicle stays this long \[s\].
     pub wreck_time: f64,
+    /// Share of the vehicles at spawn places that learn; SUMO drives the others.
+    pub penetration: f64,
 }
 
 impl Env {
@@ -220,6 +222,7 @@ impl Env {
             reward_crash: reward.crash,
             horizon: scenario.termination.horizon,
             wreck_time: scenario.termination.wreck_time,
+            penetration: scenario.traffic.penetration,
         }
     }
 
@@ -241,6 +244,7 @@ impl Env {
         reward.crash = self.reward_crash;
         scenario.termination.horizon = self.horizon;
         scenario.termination.wreck_time = self.wreck_time;
+        scenario.traffic.penetration = self.penetration;
     }
 }
 

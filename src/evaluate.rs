@@ -11,7 +11,7 @@ use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation, Reconstruction};
-use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Task, VecEnv, VecOptions};
+use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Task, VecEnv, VecOptions};
 use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -113,8 +113,51 @@ pub struct Metrics {
     pub audit: Audit,
     /// Sums over all episodes: why agents did not arrive.
     pub failures: Failures,
+    /// What vehicles met with that SUMO drove, in tasks that have some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub others: Option<OthersMetrics>,
     /// What the policy's latent knows.
     pub reconstruction: Vec<Knowledge>,
+}
+
+/// What the vehicles met with that SUMO drove: see [`env::Others`] for the definitions. Of episodes without any, only `vehicles`
+/// counts.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OthersMetrics {
+    /// How many there were in an episode.
+    pub vehicles: Estimate,
+    /// Share that collided with an agent or a wreck.
+    pub crash: Estimate,
+    /// SUMO's time loss \[s\].
+    pub delay: Estimate,
+    /// Hardest braking of each \[m/s²\].
+    pub braking: Estimate,
+    /// Share that had to brake harder than 6 m/s².
+    pub hard_braking: Estimate,
+    /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
+    pub close: Estimate,
+    /// Smallest time to collision of an episode, at most 5 \[s\].
+    pub ttc: Estimate,
+    /// Smallest post-encroachment time of an episode, at most 5 \[s\].
+    pub pet: Estimate,
+}
+
+impl OthersMetrics {
+    fn of(episodes: &[EpisodeRecord]) -> Option<Self> {
+        let all: Vec<Others> = episodes.iter().filter_map(|record| record.others).collect();
+        let met: Vec<Others> = all.iter().copied().filter(|others| others.vehicles > 0).collect();
+        let column = |of: fn(&Others) -> f64| met.iter().map(of).collect::<Vec<_>>();
+        Some(Self {
+            vehicles: Estimate::t(&all.iter().map(|others| f64::from(others.vehicles)).collect::<Vec<_>>())?,
+            crash: Estimate::rate(&column(|o| o.crash))?,
+            delay: Estimate::t(&column(|o| o.delay))?,
+            braking: Estimate::t(&column(|o| o.braking))?,
+            hard_braking: Estimate::rate(&column(|o| o.hard_braking))?,
+            close: Estimate::rate(&column(|o| o.close))?,
+            ttc: Estimate::t(&column(|o| o.ttc))?,
+            pet: Estimate::t(&column(|o| o.pet))?,
+        })
+    }
 }
 
 impl Evaluation {
@@ -134,6 +177,7 @@ impl Evaluation {
             own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
             audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
             failures: self.episodes.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
+            others: OthersMetrics::of(&self.episodes),
             reconstruction: self.reconstruction.clone(),
         })
     }
@@ -476,6 +520,7 @@ mod tests {
             own_collisions: 0,
             audit: Audit::default(),
             failures: Failures::default(),
+            others: None,
             interrupted: false,
             step_rewards: rewards.to_vec(),
         }

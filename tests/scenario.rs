@@ -10,7 +10,7 @@ use std::{
 use iwol_sumo::{
     scenario::{
         AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
-        Route, Scenario, SpawnRow, Termination, Vehicle,
+        Route, Scenario, SpawnRow, Termination, Traffic, Vehicle,
     },
     sumo::net::{self, EdgeFunction},
 };
@@ -202,7 +202,7 @@ fn mistake(from: &str, to: &str) -> String {
 #[test]
 fn misspelt_names_are_pointed_at() {
     insta::assert_snapshot!(mistake("<jitter longitudinal", "<jitter longitudnal"), @"task.xml:55:13: unknown attribute `longitudnal` in <jitter>; did you mean `longitudinal`? (hint: valid in <jitter>: longitudinal, lateral)");
-    insta::assert_snapshot!(mistake("<vehicle ", "<vehicel "), @"task.xml:52:5: unknown element `vehicel` in <scenario>; did you mean `vehicle`? (hint: valid in <scenario>: description, agents, routes, nets, vehicle, jitter, control, observation, reward, termination, communication)");
+    insta::assert_snapshot!(mistake("<vehicle ", "<vehicel "), @"task.xml:52:5: unknown element `vehicel` in <scenario>; did you mean `vehicle`? (hint: valid in <scenario>: description, agents, routes, nets, vehicle, jitter, control, observation, reward, termination, communication, traffic)");
     insta::assert_snapshot!(mistake("<spawn route=\"westbound\"", "<spawn route=\"westbund\""), @"task.xml:27:20: route `westbund` is not the id of a route; did you mean `westbound`?");
     insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"100\">far</communication>"), @"task.xml:74:32: unknown text `far` in <communication>");
     insta::assert_snapshot!(mistake("xsi:noNamespace", "xmlns:o=\"o\" o:a=\"1\" xsi:noNamespace"), @"task.xml:8:97: unknown attribute `a` in <scenario> (hint: valid in <scenario>: name)");
@@ -340,6 +340,12 @@ prop_compose! {
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
             termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },
             communication: Communication { range: p[9] },
+            traffic: Traffic {
+                penetration: share.max(0.01),
+                kind: (counts[0] > 8).then(|| "some type".into()),
+                files: ["a.rou.xml", "b/c.xml"].iter().take(1 + counts[1] % 2).map(|file| format!("some/folder/{file}").into()).collect(),
+                capacity: 1 + counts[2] as u32,
+            },
         }
     }
 }

@@ -64,6 +64,7 @@ impl Own {
                 Command::KeepLane { slot, .. } => {
                     self.sumo.vehicle().set_lane_change_mode(&vehicle(slot), 0).unwrap();
                 }
+                Command::Depart { .. } => panic!("nobody is driven by SUMO here"),
                 Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
                     let angle = (90.0 - heading.to_degrees()).rem_euclid(360.0);
                     let placement = Placement { angle, keep_route, ..Placement::default() };
@@ -74,7 +75,7 @@ impl Own {
         self.sumo.simulation_step(0.0).unwrap();
         let there = self.sumo.vehicle().get_id_list().unwrap();
         let state = |slot: u32| there.contains(&vehicle(slot)).then_some(VehicleState { distance: 0.0, speed: 0.0 });
-        Snapshot { time: 0.0, vehicles: (0..self.task.agents as u32).map(state).collect(), collisions: Vec::new() }
+        Snapshot { time: 0.0, vehicles: (0..self.task.agents as u32).map(state).collect(), ..Snapshot::default() }
     }
 }
 

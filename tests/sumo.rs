@@ -75,6 +75,7 @@ fn config(slots: u32) -> SimulationConfig {
         slots,
         timeout: Duration::from_secs(60),
         audit: true,
+        others: None,
         vehicle_types: vec![VehicleType {
             id: "car".into(),
             length: LENGTH,

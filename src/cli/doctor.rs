@@ -121,6 +121,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
         routes: Vec::new(),
         timeout: Duration::from_secs(60),
         audit: true,
+        others: None,
     };
     let begin = Instant::now();
     let mut simulation = TraciSimulation::start(config)?;

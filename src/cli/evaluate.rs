@@ -11,7 +11,7 @@ use iwol_sumo::algo::{self, Algorithm, Hears};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Knowledge, Metrics, Onlooker, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate};
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
@@ -71,6 +71,9 @@ pub(super) struct Args {
 struct Row {
     scenario: String,
     agents: u32,
+    /// How many of these vehicles the policy drives, where SUMO drives some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learners: Option<usize>,
     policy: String,
     episodes: u64,
     seed: u64,
@@ -168,6 +171,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         rows.push(Row {
             scenario: scenario.name.clone(),
             agents: config.agents,
+            learners: (task.others > 0).then_some(task.agents),
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
@@ -209,12 +213,17 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
 /// How a metric is written.
 type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
 
+/// What the vehicles met with that SUMO drove, if there were any.
+fn others(metrics: &Metrics, cell: &dyn Fn(&OthersMetrics) -> String) -> String {
+    metrics.others.as_ref().map_or_else(|| "–".to_owned(), cell)
+}
+
 /// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
     let percent = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
     let number = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
     let fine = |e: &Estimate| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
-    let lines: [(&str, Cell<'_>); 10] = [
+    let of_agents: [(&str, Cell<'_>); 10] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),
         ("crash %", &|m| percent(&m.crash)),
@@ -226,6 +235,18 @@ fn table(rows: &[Row]) -> String {
         ("collisions", &|m| fine(&m.own_collisions)),
         ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
     ];
+    let of_others: [(&str, Cell<'_>); 8] = [
+        ("others", &|m| others(m, &|o| number(&o.vehicles))),
+        ("others' crash %", &|m| others(m, &|o| percent(&o.crash))),
+        ("others' delay s", &|m| others(m, &|o| number(&o.delay))),
+        ("others' braking m/s²", &|m| others(m, &|o| number(&o.braking))),
+        ("others braking hard %", &|m| others(m, &|o| percent(&o.hard_braking))),
+        ("others with TTC < 1.5 s %", &|m| others(m, &|o| percent(&o.close))),
+        ("smallest TTC s", &|m| others(m, &|o| fine(&o.ttc))),
+        ("smallest PET s", &|m| others(m, &|o| fine(&o.pet))),
+    ];
+    let mixed = rows.iter().any(|row| row.metrics.others.is_some());
+    let lines = [&of_agents[..], if mixed { &of_others } else { &[] }].concat();
     let mut columns: Vec<Vec<String>> =
         vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
     for row in rows {
@@ -236,8 +257,14 @@ fn table(rows: &[Row]) -> String {
     if let Some(first) = rows.first() {
         let _ = writeln!(
             text,
-            "{}, {} agents, {} episodes, seed {}: mean [95 % interval]",
-            first.scenario, first.agents, first.episodes, first.seed
+            "{}, {}, {} episodes, seed {}: mean [95 % interval]",
+            first.scenario,
+            first.learners.map_or_else(
+                || format!("{} agents", first.agents),
+                |learners| format!("{learners} agents among {} vehicles at places", first.agents)
+            ),
+            first.episodes,
+            first.seed
         );
     }
     for line in 0..=lines.len() {

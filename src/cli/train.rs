@@ -137,6 +137,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
+    let learners = scenario.traffic.learners(config.agents);
+    let vehicles = if learners < config.agents {
+        format!("{} vehicles, of which {learners} learn", config.agents)
+    } else {
+        format!("{} agents", config.agents)
+    };
+    let mixed = scenario.traffic.is_mixed(config.agents);
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
         if checkpoint.algorithm != config.algorithm {
@@ -148,15 +155,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let (deployed, all) = trainer.learner().parameters();
     eprintln!(
-        "{} on {} with {} agents, seed {}: {} parameters ({} in the deployed policy)",
+        "{} on {} with {vehicles}, seed {}: {} parameters ({} in the deployed policy)",
         config.algorithm,
         config.scenario.display(),
-        config.agents,
         config.seed,
         all,
         deployed
     );
-    let worlds = config.hosting().describe(config.train.envs);
+    let hosting = config.hosting();
+    let worlds = if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
     eprintln!("{worlds}");
     write_meta(&dir, &config, &worlds)?;
     let bar = ProgressBar::new(config.steps);

@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 93] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 94] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -146,6 +146,7 @@ impl Config {
             (&["env.reward_crash"], e.reward_crash.is_finite(), "a finite number"),
             (&["env.horizon"], (1..=1_000_000).contains(&e.horizon), "1 to 1000000"),
             (&["env.wreck_time"], (0.0..=3600.0).contains(&e.wreck_time), "0 to 3600"),
+            (&["env.penetration"], e.penetration > 0.0 && share(e.penetration), "above 0, to 1"),
             (
                 &["network.extra_layers"],
                 n.hidden.saturating_mul(n.extra_layers as i64 + 1) <= 1 << 16,

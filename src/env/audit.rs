@@ -6,10 +6,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::geometry::{Pose, boxes_overlap};
+use super::geometry::{Pose, Size, boxes_overlap};
 use super::slots::{Slot, Status};
 use super::task::{JunctionStretch, Task};
-use crate::scenario::Vehicle;
 use crate::sumo::Collision;
 
 /// Boxes that overlap only when this much longer and wider have a gap of at most half of it \[m\].
@@ -79,6 +78,11 @@ impl Audit {
     }
 }
 
+/// The size of a vehicle and a little more.
+fn grown(slot: &Slot, more: f64) -> Size {
+    slot.size.map(|side| side + more)
+}
+
 /// Why our test alone may see a collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ours {
@@ -98,16 +102,15 @@ impl Ours {
         pair: [(u32, &Slot); 2],
         mut reported: impl Iterator<Item = &'a Collision>,
     ) -> Self {
-        let Vehicle { length, width, .. } = task.scenario.vehicle;
         let [a, b] = pair.map(|(_, slot)| slot);
-        let overlap = |a: &Pose, b: &Pose, more: f64| boxes_overlap(a, b, length + more, width + more);
+        let overlap = |p: &Pose, q: &Pose, more: f64| boxes_overlap((p, grown(a, more)), (q, grown(b, more)));
         let centred = |slot: &Slot| Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
         let front_inside = |slot: &Slot| {
-            let front = slot.s + length / 2.0;
+            let front = slot.s + slot.size[0] / 2.0;
             task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
         };
         let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| {
-            let body = (slot.s - length / 2.0, slot.s + length / 2.0);
+            let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
             task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
         };
         let of_pair = |slot: u32| pair.iter().any(|(other, _)| *other == slot);
@@ -139,11 +142,11 @@ pub(super) enum Sumos {
 
 impl Sumos {
     /// Why our test would not see what SUMO reports of these two.
-    pub(super) fn reason(vehicle: &Vehicle, a: &Slot, b: &Slot) -> Self {
+    pub(super) fn reason(a: &Slot, b: &Slot) -> Self {
         let ended = |slot: &Slot| slot.status != Status::Active;
         if a.status == Status::Empty || b.status == Status::Empty || (ended(a) && ended(b)) {
             Sumos::Ended
-        } else if boxes_overlap(&a.pose, &b.pose, vehicle.length + NEAR, vehicle.width + NEAR) {
+        } else if boxes_overlap((&a.pose, grown(a, NEAR)), (&b.pose, grown(b, NEAR))) {
             Sumos::Touching
         } else {
             Sumos::Other

@@ -10,7 +10,7 @@ pub(super) const UPSTREAM: f64 = 6.0;
 /// How an agent crashed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crash {
-    /// One that it overlapped with in the step of its crash, the lowest slot of several.
+    /// Route of one that it overlapped with in the step of its crash, the lowest slot of several.
     pub(super) other: usize,
     /// The other was a wreck by then.
     pub(super) wreck: bool,

@@ -32,24 +32,62 @@ impl Pose {
     }
 }
 
-/// Whether two boxes of equal size (`length` × `width`, metres) overlap (separating axes).
-pub fn boxes_overlap(a: &Pose, b: &Pose, length: f64, width: f64) -> bool {
+/// Length and width of a box \[m\].
+pub type Size = [f64; 2];
+
+/// Whether two boxes overlap (separating axes).
+pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
-    let reach = length.hypot(width);
+    let reach = a_size[0].hypot(a_size[1]) / 2.0 + b_size[0].hypot(b_size[1]) / 2.0;
     if dx * dx + dy * dy > reach * reach {
         return false;
     }
-    let (half_l, half_w) = (length / 2.0, width / 2.0);
-    let (sin, cos) = (b.heading - a.heading).sin_cos();
-    let (sin, cos) = (sin.abs(), cos.abs());
-    // In a box's own axes, the other box reaches this far along its length and across.
-    let along = half_l + half_l * cos + half_w * sin;
-    let across = half_w + half_l * sin + half_w * cos;
-    let separated = |heading: f64| {
+    let separated = |heading: f64, [along, across]: [f64; 2]| {
         let (s, c) = heading.sin_cos();
         (dx * c + dy * s).abs() > along || (dy * c - dx * s).abs() > across
     };
-    !separated(a.heading) && !separated(b.heading)
+    let turned = b.heading - a.heading;
+    !separated(a.heading, reaches(turned, a_size, b_size)) && !separated(b.heading, reaches(turned, b_size, a_size))
+}
+
+/// Distances of two centres along the axes of one box, below which another box, turned to it, reaches into it \[m\].
+fn reaches(turned: f64, own: Size, other: Size) -> [f64; 2] {
+    let (sin, cos) = turned.sin_cos();
+    let (sin, cos) = (sin.abs(), cos.abs());
+    let [own_l, own_w, half_l, half_w] = [own[0] / 2.0, own[1] / 2.0, other[0] / 2.0, other[1] / 2.0];
+    [own_l + half_l * cos + half_w * sin, own_w + half_l * sin + half_w * cos]
+}
+
+/// Time until two boxes touch that go on straight ahead at their speeds \[m/s\]: 0 where they overlap, `None` where they pass.
+pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
+    let (dx, dy) = (b.0.x - a.0.x, b.0.y - a.0.y);
+    let velocity = |(pose, _, speed): (&Pose, Size, f64)| {
+        let (sin, cos) = pose.heading.sin_cos();
+        [speed * cos, speed * sin]
+    };
+    let (va, vb) = (velocity(a), velocity(b));
+    let (vx, vy) = (vb[0] - va[0], vb[1] - va[1]);
+    let turned = b.0.heading - a.0.heading;
+    // They overlap while they do so along all four axes.
+    let (mut from, mut to) = (0.0_f64, f64::INFINITY);
+    for (heading, [along, across]) in
+        [(a.0.heading, reaches(turned, a.1, b.1)), (b.0.heading, reaches(turned, b.1, a.1))]
+    {
+        let (s, c) = heading.sin_cos();
+        for (distance, speed, reach) in
+            [(dx * c + dy * s, vx * c + vy * s, along), (dy * c - dx * s, vy * c - vx * s, across)]
+        {
+            if speed.abs() < 1e-9 {
+                if distance.abs() > reach {
+                    return None;
+                }
+                continue;
+            }
+            let times = [(-reach - distance) / speed, (reach - distance) / speed];
+            (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
+        }
+    }
+    (from <= to).then_some(from)
 }
 
 #[cfg(test)]
@@ -59,6 +97,7 @@ mod tests {
 
     const LENGTH: f64 = 4.515;
     const WIDTH: f64 = 1.852;
+    const SIZE: Size = [LENGTH, WIDTH];
 
     fn corners(p: &Pose) -> [[f64; 2]; 4] {
         let (s, c) = p.heading.sin_cos();
@@ -106,8 +145,36 @@ mod tests {
             let area = overlap_by_clipping(&a, &b);
             // Touching within rounding may fall either way.
             prop_assume!(!(1e-12..1e-6).contains(&area));
-            prop_assert_eq!(boxes_overlap(&a, &b, LENGTH, WIDTH), area > 0.0);
-            prop_assert_eq!(boxes_overlap(&b, &a, LENGTH, WIDTH), area > 0.0);
+            prop_assert_eq!(boxes_overlap((&a, SIZE), (&b, SIZE)), area > 0.0);
+            prop_assert_eq!(boxes_overlap((&b, SIZE), (&a, SIZE)), area > 0.0);
+        }
+    }
+
+    proptest! {
+        /// At the time of contact boxes of any sizes touch, just before they do not; without one they never do.
+        #[test]
+        fn contact_is_when_boxes_begin_to_overlap(
+            (x, y) in (-30.0..30.0f64, -30.0..30.0f64), (h, g) in (-4.0..4.0f64, -4.0..4.0f64),
+            speeds in (-3.0..20.0f64, 0.0..20.0f64), sizes in ((2.0..12.0f64, 0.6..2.6f64), (2.0..12.0f64, 0.6..2.6f64)),
+        ) {
+            let (a, b) = (Pose { x: 0.0, y: 0.0, heading: h }, Pose { x, y, heading: g });
+            let (own, other) = ([sizes.0.0, sizes.0.1], [sizes.1.0, sizes.1.1]);
+            let at = |pose: &Pose, speed: f64, t: f64| {
+                let (sin, cos) = pose.heading.sin_cos();
+                Pose { x: pose.x + speed * t * cos, y: pose.y + speed * t * sin, heading: pose.heading }
+            };
+            let overlap = |t: f64, more: f64| {
+                let grown = |size: Size| [size[0] + more, size[1] + more];
+                boxes_overlap((&at(&a, speeds.0, t), grown(own)), (&at(&b, speeds.1, t), grown(other)))
+            };
+            match time_to_contact((&a, own, speeds.0), (&b, other, speeds.1)) {
+                Some(t) if t < 60.0 => {
+                    prop_assert!(overlap(t, 1e-6));
+                    prop_assert!(t == 0.0 || (1..100).all(|k| !overlap(t * f64::from(k) / 100.0, -1e-6)));
+                }
+                Some(_) => {}
+                None => prop_assert!((0..600).all(|k| !overlap(f64::from(k) / 20.0, -1e-6))),
+            }
         }
     }
 

@@ -13,15 +13,16 @@ pub(super) fn describe(lidar: Lidar, features: &mut Features) {
 }
 
 /// Writes one distance per beam, counter-clockwise from straight ahead; 1 where nothing is in range.
-pub(super) fn write(lidar: Lidar, road: &Road, half: [f64; 2], traffic: &Traffic, slot: usize, out: &mut [f32]) {
+pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
     let own = &traffic.slots[slot].pose;
     for (beam, seen) in out.iter_mut().enumerate() {
         let (sin, cos) = angle(lidar, own, beam).sin_cos();
         *seen = (road.beam([own.x, own.y], [cos, sin], lidar.range) / lidar.range) as f32;
     }
-    let reach = half[0].hypot(half[1]);
     for (j, other) in traffic.slots.iter().enumerate() {
         let apart = traffic.distance(slot, j);
+        let half = other.size.map(|side| side / 2.0);
+        let reach = half[0].hypot(half[1]);
         if j == slot || other.status == Status::Empty || apart > lidar.range + reach {
             continue;
         }

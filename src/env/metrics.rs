@@ -32,6 +32,9 @@ pub struct EpisodeRecord {
     pub audit: Audit,
     /// Why agents did not arrive.
     pub failures: Failures,
+    /// What vehicles met with that SUMO drove, in tasks that have some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub others: Option<Others>,
     /// Cut short because SUMO died; not to be counted.
     pub interrupted: bool,
     /// It had been played before ([`super::VecOptions::replay`]).
@@ -40,4 +43,26 @@ pub struct EpisodeRecord {
     /// Mean reward over agents in each step.
     #[serde(skip)]
     pub step_rewards: Vec<f32>,
+}
+
+/// What the vehicles of an episode met with that SUMO drove, while agents were on the road.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Others {
+    /// How many there were.
+    pub vehicles: u32,
+    /// Share that collided with an agent or a wreck.
+    pub crash: f64,
+    /// Time that each lost against driving as fast as its lane and type allow: SUMO's time loss, mean \[s\].
+    pub delay: f64,
+    /// Hardest braking of each, mean \[m/s²\].
+    pub braking: f64,
+    /// Share that had to brake harder than 6 m/s² at some time.
+    pub hard_braking: f64,
+    /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
+    pub close: f64,
+    /// Smallest time to collision with an agent, if both went on as they did; 5 where it was never less, 0 after a collision \[s\].
+    pub ttc: f64,
+    /// Smallest post-encroachment time: from when the first of an agent and another left the place where their ways meet until the
+    /// second came there; 5 where it was never less, 0 after a collision \[s\].
+    pub pet: f64,
 }

@@ -29,14 +29,14 @@ pub use audit::Audit;
 pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
 pub use failures::Failures;
-pub use geometry::{Pose, boxes_overlap};
-pub use metrics::EpisodeRecord;
+pub use geometry::{Pose, Size, boxes_overlap};
+pub use metrics::{EpisodeRecord, Others};
 pub use order::Position;
 pub use routes::{Conflict, RouteGeometry};
 pub use slots::Fate;
 pub use task::{Place, Task};
 pub use vec::{Resets, VecEnv, VecOptions};
-pub use world::{AgentView, Driver, Frame, World, WorldState};
+pub use world::{AgentView, Driver, Frame, OtherView, World, WorldState};
 
 use crate::{scenario, sumo};
 

@@ -192,8 +192,8 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         view.put_streams(&mut w);
     }
     if let Some(road) = task.road.as_ref().filter(|_| scenario.observation.lidar.beams > 0) {
-        let (lidar, half) = (scenario.observation.lidar, [scenario.vehicle.length / 2.0, scenario.vehicle.width / 2.0]);
-        lidar::write(lidar, road, half, traffic, slot, w.take(lidar.beams));
+        let lidar = scenario.observation.lidar;
+        lidar::write(lidar, road, traffic, slot, w.take(lidar.beams));
     }
     debug_assert_eq!(w.at, w.out.len());
 }
@@ -271,8 +271,8 @@ impl View<'_> {
             w.skip(6);
             return;
         };
-        let gap = centre_gap - self.scenario.vehicle.length;
         let other = &traffic.slots[j];
+        let gap = centre_gap - f64::midpoint(own.size[0], other.size[0]);
         let closing = (other.speed - own.speed) / 10.0;
         w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
     }

@@ -1,10 +1,10 @@
 //! The vehicle slots of a world, and how their vehicles stand to each other: what observations and rewards are made from.
 //!
-//! Life of a slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
+//! The agents' slots come first, then those of vehicles that SUMO drives. Life of an agent's slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
 //! while, then empty). No slot revives within an episode.
 
 use super::failures::Crash;
-use super::geometry::Pose;
+use super::geometry::{Pose, Size};
 use super::steering::Motion;
 
 /// A vehicle this far behind a meeting point has left it, body and all \[m\].
@@ -32,6 +32,8 @@ pub(super) enum Track {
 pub(super) struct Slot {
     pub(super) status: Status,
     pub(super) route: usize,
+    /// Length and width.
+    pub(super) size: Size,
     /// Pose of the centre.
     pub(super) pose: Pose,
     pub(super) before: Pose,
@@ -78,6 +80,7 @@ pub struct Fate {
 pub(super) const EMPTY: Slot = Slot {
     status: Status::Empty,
     route: 0,
+    size: [0.0; 2],
     pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
     before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
     s: 0.0,
@@ -103,17 +106,17 @@ pub(super) struct Traffic {
     pub(super) slots: Vec<Slot>,
     /// Slots on the road by route, furthest along first.
     pub(super) by_route: Vec<Vec<usize>>,
-    /// Centre distances, `[N, N]` \[m\].
+    /// Centre distances, between all slots \[m\].
     distances: Vec<f64>,
 }
 
 impl Traffic {
     /// No vehicle anywhere.
-    pub(super) fn new(agents: usize, routes: usize) -> Self {
+    pub(super) fn new(slots: usize, routes: usize) -> Self {
         Self {
-            slots: vec![EMPTY; agents],
-            by_route: vec![Vec::with_capacity(agents); routes],
-            distances: vec![0.0; agents * agents],
+            slots: vec![EMPTY; slots],
+            by_route: vec![Vec::with_capacity(slots); routes],
+            distances: vec![0.0; slots * slots],
         }
     }
 

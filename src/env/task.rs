@@ -1,11 +1,12 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
+use super::geometry::Size;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
-use crate::scenario::{Scenario, SpawnPlace};
+use crate::scenario::{Demand, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
-use crate::sumo::{Hosting, Route, SimulationConfig, VehicleType};
+use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
@@ -48,12 +49,23 @@ pub struct Task {
     pub scenario: Scenario,
     /// Agent slots N.
     pub agents: usize,
+    /// Slots of vehicles that SUMO drives, which come after the agents'.
+    pub others: usize,
     /// Each episode has a random number of agents from this one to N.
     pub fewest: usize,
-    /// Spawn places, at least N.
+    /// Spawn places, at least as many as vehicles that start at them.
     pub places: Vec<SpawnPlace>,
-    /// Routes in the scenario's order.
+    /// Routes in the scenario's order, then those that only route files have.
     pub routes: Vec<RouteGeometry>,
+    /// Their ids and edges.
+    pub(super) route_ids: Vec<String>,
+    route_edges: Vec<Vec<String>>,
+    /// What route files say.
+    pub(super) demand: Demand,
+    /// The files' routes, as indices into `routes`.
+    pub(super) demand_routes: Vec<usize>,
+    /// Types of those at spawn places that SUMO drives, and their weights; empty: as the agents'.
+    pub(super) place_mix: Vec<(usize, f64)>,
     /// For every route whose destination is reserved, the first one that ends on the same edge.
     pub(super) reserved: Vec<Option<usize>>,
     /// Shapes and features for the learners.
@@ -70,20 +82,43 @@ pub struct Task {
 }
 
 impl Task {
-    /// Loads the net for `agents` vehicles and works out how its routes meet.
+    /// Loads the net for so many `vehicles` at spawn places, of which the scenario's share are agents, and works out how its
+    /// routes meet.
     ///
     /// # Errors
-    /// When the scenario does not take so many agents, or its net cannot be read or driven.
-    pub fn new(scenario: &Scenario, agents: u32) -> Result<Self, Error> {
-        let choice = scenario.net_for(agents)?;
+    /// When the scenario does not take so many, or its net or route files cannot be read or driven.
+    pub fn new(scenario: &Scenario, vehicles: u32) -> Result<Self, Error> {
+        let choice = scenario.net_for(vehicles)?;
+        let agents = scenario.traffic.learners(vehicles);
+        let demand = Demand::load(&scenario.traffic.files)?;
+        let place_mix = scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
+        let capacity = if demand.sources.is_empty() { 0 } else { scenario.traffic.capacity };
         let net = Net::load(&choice.file)?;
         let mut paths = Vec::with_capacity(scenario.routes.len());
         for route in &scenario.routes {
             paths.push(net.route_path_from(&route.edges, route.lane)?);
         }
+        let mut route_ids: Vec<String> = scenario.routes.iter().map(|route| route.id.clone()).collect();
+        let mut route_edges: Vec<Vec<String>> = scenario.routes.iter().map(|route| route.edges.clone()).collect();
+        let mut demand_routes = Vec::with_capacity(demand.routes.len());
+        for route in &demand.routes {
+            let path = net.route_path_from(&route.edges, None)?;
+            let known = paths.iter().position(|other: &Path| other.lanes == path.lanes);
+            demand_routes.push(known.unwrap_or(paths.len()));
+            if known.is_none() {
+                paths.push(path);
+                route_ids.push(format!("{} of a route file", route.id));
+                route_edges.push(route.edges.clone());
+            }
+        }
         let routes = (0..paths.len())
             .map(|a| {
-                let mut route = geometry(&paths, a, scenario.routes[a].arrival_pos);
+                // Vehicles of route files arrive where SUMO takes them off the road: at the end.
+                let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
+                let mut route = geometry(&paths, a, arrival.unwrap_or(-1.0));
+                if arrival.is_none() {
+                    route.arrival = paths[a].length();
+                }
                 route.first_lane = paths[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
                 route
             })
@@ -113,9 +148,15 @@ impl Task {
         };
         Ok(Self {
             agents: agents as usize,
+            others: (vehicles - agents + capacity) as usize,
             fewest: agents as usize,
             places: choice.places().collect(),
             routes,
+            route_ids,
+            route_edges,
+            place_mix,
+            demand_routes,
+            demand,
             reserved,
             several_lanes,
             road,
@@ -131,6 +172,32 @@ impl Task {
     #[must_use]
     pub fn with_fewest(self, fewest: usize) -> Self {
         Self { fewest: fewest.clamp(1, self.agents), ..self }
+    }
+
+    /// Slots of a world: agents and others.
+    pub(super) fn slots(&self) -> usize {
+        self.agents + self.others
+    }
+
+    /// Vehicles at spawn places that SUMO drives.
+    pub(super) fn placed(&self) -> usize {
+        let capacity = if self.demand.sources.is_empty() { 0 } else { self.scenario.traffic.capacity as usize };
+        self.others - capacity
+    }
+
+    /// Vehicle type, in SUMO's list, and size of a type of the route files.
+    pub(super) fn demand_type(&self, kind: usize) -> (u32, Size) {
+        let VehicleKind { length, width, .. } = self.demand.types[kind];
+        (SUMO_TYPE + 1 + kind as u32, [length, width])
+    }
+
+    /// As [`Task::demand_type`], of a vehicle at a spawn place, drawn from `place_mix`.
+    pub(super) fn place_type(&self, kind: usize) -> (u32, Size) {
+        if self.place_mix.is_empty() {
+            let vehicle = &self.scenario.vehicle;
+            return (SUMO_TYPE, [vehicle.length, vehicle.width]);
+        }
+        self.demand_type(kind)
     }
 
     /// The net.
@@ -173,23 +240,36 @@ impl Task {
             step_length: control.interval,
             seed,
             worlds,
-            slots: self.agents as u32,
+            slots: self.slots() as u32,
+            others: (self.others > 0).then(|| self.guests()),
             timeout: hosting.timeout,
             audit: hosting.audit,
             // Agents may spawn as close as the places allow; SUMO's driver keeps a gap, but one that lets
             // vehicles depart from neighbouring places in the worst jitter.
             vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],
-            routes: self
-                .scenario
-                .routes
-                .iter()
-                .zip(&self.routes)
-                .map(|(route, geometry)| Route {
-                    id: route.id.clone(),
-                    edges: route.edges.clone(),
+            routes: (self.route_ids.iter().zip(&self.route_edges).zip(&self.routes))
+                .map(|((id, edges), geometry)| Route {
+                    id: id.clone(),
+                    edges: edges.clone(),
                     lane: geometry.first_lane,
                 })
                 .collect(),
+        }
+    }
+
+    /// What SUMO must know of the vehicles that it drives.
+    fn guests(&self) -> Others {
+        let departure = |source: &Source| Departure {
+            route: self.demand_routes[source.route] as u32,
+            lane: source.lane.clone(),
+            pos: source.pos.clone(),
+            speed: source.speed.clone(),
+        };
+        Others {
+            first_slot: self.agents as u32,
+            definitions: self.demand.definitions.clone(),
+            types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
+            departures: self.demand.sources.iter().map(departure).collect(),
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Properties of a world, against a simulator that does exactly what it is told: vehicles move along their route's centre
 //! line by speed times the step. What SUMO itself does is tested in `tests/`.
 
+mod others;
+
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +13,7 @@ use super::slots::CLEARED;
 use super::*;
 use crate::rng::Seed;
 use crate::scenario::{ObservationGroups, Scenario};
-use crate::sumo::{Command, Snapshot, VehicleState};
+use crate::sumo::{Body, Command, Snapshot, VehicleState};
 
 /// Vehicles on rails, and a check on every command.
 struct Rails {
@@ -21,7 +23,7 @@ struct Rails {
 
 impl Rails {
     fn new(task: &Arc<Task>) -> Self {
-        Self { task: Arc::clone(task), vehicles: vec![None; task.agents] }
+        Self { task: Arc::clone(task), vehicles: vec![None; task.slots()] }
     }
 
     fn step(&mut self, commands: &[Command]) -> Snapshot {
@@ -43,15 +45,30 @@ impl Rails {
                 Command::SpeedMode { slot, .. } | Command::KeepLane { slot, .. } => {
                     assert!(self.vehicles[slot as usize].is_some());
                 }
+                Command::Depart { slot, departure, .. } => {
+                    assert!(slot as usize >= self.task.agents + self.task.placed(), "slot {slot} is not theirs");
+                    let vehicle = &mut self.vehicles[slot as usize];
+                    assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
+                    let route = self.task.demand_routes[self.task.demand.sources[departure as usize].route];
+                    *vehicle = Some((route, 5.0, 10.0));
+                }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
             }
         }
         let step = self.task.scenario.control.interval;
         let mut snapshot = Snapshot::default();
-        for vehicle in &mut self.vehicles {
+        for (slot, vehicle) in self.vehicles.iter_mut().enumerate() {
+            let route = |route: usize| &self.task.routes[route].path;
+            if slot >= self.task.agents && vehicle.is_some_and(|(r, s, _)| s > route(r).length()) {
+                *vehicle = None;
+            }
             snapshot.vehicles.push(vehicle.as_mut().map(|(_, s, speed)| {
                 *s += *speed * step;
                 VehicleState { distance: *s, speed: *speed }
+            }));
+            snapshot.bodies.push(vehicle.filter(|_| slot >= self.task.agents).map(|(r, s, _)| {
+                let ([x, y], heading) = route(r).at(s);
+                Body { x, y, heading, time_loss: 0.0 }
             }));
         }
         snapshot

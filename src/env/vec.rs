@@ -44,6 +44,8 @@ struct Host {
     simulation: Box<dyn Simulation>,
     /// Whether SUMO has to be made fresh for each episode: its own driver's doings depend on what it did before.
     forgetful: bool,
+    /// Whether the fresh SUMO has a seed of the episode's: its drivers may be random.
+    seeded: bool,
     /// Number of this host's first world.
     first: usize,
     worlds: Vec<World>,
@@ -54,6 +56,8 @@ struct Host {
     failures: u32,
     loads: u64,
     restarts: u64,
+    /// Of these, how often SUMO had failed.
+    lost: u64,
 }
 
 /// E worlds in lock-step.
@@ -113,7 +117,7 @@ impl VecEnv {
             world.take_finished();
             world.restore(&states[e]);
         }
-        if env.resets().loads + env.resets().restarts > 0 {
+        if env.hosts.iter().any(|host| host.lost > 0) {
             return Err(Error::Replay);
         }
         Ok(env)
@@ -121,9 +125,10 @@ impl VecEnv {
 
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
         let hosting = match options.driver {
-            Driver::Agents => options.hosting,
             // SUMO's driver goes by distances that SUMO takes from coordinates, and those of a tile are rounded otherwise.
+            _ if task.others > 0 => options.hosting.alone(options.worlds),
             Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
+            Driver::Agents => options.hosting,
         };
         let count = hosting.hosts(options.worlds);
         let hosts = (0..count)
@@ -140,7 +145,8 @@ impl VecEnv {
                 };
                 Ok(Host {
                     simulation,
-                    forgetful: options.driver == Driver::Sumo,
+                    forgetful: options.driver == Driver::Sumo || task.others > 0,
+                    seeded: task.others > 0,
                     first,
                     worlds: (first..end).map(world).collect(),
                     commands: Vec::new(),
@@ -148,6 +154,7 @@ impl VecEnv {
                     failures: 0,
                     loads: 0,
                     restarts: 0,
+                    lost: 0,
                 })
             })
             .collect::<Result<Vec<_>, Error>>()?;
@@ -238,7 +245,11 @@ fn chain(error: &Error) -> String {
 impl Host {
     /// First half of the exchange.
     fn act(&mut self, actions: &[f32], width: usize) -> Result<(), Error> {
-        if self.forgetful && self.worlds.iter().any(|world| world.is_between_episodes() && world.respawns() > 0) {
+        let stale = |world: &World| world.is_between_episodes() && (world.respawns() > 0 || self.seeded);
+        if self.forgetful && self.worlds.iter().any(stale) {
+            if self.seeded {
+                self.simulation.reseed(self.worlds[0].simulator_seed());
+            }
             self.renew()?;
             self.worlds.iter_mut().for_each(World::forget_vehicles);
         }
@@ -274,6 +285,7 @@ impl Host {
                     "{}; the episodes of worlds {first} to {last} are dropped and SUMO starts afresh",
                     chain(&error)
                 );
+                self.lost += 1;
                 self.renew()?;
                 self.worlds.iter_mut().for_each(World::interrupt);
                 Ok(())
@@ -390,6 +402,8 @@ mod tests {
             Ok(Renewal::Loaded)
         }
 
+        fn reseed(&mut self, _: u64) {}
+
         fn meter(&self) -> Meter {
             Meter::default()
         }
@@ -410,6 +424,8 @@ mod tests {
                 places: vec![None; 16],
             }),
             forgetful: false,
+            seeded: false,
+            lost: 0,
             first: 0,
             worlds: worlds.collect(),
             commands: Vec::new(),

@@ -5,9 +5,13 @@
 //! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
 
 mod motion;
+mod others;
+mod view;
 
 use std::sync::Arc;
 
+use self::others::Others;
+pub use self::view::{AgentView, Frame, OtherView};
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
@@ -21,7 +25,7 @@ use super::task::Task;
 use super::{Error, observation, state};
 use crate::rng::Seed;
 use crate::scenario::Reward;
-use crate::sumo::Snapshot;
+use crate::sumo::{Collision, Snapshot};
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
@@ -37,29 +41,6 @@ pub enum Driver {
     Sumo,
 }
 
-/// What agents and learners get from a world after an exchange. Reused from step to step.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Frame {
-    /// `[N, O]`; zeros where no agent is present.
-    pub observation: Vec<f32>,
-    /// `[N, S]`; zeros where no agent is present.
-    pub state: Vec<f32>,
-    /// Physical mask G_p, `[N, N]`; its diagonal tells who is present.
-    pub comm: Vec<f32>,
-    /// `[N]`, 1 where an agent acts in the coming step.
-    pub active: Vec<f32>,
-    /// Whether a new trajectory starts here (memories are cleared).
-    pub start: bool,
-    /// `[N]`: what the last step gave, with the cooperative mix.
-    pub reward: Vec<f32>,
-    /// `[N]`: the part of that for crashes and for leaving the road.
-    pub penalty: Vec<f32>,
-    /// `[N]`, 1 where the last step ended an agent's trajectory for good.
-    pub terminated: Vec<f32>,
-    /// `[N]`, 1 where the last step cut an agent's trajectory short.
-    pub truncated: Vec<f32>,
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     /// Nothing happens until [`World::reset`].
@@ -71,33 +52,10 @@ enum Phase {
     Running,
 }
 
-/// An agent as an onlooker sees it.
-#[derive(Debug, Clone, Copy)]
-pub struct AgentView {
-    /// Whether it drives.
-    pub driving: bool,
-    /// Whether it stands there as a wreck.
-    pub wreck: bool,
-    /// How it ended.
-    pub fate: Fate,
-    /// Of its centre, the last one where it is gone.
-    pub pose: Pose,
-    /// Its route's number.
-    pub route: usize,
-    /// Position of its centre along that \[m\].
-    pub position: f64,
-    /// Offset from the route's centre line, positive to the left \[m\].
-    pub lateral: f64,
-    /// \[m/s\]
-    pub speed: f64,
-    /// What the last step gave it, without the cooperative mix.
-    pub reward: f64,
-}
-
 /// Whom an agent overlaps with.
 #[derive(Debug, Clone, Copy)]
 struct Partner {
-    slot: usize,
+    route: usize,
     /// It is a wreck.
     wreck: bool,
 }
@@ -128,6 +86,7 @@ pub struct World {
     /// Agents of the current episode; the first slots are theirs.
     crew: usize,
     traffic: Traffic,
+    others: Others,
     frame: Frame,
     own_rewards: Vec<f64>,
     own_penalties: Vec<f64>,
@@ -159,7 +118,8 @@ impl World {
             phase: Phase::Idle,
             step: 0,
             crew: n,
-            traffic: Traffic::new(n, task.routes.len()),
+            traffic: Traffic::new(task.slots(), task.routes.len()),
+            others: Others::new(&task),
             frame: Frame {
                 observation: vec![0.0; n * o],
                 state: vec![0.0; n * s],
@@ -176,7 +136,7 @@ impl World {
             positions: vec![0.0; n],
             poses: vec![Pose::default(); n],
             present: vec![false; n],
-            partners: vec![None; n],
+            partners: vec![None; task.slots()],
             total_reward: 0.0,
             step_rewards: Vec::new(),
             pairs: Pairs::default(),
@@ -254,6 +214,24 @@ impl World {
         })
     }
 
+    /// The vehicles on the road that SUMO drives.
+    pub fn others(&self) -> impl Iterator<Item = OtherView> + '_ {
+        let slots = self.traffic.slots[self.task.agents..].iter().filter(|slot| slot.departed);
+        slots.map(|slot| OtherView {
+            wreck: slot.status == Status::Wreck,
+            pose: slot.pose,
+            size: slot.size,
+            route: slot.route,
+            position: slot.s,
+            speed: slot.speed,
+        })
+    }
+
+    /// SUMO's seed for the episode that comes next.
+    pub(super) fn simulator_seed(&self) -> u64 {
+        self.seed.child("sumo").index(self.order.position.next).word()
+    }
+
     /// Whether there is nothing left to play.
     pub fn is_idle(&self) -> bool {
         self.phase == Phase::Idle
@@ -312,7 +290,7 @@ impl World {
         }
         let horizon = self.step >= self.task.scenario.termination.horizon;
         let mut acting = 0;
-        for (i, slot) in self.traffic.slots.iter().enumerate() {
+        for (i, slot) in self.traffic.slots.iter().take(n).enumerate() {
             let present = slot.status == Status::Active;
             self.present[i] = present;
             self.poses[i] = slot.pose;
@@ -395,16 +373,18 @@ impl World {
         }
         self.place(world, snapshot)?;
         self.find_collisions(world, snapshot);
-        for collision in snapshot.collisions.iter().filter(|c| c.world == world) {
+        let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < self.task.agents;
+        for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {
             let (a, b) = (collision.collider, collision.victim);
-            let (slots, vehicle) = (&self.traffic.slots, &self.task.scenario.vehicle);
-            self.pairs.sumo(a, b, || Sumos::reason(vehicle, &slots[a as usize], &slots[b as usize]));
+            let slots = &self.traffic.slots;
+            self.pairs.sumo(a, b, || Sumos::reason(&slots[a as usize], &slots[b as usize]));
         }
         let task = &*self.task;
         let scenario = &task.scenario;
         let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
         let mut sum = 0.0;
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate().filter(|(_, slot)| slot.status == Status::Active) {
+        let agents = self.traffic.slots[..task.agents].iter_mut().enumerate();
+        for (i, slot) in agents.filter(|(_, slot)| slot.status == Status::Active) {
             let route = &task.routes[slot.route];
             let lane = route.path.widths[slot.segment];
             let steers = scenario.control.steering.is_some() && self.driver == Driver::Agents;
@@ -418,7 +398,7 @@ impl World {
                 crashed: self.partners[i].is_some(),
             };
             slot.fate = fate;
-            if let Some(Partner { slot: other, wreck }) = self.partners[i] {
+            if let Some(Partner { route: other, wreck }) = self.partners[i] {
                 let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
                 slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, upstream });
             }
@@ -451,24 +431,28 @@ impl World {
                 slot.motion = Motion::at(slot.pose);
             }
         }
+        self.meet_others(wreck_steps);
         self.total_reward += sum / self.crew as f64;
         self.step_rewards.push((sum / self.crew as f64) as f32);
         Ok(())
     }
 
-    /// Boxes of active vehicles against all others on the road, at fractions of the step.
+    /// Boxes of active vehicles against all others on the road, at fractions of the step; vehicles that SUMO drives are
+    /// not tested against each other.
     fn find_collisions(&mut self, world: u32, snapshot: &Snapshot) {
         let slots = &self.traffic.slots;
-        let vehicle = &self.task.scenario.vehicle;
+        let agents = self.task.agents;
         self.partners.fill(None);
         for i in 0..slots.len() {
             for j in 0..i {
                 let on_road = |k: usize| slots[k].status != Status::Empty && slots[k].departed;
                 let moving = |k: usize| slots[k].status == Status::Active;
-                if !on_road(i) || !on_road(j) || !(moving(i) || moving(j)) {
+                let strangers = j >= agents && moving(i) && moving(j);
+                if !on_road(i) || !on_road(j) || !(moving(i) || moving(j)) || strangers {
                     continue;
                 }
-                let reach = vehicle.length + vehicle.width;
+                let half = |k: usize| f64::midpoint(slots[k].size[0], slots[k].size[1]);
+                let reach = half(i) + half(j);
                 let travelled = slots[i].pose.distance(&slots[i].before) + slots[j].pose.distance(&slots[j].before);
                 if slots[i].pose.distance(&slots[j].pose) > reach + travelled {
                     continue;
@@ -477,11 +461,14 @@ impl World {
                     let t = f64::from(k) / f64::from(SUBSTEPS);
                     let (a, b) =
                         (slots[i].before.towards(&slots[i].pose, t), slots[j].before.towards(&slots[j].pose, t));
-                    boxes_overlap(&a, &b, vehicle.length, vehicle.width)
+                    boxes_overlap((&a, slots[i].size), (&b, slots[j].size))
                 });
                 if hit {
-                    self.partners[i].get_or_insert(Partner { slot: j, wreck: !moving(j) });
-                    self.partners[j].get_or_insert(Partner { slot: i, wreck: !moving(i) });
+                    self.partners[i].get_or_insert(Partner { route: slots[j].route, wreck: !moving(j) });
+                    self.partners[j].get_or_insert(Partner { route: slots[i].route, wreck: !moving(i) });
+                    if j >= agents {
+                        continue;
+                    }
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);
                     let reason = || Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world());
                     self.pairs.ours(j as u32, i as u32, reason);
@@ -516,17 +503,18 @@ impl World {
 
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
         let n = self.crew as f64;
-        let share = |flag: fn(&Slot) -> bool| self.traffic.slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
+        let slots = &self.traffic.slots[..self.task.agents];
+        let share = |flag: fn(&Slot) -> bool| slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
         let success = share(|slot| slot.fate.arrived);
         let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
-        let (slots, routes) = (&self.traffic.slots, &self.task.scenario.routes);
+        let routes = &self.task.route_ids;
         let mut failures = Failures::default();
         for slot in slots {
             failures.unfinished += u32::from(slot.status == Status::Active);
             failures.out_of_road += u32::from(slot.fate.out_of_road && slot.crash.is_none());
             if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
-                let both = [slot.route, slots[crash.other].route];
-                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].id.as_str()));
+                let both = [slot.route, crash.other];
+                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].as_str()));
             }
         }
         EpisodeRecord {
@@ -542,6 +530,7 @@ impl World {
             own_collisions: self.pairs.of_ours(),
             audit: self.pairs.audit(),
             failures,
+            others: self.others_record(),
             interrupted,
             replayed: self.order.position.replaying,
             step_rewards: std::mem::take(&mut self.step_rewards),

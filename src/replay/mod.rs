@@ -65,6 +65,10 @@ pub struct Recording {
     pub status: String,
     /// Base64 of bits `[T, N, ⌈N/8⌉]`, least significant first: row i says whom i hears.
     pub edges: Option<String>,
+    /// Vehicles that SUMO drives, per step: `[x, y, heading, length, width, wreck]` in metres and radians, wreck 0 or 1; none in
+    /// tasks without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub others: Vec<Vec<[f64; 6]>>,
     /// Metrics of the episode.
     pub summary: BTreeMap<String, f64>,
 }
@@ -145,6 +149,7 @@ impl Recording {
             && recording.columns.values().all(|column| bytes(&column.data) == 2 * rows)
             && bytes(&recording.status) == rows
             && recording.edges.as_ref().is_none_or(|text| bytes(text) == edges)
+            && (recording.others.is_empty() || recording.others.len() == recording.steps)
             && !recording.lanes.is_empty()
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
         if rows == 0 || !whole {
@@ -235,6 +240,8 @@ pub struct Recorder {
     value: Vec<f64>,
     status: Vec<u8>,
     edges: Vec<u8>,
+    /// Of tasks in which SUMO drives some.
+    others: Option<Vec<Vec<[f64; 6]>>>,
     /// Steps since each agent arrived.
     arrived: Vec<u32>,
     graph: bool,
@@ -256,6 +263,7 @@ impl Recorder {
             value: Vec::new(),
             status: Vec::new(),
             edges: Vec::new(),
+            others: (task.others > 0).then(Vec::new),
             arrived: Vec::new(),
             graph: false,
             finished: false,
@@ -272,6 +280,7 @@ impl Recorder {
         self.action = vec![Vec::new(); self.actions];
         self.status.clear();
         self.edges.clear();
+        self.others.iter_mut().for_each(Vec::clear);
         self.arrived = vec![0; agents];
     }
 
@@ -310,6 +319,14 @@ impl Recorder {
             self.value.push(if_driving(thoughts.value.get(i).copied().map_or(f64::NAN, f64::from)));
             self.reward.push(f64::NAN);
             self.status.push(status as u8);
+        }
+        if let Some(rows) = &mut self.others {
+            let short = |v: f64| (1000.0 * v).round() / 1000.0;
+            let row = world.others().map(|other| {
+                let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
+                [short(pose.x), short(pose.y), short(pose.heading), other.size[0], other.size[1], wreck]
+            });
+            rows.push(row.collect());
         }
         let comm = &world.frame().comm;
         self.graph = !thoughts.graph.is_empty();
@@ -400,6 +417,7 @@ impl Recorder {
             columns,
             status: STANDARD.encode(&self.status),
             edges: Some(STANDARD.encode(&self.edges)),
+            others: self.others.unwrap_or_default(),
             summary: summary.into_iter().flatten().map(|(key, value)| (key.to_owned(), value)).collect(),
         }))
     }
@@ -469,6 +487,7 @@ mod tests {
             ]),
             status: STANDARD.encode([1, 2, 3, 0]),
             edges: Some(STANDARD.encode([0b10, 0, 0, 0b01])),
+            others: vec![vec![[4.0, 0.0, 0.0, 7.1, 2.4, 0.0]], Vec::new()],
             summary: BTreeMap::new(),
         }
     }

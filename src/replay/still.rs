@@ -11,6 +11,8 @@ const MARGIN: f64 = 4.0;
 const DRIVING: &str = "#0072b2";
 const ARRIVED: &str = "#009e73";
 const CRASHED: &str = "#d55e00";
+/// Of vehicles that SUMO drives.
+const OTHER: &str = "#59616b";
 
 impl Recording {
     /// The net, the vehicles and who hears whom at `step` (the last one if there are fewer). One metre is one unit.
@@ -45,6 +47,17 @@ impl Recording {
                 svg,
                 "<path d=\"M{:.2} {:.2}L{:.2} {:.2}\" stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\".25\"/>",
                 a[0], a[1], b[0], b[1]
+            );
+        }
+        for [x, y, heading, l, w, wreck] in self.others.get(step).into_iter().flatten() {
+            let _ = writeln!(
+                svg,
+                "<g transform=\"translate({x:.2} {y:.2}) rotate({:.1})\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" \
+                 height=\"{w:.2}\" rx=\".4\" fill=\"{OTHER}\"/>{}</g>",
+                heading.to_degrees(),
+                -l / 2.0,
+                -w / 2.0,
+                if *wreck > 0.0 { cross(*l, *w) } else { String::new() },
             );
         }
         for (number, (status, [x, y, heading])) in vehicles.iter().enumerate() {
@@ -99,7 +112,8 @@ mod tests {
         // One wreck with its cross, and nobody else; a lane and an edge of the graph.
         assert_eq!(svg.matches("<rect").count(), 2);
         assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script>"));
-        assert_eq!(recording().still(0).matches("<rect").count(), 4);
+        // Two agents, and one that SUMO drives.
+        assert_eq!(recording().still(0).matches("<rect").count(), 5);
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
         roxmltree::Document::parse(&svg).expect("well-formed");
     }

@@ -1,6 +1,6 @@
 //! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
 
-use super::{Error, Net, Route, Scenario, reader::Reader};
+use super::{Demand, Error, Net, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, Path, shorten};
 
 /// Slack of comparisons of positions \[m\].
@@ -14,6 +14,8 @@ pub(super) struct Places {
     pub(super) nets: Vec<NetPlaces>,
     /// Of the jitter's `lateral`.
     pub(super) lateral: usize,
+    /// Of the traffic's `type`.
+    pub(super) traffic_type: usize,
 }
 
 /// Where the parts of a route stand.
@@ -38,6 +40,10 @@ pub(super) struct Map {
 /// Reads every net of a scenario and checks what the scenario says about it: the mistakes, and the nets without one.
 pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Vec<Error>, Vec<Option<Map>>) {
     let mut errors = Vec::new();
+    let demand = demand(scenario, places, reader).unwrap_or_else(|error| {
+        errors.push(error);
+        Demand::default()
+    });
     let mut check = |net: &Net, at: &NetPlaces| {
         let map = net::Net::load(&net.file).map_err(|source| {
             let (line, column) = reader.position(at.file);
@@ -51,12 +57,36 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Ve
         if paths.len() < scenario.routes.len() {
             return None;
         }
+        errors.extend(undrivable(&demand, &map));
         let placed = spawns(scenario, net, &map, &paths, &at.spawns, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, places, reader));
         placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
     };
     let maps = scenario.nets.iter().zip(&places.nets).map(|(net, at)| check(net, at)).collect();
     (errors, maps)
+}
+
+/// What the files of `<traffic>` say.
+fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Demand, Error> {
+    let demand = Demand::load(&scenario.traffic.files)?;
+    match &scenario.traffic.kind {
+        Some(kind) if demand.mix(kind).is_none() => {
+            let (line, column) = reader.position(places.traffic_type);
+            let allowed = "the id of a vType or vTypeDistribution of the files".into();
+            let (path, value) = (scenario.path.clone(), shorten(kind));
+            Err(Error::Value { path, line, column, element: "traffic".into(), key: "type", value, allowed })
+        }
+        _ => Ok(demand),
+    }
+}
+
+/// The first route of the files that cannot be driven in a net.
+fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
+    demand.routes.iter().find_map(|route| {
+        let source = Box::new(map.route_path_from(&route.edges, None).err()?);
+        let (path, line, column) = route.place.clone();
+        Some(Error::Route { path, line, column, route: shorten(&route.id), source })
+    })
 }
 
 /// The centre line of a route, once its edges are connected and its finish lies on the last.

@@ -218,6 +218,26 @@ pub enum Error {
 }
 
 impl Error {
+    /// The file: the scenario's, or one that it names.
+    pub fn path(&self) -> &std::path::Path {
+        match self {
+            Self::Read { path, .. }
+            | Self::TooLarge { path, .. }
+            | Self::Parse { path, .. }
+            | Self::Unknown { path, .. }
+            | Self::Missing { path, .. }
+            | Self::Duplicate { path, .. }
+            | Self::TooMany { path, .. }
+            | Self::Value { path, .. }
+            | Self::Reference { path, .. }
+            | Self::Net { path, .. }
+            | Self::Route { path, .. }
+            | Self::Place { path, .. }
+            | Self::Overlap { path, .. }
+            | Self::Agents { path, .. } => path,
+        }
+    }
+
     /// Line and column of the mistake in the scenario file, both from 1, where it has a place there.
     pub fn position(&self) -> Option<(u32, u32)> {
         match *self {

@@ -73,7 +73,7 @@ fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Err
     let reader = Reader { path, document: &document };
     let (scenario, places) = reader.scenario()?;
     let (errors, maps) = check::nets(&scenario, &places, &reader);
-    list.extend(errors.iter().map(|error| Finding::of(error, path)));
+    list.extend(errors.iter().map(|error| Finding::of(error, error.path())));
     list.extend(advice::advise(&scenario, &maps, &reader));
     Ok(errors.is_empty().then_some(scenario))
 }

@@ -9,7 +9,7 @@ use roxmltree::Node;
 
 use super::{
     AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
-    Route, Scenario, SpawnRow, Steering, Termination, Vehicle, check,
+    Route, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -39,6 +39,7 @@ const PARTS: Names = &[
     "reward",
     "termination",
     "communication",
+    "traffic",
 ];
 const OBSERVATION: Names = &[
     "groups",
@@ -128,7 +129,13 @@ impl<'a, 'input> Reader<'a, 'input> {
         let (nets, net_places) = self.nets(part("nets")?, &routes)?;
         let agents = self.agents(part("agents")?, &nets)?;
         let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
-        let places = Places { routes: route_places, nets: net_places, lateral: Self::offset(jitter, "lateral") };
+        let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
+        let places = Places {
+            routes: route_places,
+            nets: net_places,
+            lateral: Self::offset(jitter, "lateral"),
+            traffic_type: Self::offset(traffic, "type"),
+        };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
         let reward = self.leaf(part("reward")?, REWARD)?;
@@ -183,6 +190,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 border: self.border(termination)?,
             },
             communication: Communication { range: self.not_negative(communication, "range")? },
+            traffic: self.traffic(root)?,
         };
         Ok((scenario, places))
     }
@@ -190,6 +198,34 @@ impl<'a, 'input> Reader<'a, 'input> {
     /// A whole number up to `max`, or what it is without the attribute.
     fn whole_or(&self, node: Node<'a, 'input>, key: &'static str, otherwise: u32, max: u32) -> Result<u32, Error> {
         if node.has_attribute(key) { self.whole(node, key, 0, max) } else { Ok(otherwise) }
+    }
+
+    /// The element `<traffic>`, which need not be there.
+    fn traffic(&self, root: Node<'a, 'input>) -> Result<Traffic, Error> {
+        if !root.children().any(|node| node.has_tag_name("traffic")) {
+            return Ok(Traffic::default());
+        }
+        let node = self.leaf(self.child(root, "traffic")?, &["penetration", "type", "files", "capacity"])?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let otherwise = Traffic::default();
+        let share = |v: f64| v > 0.0 && v <= 1.0;
+        let files: Vec<_> = node.attribute("files").unwrap_or("").split_whitespace().map(|f| folder.join(f)).collect();
+        let kind = node.attribute("type").map(Into::into);
+        if kind.is_some() && files.is_empty() {
+            return Err(self.missing(node, "attribute", "files"));
+        }
+        Ok(Traffic {
+            penetration: match node.attribute("penetration") {
+                None => otherwise.penetration,
+                Some(_) => self.number(node, "penetration", "above 0, to 1", share)?,
+            },
+            kind,
+            files,
+            capacity: match node.attribute("capacity") {
+                None => otherwise.capacity,
+                Some(_) => self.whole(node, "capacity", 1, 1000)?,
+            },
+        })
     }
 
     fn border(&self, node: Node<'a, 'input>) -> Result<Border, Error> {

@@ -5,6 +5,7 @@
 mod advice;
 pub mod author;
 mod check;
+mod demand;
 mod error;
 mod finding;
 mod load;
@@ -12,6 +13,7 @@ mod reader;
 mod schema;
 mod write;
 
+pub use demand::{Demand, DemandRoute, Source, Spacing, VehicleKind};
 pub use error::Error;
 pub use finding::{Finding, Findings, Severity};
 pub use schema::{Attribute, Element, SCHEMA, describe, markdown};
@@ -50,6 +52,8 @@ pub struct Scenario {
     pub termination: Termination,
     /// Who can hear whom.
     pub communication: Communication,
+    /// Vehicles that SUMO drives, beside the agents.
+    pub traffic: Traffic,
 }
 
 /// Number of agents that a scenario takes.
@@ -287,6 +291,37 @@ impl Border {
     /// The name in XML.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
+    }
+}
+
+/// Vehicles that SUMO drives, beside the agents.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Traffic {
+    /// Share of the vehicles at spawn places that learn, above 0 to 1; SUMO drives the others.
+    pub penetration: f64,
+    /// Type of those others, an id of the files; without it they are of the agents' size and abilities.
+    pub kind: Option<String>,
+    /// SUMO route files, resolved against the scenario file's folder.
+    pub files: Vec<PathBuf>,
+    /// Most vehicles of the files on the road at a time.
+    pub capacity: u32,
+}
+
+impl Default for Traffic {
+    fn default() -> Self {
+        Self { penetration: 1.0, kind: None, files: Vec::new(), capacity: 16 }
+    }
+}
+
+impl Traffic {
+    /// Whether SUMO drives some, with so many at spawn places.
+    pub fn is_mixed(&self, vehicles: u32) -> bool {
+        self.learners(vehicles) < vehicles || !self.files.is_empty()
+    }
+
+    /// How many of so many vehicles learn: at least one.
+    pub fn learners(&self, vehicles: u32) -> u32 {
+        ((self.penetration * f64::from(vehicles)).round() as u32).clamp(1, vehicles.max(1))
     }
 }
 

@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{Border, Lidar, Scenario};
+use super::{Border, Lidar, Scenario, Traffic};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -94,6 +94,18 @@ impl Scenario {
         }
         writeln!(xml, "/>")?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;
+        if self.traffic != Traffic::default() {
+            let t = &self.traffic;
+            write!(xml, "    <traffic penetration=\"{}\"", t.penetration)?;
+            if let Some(kind) = &t.kind {
+                write!(xml, " type=\"{}\"", escape(kind))?;
+            }
+            if !t.files.is_empty() {
+                let files = t.files.iter().map(|file| file.strip_prefix(folder).unwrap_or(file).to_string_lossy());
+                write!(xml, " files=\"{}\"", escape(&files.collect::<Vec<_>>().join(" ")))?;
+            }
+            writeln!(xml, " capacity=\"{}\"/>", t.capacity)?;
+        }
         writeln!(xml, "</scenario>")
     }
 }

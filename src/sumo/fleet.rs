@@ -16,7 +16,7 @@ use std::{
 use rustix::fs::{MemfdFlags, memfd_create};
 
 use super::{
-    Collision, Command, Error, SimulationConfig, Snapshot, VehicleState, constants as c,
+    Body, Collision, Command, Departure, Error, SimulationConfig, Snapshot, VehicleState, constants as c,
     net::{Net, tile, tiled_id},
 };
 
@@ -44,6 +44,7 @@ const NO_LANE_CHANGES: i32 = 0;
 /// Takes checked commands, by SUMO's names.
 pub(super) trait Orders {
     fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64);
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure);
     fn remove(&mut self, vehicle: Vehicle<'_>);
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
@@ -66,6 +67,8 @@ pub(super) struct Fleet {
     offsets: Vec<[f64; 2]>,
     /// The tiled net; it has no name in any folder, so that nothing is left behind however the program ends.
     tiled: Option<Arc<File>>,
+    /// Definitions of vehicle types, in the same way.
+    definitions: Option<Arc<File>>,
     /// Whether SUMO knows a vehicle of that name, on the road or waiting to be put there.
     pub(super) known: Vec<bool>,
     /// `known` as it will be after the exchange under way.
@@ -92,6 +95,13 @@ impl Fleet {
             let (file, offsets) = write_tiles(&config, &text)?;
             (Some(file), offsets)
         };
+        let definitions = match &config.others {
+            Some(others) if !others.definitions.is_empty() => {
+                Some(in_memory("types.add.xml", &format!("<additional>\n{}</additional>\n", others.definitions))?)
+            }
+            _ => None,
+        };
+        let bodies = if config.others.is_some() { vehicles } else { 0 };
         let [low, high] = net.extent();
         let junctions = net
             .junctions
@@ -113,11 +123,12 @@ impl Fleet {
             diagonal: (high[0] - low[0]).hypot(high[1] - low[1]).max(0.0),
             offsets,
             tiled,
+            definitions,
             known: vec![false; vehicles],
             next: vec![false; vehicles],
             departed: vec![0.0; vehicles],
             next_departed: vec![0.0; vehicles],
-            snapshot: Snapshot { vehicles: vec![None; vehicles], ..Snapshot::default() },
+            snapshot: Snapshot { vehicles: vec![None; vehicles], bodies: vec![None; bodies], ..Snapshot::default() },
             config,
         })
     }
@@ -126,11 +137,16 @@ impl Fleet {
         &self.config
     }
 
+    pub(super) fn reseed(&mut self, seed: u64) {
+        self.config.seed = seed;
+    }
+
     /// Forgets all vehicles, as a fresh SUMO has none.
     pub(super) fn empty(&mut self) {
         self.known.fill(false);
         self.snapshot.time = 0.0;
         self.snapshot.vehicles.fill(None);
+        self.snapshot.bodies.fill(None);
         self.snapshot.collisions.clear();
     }
 
@@ -139,6 +155,7 @@ impl Fleet {
         self.known.copy_from_slice(&self.next);
         self.departed.copy_from_slice(&self.next_departed);
         self.snapshot.vehicles.fill(None);
+        self.snapshot.bodies.fill(None);
         self.snapshot.collisions.clear();
     }
 
@@ -148,6 +165,18 @@ impl Fleet {
         if distance != c::INVALID_DOUBLE_VALUE {
             let distance = self.departed[vehicle] + distance;
             self.snapshot.vehicles[vehicle] = Some(VehicleState { distance, speed });
+        }
+    }
+
+    /// Takes in where SUMO has a vehicle that it drives: the middle of its front, `angle` in navigational degrees, and SUMO's time
+    /// loss. Nothing where it waits to be put on the road.
+    pub(super) fn body(&mut self, vehicle: usize, [x, y]: [f64; 2], angle: f64, time_loss: f64) {
+        let slots = self.config.slots as usize;
+        let first = self.config.others.as_ref().map_or(slots, |others| others.first_slot as usize);
+        if vehicle % slots >= first && x != c::INVALID_DOUBLE_VALUE {
+            let [dx, dy] = self.offsets[vehicle / slots];
+            let heading = (90.0 - angle).to_radians();
+            self.snapshot.bodies[vehicle] = Some(Body { x: x - dx, y: y - dy, heading, time_loss });
         }
     }
 
@@ -199,12 +228,28 @@ impl Fleet {
                         return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
                     }
                     let route = &self.routes[world as usize * known + route as usize];
-                    let kind = self.config.vehicle_types.get(vehicle_type as usize).ok_or_else(|| {
-                        let known = self.config.vehicle_types.len();
-                        Error::invalid(format!("there is no vehicle type {vehicle_type}: there are {known}"))
-                    })?;
-                    orders.add(self.named(vehicle), route, &kind.id, depart_pos, depart_speed);
+                    let kind = self.kind(vehicle_type)?;
+                    orders.add(self.named(vehicle), route, kind, depart_pos, depart_speed);
                     self.next_departed[vehicle] = depart_pos;
+                    self.next[vehicle] = true;
+                }
+                Command::Depart { world, slot, departure, vehicle_type } => {
+                    let vehicle = self.vehicle(world, slot)?;
+                    if self.next[vehicle] {
+                        return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
+                    }
+                    let ways = self.config.others.as_ref().map_or(&[][..], |others| &others.departures);
+                    let unknown =
+                        || Error::invalid(format!("there is no departure {departure}: there are {}", ways.len()));
+                    let way = ways.get(departure as usize).ok_or_else(unknown)?;
+                    let (route, known) = (way.route as usize, self.config.routes.len());
+                    if route >= known {
+                        return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
+                    }
+                    let route = &self.routes[world as usize * known + route];
+                    orders.depart(self.named(vehicle), route, self.kind(vehicle_type)?, way);
+                    // SUMO knows where; ways of vehicles that it drives are not asked for.
+                    self.next_departed[vehicle] = 0.0;
                     self.next[vehicle] = true;
                 }
                 Command::Remove { world, slot } => {
@@ -243,6 +288,15 @@ impl Fleet {
         self.next.iter().enumerate().filter(|(_, next)| **next).map(|(vehicle, _)| vehicle)
     }
 
+    /// Id of a vehicle type.
+    fn kind(&self, index: u32) -> Result<&str, Error> {
+        let own = self.config.vehicle_types.iter().map(|kind| kind.id.as_str());
+        let others = self.config.others.iter().flat_map(|others| others.types.iter().map(String::as_str));
+        let all = || own.clone().chain(others.clone());
+        let unknown = || Error::invalid(format!("there is no vehicle type {index}: there are {}", all().count()));
+        all().nth(index as usize).ok_or_else(unknown)
+    }
+
     fn named(&self, vehicle: usize) -> Vehicle<'_> {
         Vehicle { index: vehicle, name: &self.names[vehicle] }
     }
@@ -272,12 +326,12 @@ impl Fleet {
         let seed = config.seed % (1 << 31);
         let mut text = String::new();
         let _ = write!(text, "--step-length {} --seed {seed}", config.step_length);
-        let net = match &self.tiled {
-            Some(file) => PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd())),
-            None => config.net.clone(),
-        };
+        let net = self.tiled.as_deref().map_or_else(|| config.net.clone(), path_of);
         let mut arguments: Vec<OsString> = vec!["--net-file".into(), net.into()];
         arguments.extend(text.split(' ').chain(ALWAYS).map(OsString::from));
+        if let Some(file) = &self.definitions {
+            arguments.extend(["--additional-files".into(), path_of(file).into()]);
+        }
         if config.audit {
             arguments.push("--collision.check-junctions".into());
         }
@@ -287,13 +341,22 @@ impl Fleet {
 
 /// The net with a copy for each world, and where the copies lie.
 fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Arc<File>, Vec<[f64; 2]>), Error> {
-    let io = |source| Error::Io { doing: "keep the tiled net in memory", source };
     let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
-    // In memory, so that no folder has to be writable.
-    let memory = memfd_create("tiles.net.xml", MemfdFlags::CLOEXEC).map_err(|e| io(e.into()))?;
+    Ok((in_memory("tiles.net.xml", &tiled.text)?, tiled.offsets))
+}
+
+/// A file for SUMO to read, in memory, so that no folder has to be writable.
+fn in_memory(name: &str, text: &str) -> Result<Arc<File>, Error> {
+    let io = |source| Error::Io { doing: "keep a file for SUMO in memory", source };
+    let memory = memfd_create(name, MemfdFlags::CLOEXEC).map_err(|e| io(e.into()))?;
     let mut file = File::from(memory);
-    file.write_all(tiled.text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
-    Ok((Arc::new(file), tiled.offsets))
+    file.write_all(text.as_bytes()).and_then(|()| file.rewind()).map_err(io)?;
+    Ok(Arc::new(file))
+}
+
+/// Where SUMO finds a file of ours that has no name in any folder.
+fn path_of(file: &File) -> PathBuf {
+    PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd()))
 }
 
 fn finite(what: &str, value: f64) -> Result<(), Error> {

@@ -191,6 +191,7 @@ fn fleet() -> Fleet {
         routes: Vec::new(),
         timeout: Duration::from_secs(1),
         audit: true,
+        others: None,
     })
     .unwrap()
 }
@@ -232,7 +233,7 @@ fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
     let refused = collector.reply.outcomes.iter().filter(|outcome| outcome.is_err()).count();
 
     let mut fleet = FLEET.clone();
-    let mut sink = StepSink { fleet: &mut fleet, distance: None, speed: None, refused: Vec::new() };
+    let mut sink = StepSink::new(&mut fleet);
     let mut stepped = Ok(0);
     let heap = measure(|| stepped = parse_reply(message, batch, &mut sink).map(|()| 0));
     within("stepped", heap.bytes_max);

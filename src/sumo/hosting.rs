@@ -97,6 +97,12 @@ impl Hosting {
         Hosting { backend: Backend::Traci, ..self }
     }
 
+    /// One SUMO for each of so many worlds: libsumo, which has one place, only where there is one.
+    #[must_use]
+    pub fn alone(self, worlds: usize) -> Self {
+        Hosting { processes: worlds, ..if worlds == 1 { self } else { self.beside() } }
+    }
+
     /// In words, for so many worlds.
     pub fn describe(&self, worlds: usize) -> String {
         match (self.backend, self.hosts(worlds)) {
@@ -141,8 +147,8 @@ pub fn available() -> impl Iterator<Item = Backend> {
 /// # Errors
 /// [`Error::Invalid`] for a configuration that SUMO cannot have, or of more worlds; [`Error::Net`].
 pub fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
-    if config.worlds != 1 {
-        return Err(Error::invalid("the tiled net of several worlds ends with its simulation"));
+    if config.worlds != 1 || config.others.is_some() {
+        return Err(Error::invalid("files that are kept in memory for SUMO end with their simulation"));
     }
     Fleet::new(config.clone())?.arguments()
 }

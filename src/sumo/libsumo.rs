@@ -15,7 +15,7 @@ use pyo3::{
 };
 
 use super::{
-    Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     constants::{self as c, Domain},
     fleet::{Fleet, Orders, TileRoute, Vehicle},
 };
@@ -136,22 +136,30 @@ impl LibsumoSimulation {
 
     /// One call across the bridge.
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
-        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Option<(String, String, String)>);
+        type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
+        type Refusal = Option<(String, String, String)>;
+        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Refusal, Bodies);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
-        let reply = self.step.bind(py).call1((orders, &self.asked_names)).and_then(|reply| reply.extract::<Reply>());
-        let (time, gone, distances, speeds, collisions, refusal) = reply.map_err(|e| failed("step", py, &e))?;
+        let others = self.fleet.config().others.is_some();
+        let reply = self.step.bind(py).call1((orders, &self.asked_names, others));
+        let (time, gone, distances, speeds, collisions, refusal, (positions, angles, losses)) =
+            reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
         for name in &gone {
             self.fleet.gone(name);
         }
         let mut values = distances.into_iter().zip(speeds);
+        let mut bodies = positions.into_iter().zip(angles).zip(losses);
         for &vehicle in &self.asked {
             if self.fleet.known[vehicle]
                 && let Some((distance, speed)) = values.next()
             {
                 self.fleet.report(vehicle, distance, speed);
+                if let Some(((position, angle), loss)) = bodies.next() {
+                    self.fleet.body(vehicle, position, angle, loss);
+                }
             }
         }
         for (collider, victim) in &collisions {
@@ -222,6 +230,10 @@ impl Simulation for LibsumoSimulation {
         })
     }
 
+    fn reseed(&mut self, seed: u64) {
+        self.fleet.reseed(seed);
+    }
+
     fn meter(&self) -> Meter {
         Meter { exchanges: self.exchanges, ..Meter::default() }
     }
@@ -266,8 +278,8 @@ enum Kind {
 #[derive(Debug, Default)]
 struct Columns {
     rows: Vec<(Kind, usize, [f64; 4])>,
-    /// Route and type of the vehicles to be added.
-    texts: Vec<[String; 2]>,
+    /// Route, type, lane, position and speed of the vehicles to be added.
+    texts: Vec<[String; 5]>,
 }
 
 impl Columns {
@@ -286,11 +298,11 @@ impl Columns {
             let integers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k] as i32));
             match run[0].0 {
                 Kind::Add => {
-                    let (routes, types): (Vec<&str>, Vec<&str>) =
-                        texts.by_ref().take(run.len()).map(|[route, kind]| (route.as_str(), kind.as_str())).unzip();
-                    // SUMO wants these three as text.
-                    let written = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k].to_string()));
-                    orders.append(("vehicle.add", vehicles, routes, types, written(2)?, written(0)?, written(1)?))?;
+                    let additions: Vec<&[String; 5]> = texts.by_ref().take(run.len()).collect();
+                    let column = |k: usize| PyList::new(py, additions.iter().map(|texts| texts[k].as_str()));
+                    let [routes, types, lanes, positions, speeds] =
+                        [column(0)?, column(1)?, column(2)?, column(3)?, column(4)?];
+                    orders.append(("vehicle.add", vehicles, routes, types, lanes, positions, speeds))?;
                 }
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
@@ -314,8 +326,17 @@ impl Columns {
 
 impl Orders for Columns {
     fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64) {
-        self.rows.push((Kind::Add, vehicle.index, [position, speed, f64::from(route.lane), 0.0]));
-        self.texts.push([route.id.clone(), vehicle_type.to_owned()]);
+        self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
+        // SUMO wants numbers as text here.
+        let numbers = [f64::from(route.lane), position, speed].map(|number| number.to_string());
+        let [lane, position, speed] = numbers;
+        self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, position, speed]);
+    }
+
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure) {
+        let Departure { lane, pos, speed, .. } = departure.clone();
+        self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
+        self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, pos, speed]);
     }
 
     fn remove(&mut self, vehicle: Vehicle<'_>) {

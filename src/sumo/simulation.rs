@@ -23,6 +23,19 @@ pub struct VehicleState {
     pub speed: f64,
 }
 
+/// Where a vehicle is that SUMO drives, after a step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Body {
+    /// Centre of the front bumper, x in the world's coordinates \[m\].
+    pub x: f64,
+    /// Centre of the front bumper, y in the world's coordinates \[m\].
+    pub y: f64,
+    /// Heading \[rad\], counter-clockwise from +x.
+    pub heading: f64,
+    /// Time lost since it departed, by driving below the speed that its lane and type allow \[s\].
+    pub time_loss: f64,
+}
+
 /// One instruction of a decision. Commands of one [`Simulation::send`] are carried out in order, before the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Command {
@@ -34,12 +47,23 @@ pub enum Command {
         slot: u32,
         /// Index into [`SimulationConfig::routes`].
         route: u32,
-        /// Index into [`SimulationConfig::vehicle_types`].
+        /// Index into [`SimulationConfig::vehicle_types`], and beyond these into [`Others::types`].
         vehicle_type: u32,
         /// Position of the front bumper on the route's first edge \[m\].
         depart_pos: f64,
         /// Speed at departure \[m/s\].
         depart_speed: f64,
+    },
+    /// As [`Command::Add`], where SUMO finds the place and the speed.
+    Depart {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// Index into [`Others::departures`].
+        departure: u32,
+        /// As in [`Command::Add`].
+        vehicle_type: u32,
     },
     /// Takes the vehicle of a slot out of the simulation; nothing happens if the slot is empty.
     Remove {
@@ -124,6 +148,32 @@ pub struct Route {
     pub lane: u32,
 }
 
+/// Vehicles that SUMO drives, beside those that are told what to do.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Others {
+    /// The slots from this one on are theirs: [`Snapshot::bodies`] tells where they are.
+    pub first_slot: u32,
+    /// `<vType>` elements, as SUMO reads them.
+    pub definitions: String,
+    /// Ids of these types, addressed by index.
+    pub types: Vec<String>,
+    /// Ways to depart, addressed by index.
+    pub departures: Vec<Departure>,
+}
+
+/// How a vehicle departs, in SUMO's words.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Departure {
+    /// Index into [`SimulationConfig::routes`].
+    pub route: u32,
+    /// `departLane`.
+    pub lane: String,
+    /// `departPos`.
+    pub pos: String,
+    /// `departSpeed`.
+    pub speed: String,
+}
+
 /// What a host needs to start.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationConfig {
@@ -145,6 +195,8 @@ pub struct SimulationConfig {
     pub timeout: Duration,
     /// Whether SUMO looks for collisions in junctions, too. It takes most of SUMO's time where vehicles crowd.
     pub audit: bool,
+    /// Vehicles that SUMO drives, if there are any.
+    pub others: Option<Others>,
 }
 
 /// How a simulation was brought back to a fresh and empty state.
@@ -187,6 +239,8 @@ pub struct Snapshot {
     pub time: f64,
     /// `[worlds * slots]`, world-major; `None`: no vehicle of that slot is on the road.
     pub vehicles: Vec<Option<VehicleState>>,
+    /// As `vehicles`, of those that SUMO drives; empty where there are none ([`SimulationConfig::others`]).
+    pub bodies: Vec<Option<Body>>,
     /// Collisions that SUMO reports for this step (a lasting overlap is reported in each step).
     pub collisions: Vec<Collision>,
 }
@@ -217,6 +271,9 @@ pub trait Simulation: Send {
     /// # Errors
     /// [`Error`] when no new instance can be started.
     fn renew(&mut self) -> Result<Renewal, Error>;
+
+    /// SUMO's seed from the next [`Simulation::renew`] on.
+    fn reseed(&mut self, seed: u64);
 
     /// What has gone over the boundary so far.
     fn meter(&self) -> Meter;

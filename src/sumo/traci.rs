@@ -8,13 +8,13 @@
 use std::{fmt::Write as _, time::Duration};
 
 use super::{
-    Batch, Client, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    Batch, Client, Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     client::Version,
     codec::Reader,
     constants::{self as c, Domain},
     domain::{
         simulation::{VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
-        vehicle::{Addition, Placement, VAR_DISTANCE, VAR_SPEED},
+        vehicle::{Addition, Placement, VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::{Fleet, Orders, TileRoute, Vehicle},
     process::{Options, Process},
@@ -109,16 +109,12 @@ impl TraciSimulation {
         }
         let of_simulation = [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
         batch.subscribe(Domain::SIMULATION, "", &of_simulation);
+        let all = [VAR_DISTANCE.id(), VAR_SPEED.id(), VAR_POSITION.id(), VAR_ANGLE.id(), VAR_TIMELOSS.id()];
+        let of_vehicles = if self.fleet.config().others.is_some() { &all[..] } else { &all[..2] };
         // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
         // that one for each vehicle would make respawns slow.
         for junction in &self.fleet.junctions {
-            batch.subscribe_context(
-                Domain::JUNCTION,
-                junction,
-                Domain::VEHICLE,
-                self.fleet.diagonal,
-                &[VAR_DISTANCE.id(), VAR_SPEED.id()],
-            );
+            batch.subscribe_context(Domain::JUNCTION, junction, Domain::VEHICLE, self.fleet.diagonal, of_vehicles);
         }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
         outcomes.into_iter().try_for_each(|outcome| outcome.map(drop))
@@ -142,6 +138,18 @@ impl Orders for Message<'_> {
         let [depart_pos, depart_speed, depart_lane] = &*self.texts;
         let addition =
             Addition { vehicle_type, depart_lane, depart_pos, depart_speed, ..Addition::on_route(&route.id) };
+        self.batch.vehicle().add(vehicle.name, &addition);
+    }
+
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure) {
+        let Departure { lane, pos, speed, .. } = departure;
+        let addition = Addition {
+            vehicle_type,
+            depart_lane: lane,
+            depart_pos: pos,
+            depart_speed: speed,
+            ..Addition::on_route(&route.id)
+        };
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 
@@ -194,7 +202,7 @@ impl Simulation for TraciSimulation {
             return Err(Error::invalid("nothing was sent that could be answered"));
         }
         self.fleet.begin_step();
-        let mut sink = StepSink { fleet: &mut self.fleet, distance: None, speed: None, refused: Vec::new() };
+        let mut sink = StepSink::new(&mut self.fleet);
         let received = self.client.receive(&self.batch, &mut sink);
         let refused = sink.refused;
         received.map_err(|e| self.process.explain(e))?;
@@ -227,6 +235,10 @@ impl Simulation for TraciSimulation {
         Ok(Renewal::Restarted)
     }
 
+    fn reseed(&mut self, seed: u64) {
+        self.fleet.reseed(seed);
+    }
+
     fn meter(&self) -> Meter {
         let (sent, received) = self.client.bytes();
         Meter { exchanges: self.exchanges, sent, received, pid: Some(self.process.pid()) }
@@ -238,6 +250,9 @@ const COLLISIONS: u8 = VAR_COLLISIONS.number();
 const ARRIVED: u8 = VAR_ARRIVED_VEHICLES_IDS.number();
 const DISTANCE: u8 = VAR_DISTANCE.number();
 const SPEED: u8 = VAR_SPEED.number();
+const POSITION: u8 = VAR_POSITION.number();
+const ANGLE: u8 = VAR_ANGLE.number();
+const TIME_LOSS: u8 = VAR_TIMELOSS.number();
 
 /// Reads what one step leaves into the snapshot.
 pub(super) struct StepSink<'a> {
@@ -245,8 +260,16 @@ pub(super) struct StepSink<'a> {
     /// What was read of the vehicle that the reports of the moment are about.
     pub(super) distance: Option<f64>,
     pub(super) speed: Option<f64>,
+    pub(super) position: Option<[f64; 2]>,
+    pub(super) angle: Option<f64>,
     /// The commands that were refused, and why.
     pub(super) refused: Vec<(usize, String)>,
+}
+
+impl<'a> StepSink<'a> {
+    pub(super) fn new(fleet: &'a mut Fleet) -> Self {
+        Self { fleet, distance: None, speed: None, position: None, angle: None, refused: Vec::new() }
+    }
 }
 
 impl Sink for StepSink<'_> {
@@ -270,6 +293,17 @@ impl Sink for StepSink<'_> {
             }
             DISTANCE => self.distance = Some(finite(value)?),
             SPEED => self.speed = Some(finite(value)?),
+            POSITION => self.position = Some(finite_point(value)?),
+            ANGLE => self.angle = Some(finite(value)?),
+            // The last that is asked for of those that SUMO drives.
+            TIME_LOSS => {
+                let loss = finite(value)?;
+                if let (Some(position), Some(angle)) = (self.position.take(), self.angle.take())
+                    && let Some(vehicle) = self.fleet.vehicle_named(report.object)
+                {
+                    self.fleet.body(vehicle, position, angle, loss);
+                }
+            }
             _ => drop(read_value(report.response, report.variable, value)?),
         }
         if let (Some(distance), Some(speed)) = (self.distance, self.speed) {
@@ -286,6 +320,13 @@ impl Sink for StepSink<'_> {
 fn finite(value: &mut Reader<'_>) -> Result<f64, Error> {
     let number = value.double()?;
     if number.is_finite() { Ok(number) } else { Err(value.unexpected("a finite number", number.to_string())) }
+}
+
+/// As [`finite`], a point.
+fn finite_point(value: &mut Reader<'_>) -> Result<[f64; 2], Error> {
+    let point = value.position_2d()?;
+    let all = point.iter().all(|x| x.is_finite());
+    if all { Ok(point) } else { Err(value.unexpected("finite coordinates", format!("{point:?}"))) }
 }
 
 /// Reads the collisions between vehicles of ours.
@@ -331,6 +372,7 @@ mod tests {
             routes: Vec::new(),
             timeout: std::time::Duration::from_secs(60),
             audit: true,
+            others: None,
         }
     }
 

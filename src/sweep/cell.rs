@@ -173,6 +173,7 @@ impl Cell {
             ("env.encounters", Value::Integer(0)),
             ("env.lidar_beams", Value::Integer(0)),
             ("env.lidar_range", Value::Float(50.0)),
+            ("env.penetration", Value::Float(1.0)),
             ("train.restart_steps", Value::Integer(0)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);

@@ -188,7 +188,7 @@ fn drive(task: Task, rng: &mut Rng) {
     let task = Arc::new(task);
     let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(1), 0, 1, 2);
     world.reset(0);
-    let mut vehicles: Vec<Option<(f64, f64)>> = vec![None; task.agents];
+    let mut vehicles: Vec<Option<(f64, f64)>> = vec![None; task.agents + task.others];
     for _ in 0..8 {
         let actions: Vec<f32> = (0..task.agents).map(|_| [1.0, 0.0, -1.0, f32::NAN][below(rng, 4)]).collect();
         let mut commands = Vec::new();
@@ -201,7 +201,11 @@ fn drive(task: Task, rng: &mut Rng) {
                     assert_finite(&[speed]);
                     vehicles[slot as usize].as_mut().unwrap().1 = speed;
                 }
-                Command::SpeedMode { .. } | Command::KeepLane { .. } | Command::MoveTo { .. } => {}
+                // Whoever departs waits to be put on the road.
+                Command::Depart { .. }
+                | Command::SpeedMode { .. }
+                | Command::KeepLane { .. }
+                | Command::MoveTo { .. } => {}
             }
         }
         let mut snapshot = Snapshot::default();

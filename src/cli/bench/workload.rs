@@ -152,6 +152,7 @@ fn exported(command: &Command) -> Value {
         Command::SetSpeed { slot, speed, .. } => json!(["speed", slot, speed]),
         Command::SpeedMode { slot, mode, .. } => json!(["speed_mode", slot, mode]),
         Command::KeepLane { slot, .. } => json!(["keep_lane", slot]),
+        Command::Depart { .. } => unreachable!("the workload has agents only"),
         Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
             json!(["move", slot, x, y, (90.0 - heading.to_degrees()).rem_euclid(360.0), keep_route])
         }

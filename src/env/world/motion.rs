@@ -14,7 +14,7 @@ use crate::sumo::{Command, Snapshot};
 /// How far ahead on its route the point lies that pure pursuit steers for \[m\].
 const LOOK_AHEAD: f64 = 4.0;
 /// SUMO's speed mode with every check off.
-const NO_CHECKS: i32 = 32;
+pub(super) const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
 const SUMO_CHECKS: i32 = 31;
 
@@ -43,7 +43,7 @@ impl World {
             Phase::Running => {
                 self.actions.extend_from_slice(actions);
                 let task = &*self.task;
-                for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+                for (i, slot) in self.traffic.slots[..task.agents].iter_mut().enumerate() {
                     let at = i as u32;
                     match slot.status {
                         Status::Active if self.driver == Driver::Agents => {
@@ -87,6 +87,9 @@ impl World {
                         _ => {}
                     }
                 }
+                if self.task.others > 0 {
+                    self.act_others(world, commands);
+                }
             }
         }
     }
@@ -117,7 +120,17 @@ impl World {
         let choice = task.agents - task.fewest;
         self.crew = task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
         let mut taken = Vec::new();
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+        let mut draw = |place: usize, rng: &mut rng::Rng| {
+            let place = &task.places[places[place]];
+            let free = |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
+            let choice = place.routes.iter().filter(free).count();
+            let drawn = if choice > 1 { rng::below(rng, choice) } else { 0 };
+            // The scenario's check has seen to it that something is free.
+            let route = *place.routes.iter().filter(free).nth(drawn).unwrap_or(&place.routes[0]);
+            taken.extend(task.reserved[route]);
+            (route, place.pos + rng::symmetric(rng) * task.scenario.jitter.longitudinal)
+        };
+        for (i, slot) in self.traffic.slots[..task.agents].iter_mut().enumerate() {
             let at = i as u32;
             if slot.added {
                 commands.push(Command::Remove { world, slot: at });
@@ -126,14 +139,7 @@ impl World {
                 *slot = EMPTY;
                 continue;
             }
-            let place = &task.places[places[i]];
-            let free = |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
-            let choice = place.routes.iter().filter(free).count();
-            let drawn = if choice > 1 { rng::below(&mut rng, choice) } else { 0 };
-            // The scenario's check has seen to it that something is free.
-            let route = *place.routes.iter().filter(free).nth(drawn).unwrap_or(&place.routes[0]);
-            taken.extend(task.reserved[route]);
-            let s = place.pos + rng::symmetric(&mut rng) * task.scenario.jitter.longitudinal;
+            let (route, s) = draw(i, &mut rng);
             let lateral = rng::symmetric(&mut rng) * task.scenario.jitter.lateral;
             let path = &task.routes[route].path;
             let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
@@ -141,6 +147,7 @@ impl World {
             *slot = Slot {
                 status: Status::Active,
                 route,
+                size: [task.scenario.vehicle.length, task.scenario.vehicle.width],
                 pose,
                 before: pose,
                 motion: Motion::at(pose),
@@ -166,15 +173,19 @@ impl World {
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
+        if task.others > 0 {
+            let starts = (task.agents..task.agents + task.placed()).map(|place| draw(place, &mut rng));
+            self.spawn_others(world, &starts.collect::<Vec<_>>(), commands);
+        }
         self.phase = Phase::Spawning;
     }
 
     /// Reads every vehicle's pose from the snapshot.
     pub(super) fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         let task = &*self.task;
-        let first = world as usize * task.agents;
+        let first = world as usize * task.slots();
         let half = task.scenario.vehicle.length / 2.0;
-        for (i, slot) in self.traffic.slots.iter_mut().enumerate() {
+        for (i, slot) in self.traffic.slots[..task.agents].iter_mut().enumerate() {
             slot.before = slot.pose;
             if slot.status == Status::Empty {
                 continue;
@@ -209,6 +220,9 @@ impl World {
             slot.pose = Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
             slot.s = front - half;
             slot.segment = segment;
+        }
+        if task.others > 0 {
+            self.place_others(world, snapshot);
         }
         Ok(())
     }

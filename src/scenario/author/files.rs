@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::super::write::escape;
 use super::super::{
     AgentRange, Border, Communication, Control, Jitter, Lidar, Net, Observation, ObservationGroups, Reward, Route,
-    SCHEMA, Scenario, SpawnRow, Termination, Vehicle, schema,
+    SCHEMA, Scenario, SpawnRow, Termination, Traffic, Vehicle, schema,
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
@@ -153,6 +153,7 @@ impl Layout {
                 border: Border::Line,
             },
             communication: Communication { range: RADIO },
+            traffic: Traffic::default(),
         }
     }
 }

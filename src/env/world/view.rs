@@ -1,0 +1,67 @@
+//! What learners and onlookers see of a world.
+
+use crate::env::geometry::{Pose, Size};
+use crate::env::slots::Fate;
+
+/// What agents and learners get from a world after an exchange. Reused from step to step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// `[N, O]`; zeros where no agent is present.
+    pub observation: Vec<f32>,
+    /// `[N, S]`; zeros where no agent is present.
+    pub state: Vec<f32>,
+    /// Physical mask G_p, `[N, N]`; its diagonal tells who is present.
+    pub comm: Vec<f32>,
+    /// `[N]`, 1 where an agent acts in the coming step.
+    pub active: Vec<f32>,
+    /// Whether a new trajectory starts here (memories are cleared).
+    pub start: bool,
+    /// `[N]`: what the last step gave, with the cooperative mix.
+    pub reward: Vec<f32>,
+    /// `[N]`: the part of that for crashes and for leaving the road.
+    pub penalty: Vec<f32>,
+    /// `[N]`, 1 where the last step ended an agent's trajectory for good.
+    pub terminated: Vec<f32>,
+    /// `[N]`, 1 where the last step cut an agent's trajectory short.
+    pub truncated: Vec<f32>,
+}
+
+/// An agent as an onlooker sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct AgentView {
+    /// Whether it drives.
+    pub driving: bool,
+    /// Whether it stands there as a wreck.
+    pub wreck: bool,
+    /// How it ended.
+    pub fate: Fate,
+    /// Of its centre, the last one where it is gone.
+    pub pose: Pose,
+    /// Its route's number.
+    pub route: usize,
+    /// Position of its centre along that \[m\].
+    pub position: f64,
+    /// Offset from the route's centre line, positive to the left \[m\].
+    pub lateral: f64,
+    /// \[m/s\]
+    pub speed: f64,
+    /// What the last step gave it, without the cooperative mix.
+    pub reward: f64,
+}
+
+/// A vehicle that SUMO drives, as an onlooker sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OtherView {
+    /// Whether it stands there as a wreck.
+    pub wreck: bool,
+    /// Of its centre.
+    pub pose: Pose,
+    /// Length and width.
+    pub size: Size,
+    /// Its route's number.
+    pub route: usize,
+    /// Position of its centre along that \[m\].
+    pub position: f64,
+    /// \[m/s\]
+    pub speed: f64,
+}

@@ -1,0 +1,396 @@
+//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles and flows.
+//!
+//! SUMO itself reads the types. Who departs when is drawn here, from the seed of each episode, because episodes begin again and
+//! again while SUMO's clock goes on; times in the files count from the start of an episode.
+
+use std::{collections::HashMap, fmt::Write as _, path::Path};
+
+use roxmltree::Node;
+
+use super::reader::{Names, Reader, document, finite, in_element};
+use super::{Error, load};
+
+/// Most routes, and most vehicles and flows, of all files of a scenario.
+const MAX_ROUTES: usize = 1000;
+const MAX_SOURCES: usize = 1000;
+/// Most edges of a route.
+const MAX_EDGES: usize = 4096;
+/// The type that SUMO takes where a file names none.
+pub(crate) const DEFAULT_TYPE: &str = "DEFAULT_VEHTYPE";
+/// Types that the environments make known to SUMO themselves.
+const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
+/// Length and width by SUMO's class of vehicle, where a type does not say \[m\] (SUMO 1.15).
+const SIZES: [(&str, [f64; 2]); 16] = [
+    ("passenger", [5.0, 1.8]),
+    ("private", [5.0, 1.8]),
+    ("taxi", [5.0, 1.8]),
+    ("evehicle", [5.0, 1.8]),
+    ("hov", [5.0, 1.8]),
+    ("vip", [5.0, 1.8]),
+    ("authority", [5.0, 1.8]),
+    ("army", [5.0, 1.8]),
+    ("emergency", [6.5, 2.16]),
+    ("delivery", [6.5, 2.16]),
+    ("truck", [7.1, 2.4]),
+    ("bus", [12.0, 2.5]),
+    ("coach", [14.0, 2.6]),
+    ("motorcycle", [2.2, 0.9]),
+    ("moped", [2.1, 0.78]),
+    ("bicycle", [1.6, 0.65]),
+];
+
+const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "flow"];
+
+/// All that route files say.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Demand {
+    /// The `<vType>` elements as they stand in the files, for SUMO.
+    pub definitions: String,
+    /// Types of vehicles.
+    pub types: Vec<VehicleKind>,
+    /// Routes that vehicles and flows take.
+    pub routes: Vec<DemandRoute>,
+    /// Vehicles and flows.
+    pub sources: Vec<Source>,
+    /// Distributions of types, by id: index and weight.
+    mixes: HashMap<String, Vec<(usize, f64)>>,
+}
+
+/// A vehicle type of the files.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VehicleKind {
+    /// SUMO's id.
+    pub id: String,
+    /// \[m\]
+    pub length: f64,
+    /// \[m\]
+    pub width: f64,
+}
+
+/// A route of the files.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DemandRoute {
+    /// Its id, or that of the vehicle or flow that it belongs to.
+    pub id: String,
+    /// Edge ids in driving order.
+    pub edges: Vec<String>,
+    /// File, line and column.
+    pub(super) place: (std::path::PathBuf, u32, u32),
+}
+
+/// A vehicle or flow.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Source {
+    /// SUMO's id.
+    pub id: String,
+    /// Types of its vehicles and their weights.
+    pub types: Vec<(usize, f64)>,
+    /// Index into [`Demand::routes`].
+    pub route: usize,
+    /// SUMO's `departLane`.
+    pub lane: String,
+    /// SUMO's `departPos`.
+    pub pos: String,
+    /// SUMO's `departSpeed`.
+    pub speed: String,
+    /// First departure, from the start of the episode \[s\].
+    pub begin: f64,
+    /// No departures from here on \[s\].
+    pub end: f64,
+    /// Most vehicles.
+    pub number: u64,
+    /// How departures follow each other.
+    pub spacing: Spacing,
+}
+
+/// How the departures of a flow follow each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Spacing {
+    /// At equal times \[s\].
+    Equal(f64),
+    /// At random times, so many per second on average: exponential gaps.
+    Poisson(f64),
+    /// In each second, one with this probability.
+    Chance(f64),
+}
+
+impl Demand {
+    /// Reads route files.
+    ///
+    /// # Errors
+    /// With file, line and column, what cannot be read, or is not taken.
+    pub fn load(files: &[impl AsRef<Path>]) -> Result<Self, Error> {
+        let (length, width) = (SIZES[0].1[0], SIZES[0].1[1]);
+        let kind = VehicleKind { id: DEFAULT_TYPE.into(), length, width };
+        let mut demand = Self { types: vec![kind], ..Self::default() };
+        for path in files.iter().map(AsRef::as_ref) {
+            let text = load::text(path)?;
+            let document = document(&text, path)?;
+            demand.read(&Reader { path, document: &document }, &text)?;
+        }
+        Ok(demand)
+    }
+
+    /// The type of an id, or the mix of types of a distribution: indices and weights.
+    pub fn mix(&self, id: &str) -> Option<Vec<(usize, f64)>> {
+        let one = self.types.iter().position(|kind| kind.id == id).map(|index| vec![(index, 1.0)]);
+        one.or_else(|| self.mixes.get(id).cloned())
+    }
+
+    fn read(&mut self, reader: &Reader, text: &str) -> Result<(), Error> {
+        let root = reader.document.root_element();
+        if !["routes", "additional"].contains(&root.tag_name().name()) {
+            return Err(reader.unknown(root, "element", root.tag_name().name(), "the file".into(), &["routes"]));
+        }
+        let mut routes = HashMap::new();
+        for node in root.children().filter(Node::is_element) {
+            match node.tag_name().name() {
+                "vType" => drop(self.vehicle_type(reader, node, text)?),
+                "vTypeDistribution" => self.distribution(reader, node, text)?,
+                "route" => {
+                    let route = self.route(reader, node, reader.text(node, "id")?)?;
+                    if routes.insert(reader.text(node, "id")?, route).is_some() {
+                        return Err(reader.duplicate(Reader::offset(node, "id"), "route of this id".into()));
+                    }
+                }
+                "vehicle" | "flow" => {
+                    let source = self.source(reader, node, &routes)?;
+                    if self.sources.len() == MAX_SOURCES {
+                        return Err(reader.value(node, "id", format!("at most {MAX_SOURCES} vehicles and flows")));
+                    }
+                    self.sources.push(source);
+                }
+                other => return Err(reader.unknown(node, "element", other, in_element(root), ELEMENTS)),
+            }
+        }
+        Ok(())
+    }
+
+    fn vehicle_type(&mut self, reader: &Reader, node: Node, text: &str) -> Result<usize, Error> {
+        let id = reader.text(node, "id")?;
+        if TAKEN.contains(&id) || id.is_empty() {
+            return Err(reader.value(node, "id", format!("another id than {}, which are ours", TAKEN.join(" and "))));
+        }
+        if self.mixes.contains_key(id) || self.types.iter().skip(1).any(|kind| kind.id == id) {
+            return Err(reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into()));
+        }
+        let class = node.attribute("vClass").unwrap_or(SIZES[0].0);
+        let [length, width] = SIZES.iter().find(|entry| entry.0 == class).map(|entry| entry.1).ok_or_else(|| {
+            let classes: Vec<&str> = SIZES.iter().map(|entry| entry.0).collect();
+            reader.value(node, "vClass", classes.join(", "))
+        })?;
+        let size = |key, otherwise| match node.attribute(key) {
+            None => Ok(otherwise),
+            Some(_) => reader.number(node, key, "0.1 to 100", |v| (0.1..=100.0).contains(&v)),
+        };
+        let kind = VehicleKind { id: id.into(), length: size("length", length)?, width: size("width", width)? };
+        let _ = writeln!(self.definitions, "    {}", &text[node.range()]);
+        if id == DEFAULT_TYPE {
+            self.types[0] = kind;
+            return Ok(0);
+        }
+        self.types.push(kind);
+        Ok(self.types.len() - 1)
+    }
+
+    fn distribution(&mut self, reader: &Reader, node: Node, text: &str) -> Result<(), Error> {
+        let id = reader.text(node, "id")?;
+        if self.mix(id).is_some() {
+            return Err(reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into()));
+        }
+        let mut mix = Vec::new();
+        for child in node.children().filter(Node::is_element) {
+            if !child.has_tag_name("vType") {
+                return Err(reader.unknown(child, "element", child.tag_name().name(), in_element(node), &["vType"]));
+            }
+            let index = self.vehicle_type(reader, child, text)?;
+            mix.push((index, weight(reader, child)?));
+        }
+        let named: Vec<&str> = node.attribute("vTypes").unwrap_or_default().split_whitespace().collect();
+        let weights: Option<Vec<f64>> = match node.attribute("probabilities") {
+            None => Some(vec![1.0; named.len()]),
+            Some(text) => text.split_whitespace().map(|word| finite(word).filter(|v| *v >= 0.0)).collect(),
+        };
+        let weights = weights.filter(|weights| weights.len() == named.len());
+        let weights =
+            weights.ok_or_else(|| reader.value(node, "probabilities", "a number of at least 0 for each of vTypes"))?;
+        for (name, weight) in named.into_iter().zip(weights) {
+            let known = self.types.iter().position(|kind| kind.id == name);
+            mix.push((known.ok_or_else(|| reader.value(node, "vTypes", "ids of types that stand above"))?, weight));
+        }
+        if mix.iter().map(|entry| entry.1).sum::<f64>() <= 0.0 {
+            return Err(reader.value(node, "id", "a distribution with a type whose probability is above 0"));
+        }
+        self.mixes.insert(id.into(), mix);
+        Ok(())
+    }
+
+    fn route(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
+        let edges: Vec<String> = reader.text(node, "edges")?.split_whitespace().map(Into::into).collect();
+        if !(1..=MAX_EDGES).contains(&edges.len()) {
+            return Err(reader.value(node, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
+        }
+        if self.routes.len() == MAX_ROUTES {
+            return Err(reader.value(node, "edges", format!("at most {MAX_ROUTES} routes")));
+        }
+        let (line, column) = reader.position(Reader::offset(node, "edges"));
+        self.routes.push(DemandRoute { id: id.into(), edges, place: (reader.path.into(), line, column) });
+        Ok(self.routes.len() - 1)
+    }
+
+    fn source(&mut self, reader: &Reader, node: Node, routes: &HashMap<&str, usize>) -> Result<Source, Error> {
+        let id = reader.text(node, "id")?;
+        let name = node.attribute("type").unwrap_or(DEFAULT_TYPE);
+        let unknown = || reader.value(node, "type", "the id of a vType or vTypeDistribution that stands above");
+        let types = self.mix(name).ok_or_else(unknown)?;
+        let children: Vec<Node> = node.children().filter(Node::is_element).collect();
+        let inner = children.first().filter(|child| child.has_tag_name("route") && !node.has_attribute("route"));
+        if let Some(child) = children.get(usize::from(inner.is_some())) {
+            return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), &["route"]));
+        }
+        let route = match (node.attribute("route"), inner) {
+            (_, Some(child)) => self.route(reader, *child, id)?,
+            (Some(route), None) => *routes
+                .get(route)
+                .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
+            (None, None) => return Err(reader.missing(node, "attribute", "route")),
+        };
+        let text = |key: &'static str, otherwise: &str, words: &[&str]| {
+            let value = node.attribute(key).unwrap_or(otherwise);
+            let fits = words.contains(&value) || finite(value).is_some_and(|v| v >= 0.0);
+            let allowed = || reader.value(node, key, format!("a number of at least 0, {}", words.join(", ")));
+            if fits { Ok(value.to_owned()) } else { Err(allowed()) }
+        };
+        let time = |key: &'static str, otherwise: f64| match node.attribute(key) {
+            None => Ok(otherwise),
+            Some(text) => seconds(text).ok_or_else(|| reader.value(node, key, "seconds of at least 0, or h:m:s")),
+        };
+        let single = node.has_tag_name("vehicle");
+        let begin = if single { reader.text(node, "depart").and(time("depart", 0.0))? } else { time("begin", 0.0)? };
+        let end = if single { f64::INFINITY } else { time("end", f64::INFINITY)? };
+        let (spacing, number) = if single { (Spacing::Equal(1.0), 1) } else { spacing(reader, node, begin, end)? };
+        Ok(Source {
+            id: id.into(),
+            types,
+            route,
+            lane: text("departLane", "first", &["random", "free", "allowed", "best", "first"])?,
+            pos: text("departPos", "base", &["random", "free", "random_free", "base", "last"])?,
+            speed: text("departSpeed", "0", &["random", "max", "desired", "speedLimit", "last", "avg"])?,
+            begin,
+            end,
+            number,
+            spacing,
+        })
+    }
+}
+
+fn weight(reader: &Reader, node: Node) -> Result<f64, Error> {
+    if node.has_attribute("probability") { reader.not_negative(node, "probability") } else { Ok(1.0) }
+}
+
+/// How a flow's departures follow each other, and how many there are.
+fn spacing(reader: &Reader, node: Node, begin: f64, end: f64) -> Result<(Spacing, u64), Error> {
+    let rate = |key| reader.number(node, key, "above 0, to 1e6", |v| v > 0.0 && v <= 1e6);
+    let number = match node.attribute("number") {
+        None => u64::MAX,
+        Some(_) => u64::from(reader.whole(node, "number", 1, 1_000_000)?),
+    };
+    let spacing = if let Some(text) = node.attribute("period") {
+        let gap = |text: &str| finite(text).filter(|v| (0.001..=1e6).contains(v));
+        let random = text.strip_prefix("exp(").and_then(|rest| rest.strip_suffix(')'));
+        let found = match random {
+            Some(rate) => gap(rate).map(Spacing::Poisson),
+            None => gap(text).map(Spacing::Equal),
+        };
+        found.ok_or_else(|| reader.value(node, "period", "seconds, or exp(vehicles per second), 0.001 to 1e6"))?
+    } else if node.has_attribute("vehsPerHour") {
+        Spacing::Equal(3600.0 / rate("vehsPerHour")?)
+    } else if node.has_attribute("perHour") {
+        Spacing::Equal(3600.0 / rate("perHour")?)
+    } else if node.has_attribute("probability") {
+        Spacing::Chance(reader.number(node, "probability", "above 0, to 1", |v| v > 0.0 && v <= 1.0)?)
+    } else if number < u64::MAX && end.is_finite() && end > begin {
+        Spacing::Equal((end - begin) / number as f64)
+    } else {
+        return Err(reader.missing(node, "attribute", "period"));
+    };
+    Ok((spacing, number))
+}
+
+/// Seconds from `12.5`, `1:02:03` or `1:00:00:00`.
+fn seconds(text: &str) -> Option<f64> {
+    let parts: Option<Vec<f64>> = text.split(':').map(|part| finite(part).filter(|v| *v >= 0.0)).collect();
+    match parts?[..] {
+        [s] => Some(s),
+        [h, m, s] => Some((h * 60.0 + m) * 60.0 + s),
+        [d, h, m, s] => Some(((d * 24.0 + h) * 60.0 + m) * 60.0 + s),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn demand(text: &str) -> Result<Demand, Error> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.rou.xml");
+        std::fs::write(&file, text).unwrap();
+        Demand::load(&[file])
+    }
+
+    fn mistake(text: &str) -> String {
+        let message = demand(text).unwrap_err().to_string();
+        message.split_once("a.rou.xml:").map_or(message.clone(), |(_, rest)| rest.to_owned())
+    }
+
+    #[test]
+    fn reads_types_routes_vehicles_and_flows() {
+        let found = demand(
+            "<routes>\n<vType id=\"car\" carFollowModel=\"IDM\" length=\"4.5\"/>\n\
+             <vTypeDistribution id=\"mix\"><vType id=\"truck\" vClass=\"truck\" probability=\"0.25\"/></vTypeDistribution>\n\
+             <vTypeDistribution id=\"all\" vTypes=\"car truck\" probabilities=\"3 1\"/>\n\
+             <route id=\"r\" edges=\"a b\"/>\n<vehicle id=\"v\" depart=\"0:01:05\" route=\"r\"/>\n\
+             <flow id=\"f\" type=\"all\" end=\"10\" number=\"5\" departSpeed=\"max\"><route edges=\"b\"/></flow>\n\
+             <flow id=\"g\" type=\"mix\" route=\"r\" period=\"exp(0.5)\"/></routes>",
+        )
+        .unwrap();
+        let sizes: Vec<_> = found.types.iter().map(|kind| (kind.id.as_str(), kind.length, kind.width)).collect();
+        assert_eq!(sizes, [(DEFAULT_TYPE, 5.0, 1.8), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]);
+        assert_eq!(found.definitions.matches("<vType ").count(), 2);
+        assert!(found.definitions.contains("carFollowModel=\"IDM\""));
+        let [v, f, g] = &found.sources[..] else { panic!("{:?}", found.sources) };
+        assert_eq!((v.begin, v.number, v.route, &v.types[..]), (65.0, 1, 0, &[(0, 1.0)][..]));
+        assert_eq!((f.spacing, f.number, f.route, f.speed.as_str()), (Spacing::Equal(2.0), 5, 1, "max"));
+        assert_eq!(f.types, [(1, 3.0), (2, 1.0)]);
+        assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(2, 0.25)]));
+    }
+
+    #[test]
+    fn mistakes_have_their_place() {
+        let cases = [
+            ("<trip id=\"t\" from=\"a\" to=\"b\" depart=\"0\"/>", "unknown element `trip` in <routes>"),
+            ("<vehicle id=\"v\" depart=\"0\" route=\"r\"/>", "`r` is not a valid route of <vehicle>"),
+            (
+                "<vehicle id=\"v\" depart=\"triggered\"><route edges=\"a\"/></vehicle>",
+                "`triggered` is not a valid depart",
+            ),
+            ("<flow id=\"f\"><route edges=\"a\"/></flow>", "<flow> lacks the attribute `period`"),
+            ("<flow id=\"f\" period=\"0\"><route edges=\"a\"/></flow>", "`0` is not a valid period"),
+            ("<vType id=\"agent\"/>", "`agent` is not a valid id of <vType>"),
+            ("<vType id=\"x\" vClass=\"ship\"/>", "`ship` is not a valid vClass"),
+            ("<vType id=\"x\"/><vType id=\"x\"/>", "a second vehicle type"),
+            ("<vehicle id=\"v\" type=\"y\" depart=\"0\"><route edges=\"a\"/></vehicle>", "`y` is not a valid type"),
+            (
+                "<vehicle id=\"v\" depart=\"0\"><route edges=\"a\"/><stop lane=\"a_0\"/></vehicle>",
+                "unknown element `stop`",
+            ),
+            ("<vTypeDistribution id=\"d\"/>", "`d` is not a valid id"),
+            ("<person id=\"p\" depart=\"0\"/>", "unknown element `person`"),
+        ];
+        for (text, expected) in cases {
+            let found = mistake(&format!("<routes>\n{text}</routes>"));
+            assert!(found.starts_with("2:") && found.contains(expected), "{text}: {found}");
+        }
+    }
+}

@@ -1,0 +1,387 @@
+//! Vehicles that SUMO drives beside the agents, on the real SUMO: reproducible wherever they run, seen in every kind of observation,
+//! and what collisions with them come to.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+
+use iwol_sumo::env::{Driver, EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap};
+use iwol_sumo::evaluate::{Evaluation, Onlooker, Policy, evaluate};
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
+use iwol_sumo::sumo::process::{Options, Process};
+use iwol_sumo::sumo::{Backend, Hosting};
+
+/// libsumo holds one simulation per process.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn task(change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
+    let mut scenario = Scenario::load(&root().join("scenarios/mixed_cross.xml")).expect("the shipped scenario");
+    change(&mut scenario);
+    Arc::new(Task::new(&scenario, 8).expect("a task"))
+}
+
+fn options(worlds: usize, seed: u64, backend: Backend) -> VecOptions {
+    let hosting = Hosting { backend, ..Hosting::default() };
+    VecOptions {
+        replay: 0.0,
+        worlds,
+        driver: Driver::Agents,
+        seed: Seed::new(seed),
+        episodes: 0..u64::from(u32::MAX),
+        hosting,
+    }
+}
+
+/// Actions of a world's agents that depend on its episode and step alone: around a fair speed, so that some crash and some arrive.
+fn actions(world: &World, out: &mut [f32]) {
+    let seed = Seed::new(5).index(world.episode()).index(u64::from(world.step_count()));
+    rng::fill_normal(&mut seed.rng(), out);
+    for action in out {
+        *action = 0.6 + 0.5 * *action;
+    }
+}
+
+fn step(env: &mut VecEnv, agents: usize) -> Vec<EpisodeRecord> {
+    let mut all = vec![0.0; env.len() * agents];
+    for (world, out) in env.worlds().zip(all.chunks_mut(agents)) {
+        actions(world, out);
+    }
+    env.step(&all).expect("a step");
+    env.take_finished()
+}
+
+/// What learners and onlookers see, step by step, of a single world.
+fn watch(task: &Arc<Task>, seed: u64, steps: usize, backend: Backend) -> Vec<(Vec<f32>, Vec<OtherView>)> {
+    let mut env = VecEnv::new(task, &options(1, seed, backend)).expect("SUMO runs");
+    let mut seen = Vec::new();
+    for _ in 0..steps {
+        step(&mut env, task.agents);
+        let world = env.worlds().next().expect("one world");
+        let frame = world.frame();
+        let all = [&frame.observation, &frame.state, &frame.reward, &frame.comm, &frame.terminated];
+        seen.push((all.into_iter().flatten().copied().collect(), world.others().collect()));
+    }
+    seen
+}
+
+#[test]
+fn the_same_seed_gives_the_same_traffic_on_both_backends() {
+    let _alone = ALONE.lock();
+    let task = task(|_| {});
+    let first = watch(&task, 3, 500, Backend::Traci);
+    assert!(first.iter().any(|(_, others)| others.len() > 4), "some arrive beside the four at places");
+    assert!(first == watch(&task, 3, 500, Backend::Traci), "the same again");
+    if cfg!(feature = "libsumo") {
+        assert!(first == watch(&task, 3, 500, Backend::Libsumo), "the same in process");
+    }
+    let other = watch(&task, 4, 100, Backend::Traci);
+    assert!(first[0].1 != other[0].1, "another seed is other traffic");
+    assert!(first[50].1.iter().zip(&other[50].1).all(|(a, b)| a != b));
+}
+
+/// Records of the first episodes, by number, from so many worlds.
+fn records(task: &Arc<Task>, worlds: usize, episodes: u64) -> BTreeMap<u64, EpisodeRecord> {
+    let options = VecOptions { episodes: 0..episodes, ..options(worlds, 7, Backend::Traci) };
+    let mut env = VecEnv::new(task, &options).expect("SUMO runs");
+    let mut records = BTreeMap::new();
+    while !env.is_finished() {
+        records.extend(step(&mut env, task.agents).into_iter().map(|record| (record.episode, record)));
+    }
+    records
+}
+
+#[test]
+fn an_episode_does_not_depend_on_those_before_it() {
+    let task = task(|_| {});
+    let one = records(&task, 1, 9);
+    assert_eq!(one.len(), 9);
+    for worlds in [2, 5] {
+        assert!(one == records(&task, worlds, 9), "{worlds} worlds");
+    }
+    let others: Vec<_> = one.values().map(|record| record.others.expect("there are others")).collect();
+    assert!(others.iter().all(|o| o.vehicles >= 4), "four at places in each: {others:?}");
+    assert!(others.windows(2).any(|w| w[0] != w[1]));
+    assert!(one.values().any(|r| r.crash > 0.0) && one.values().any(|r| r.success > 0.0), "both happen");
+}
+
+#[test]
+fn goes_on_from_a_state_as_without_a_break() {
+    let task = task(|_| {});
+    let options = options(2, 9, Backend::Traci);
+    let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
+    let mut finished = 0;
+    while finished < 3 || env.worlds().any(|world| world.step_count() < 4) {
+        finished += step(&mut env, task.agents).len();
+    }
+    let mut resumed = VecEnv::restore(&task, &options, &env.states()).expect("SUMO runs");
+    for _ in 0..150 {
+        let (a, b) = (step(&mut env, task.agents), step(&mut resumed, task.agents));
+        assert!(a == b);
+        for (x, y) in env.worlds().zip(resumed.worlds()) {
+            assert!(x.frame() == y.frame() && x.others().eq(y.others()), "step {}", x.step_count());
+        }
+    }
+}
+
+/// A world of one agent that stands still among seven vehicles that SUMO drives, after so many steps.
+fn stand(change: impl FnOnce(&mut Scenario), steps: usize) -> (Arc<Task>, World) {
+    let task = task(|scenario| {
+        scenario.traffic.penetration = 0.125;
+        change(scenario);
+    });
+    assert_eq!((task.agents, task.spec.agents), (1, 1));
+    let mut env = VecEnv::new(&task, &options(1, 1, Backend::Traci)).expect("SUMO runs");
+    for _ in 0..steps {
+        env.step(&[0.0]).expect("a step");
+    }
+    let world = env.worlds().next().expect("one world").clone();
+    (task, world)
+}
+
+/// The features of a group: one slice per token.
+fn tokens<'a>(task: &Task, world: &'a World, group: &str) -> Vec<&'a [f32]> {
+    let found = task.spec.observation.groups.iter().find(|g| g.name == group).expect("the group");
+    let seen = &world.frame().observation[found.offset..found.offset + found.width * found.count];
+    seen.chunks(found.width).collect()
+}
+
+#[test]
+fn others_are_seen_as_the_nearest_vehicles() {
+    let nearest = |s: &mut Scenario| (s.observation.groups, s.observation.neighbours) = (ObservationGroups::Nearest, 5);
+    let (task, world) = stand(nearest, 12);
+    let own = world.agents().next().expect("an agent").pose;
+    let mut expected: Vec<OtherView> = world.others().collect();
+    expected.sort_by(|a, b| own.distance(&a.pose).total_cmp(&own.distance(&b.pose)));
+    let (sin, cos) = own.heading.sin_cos();
+    for (token, other) in tokens(&task, &world, "neighbour").iter().zip(&expected) {
+        let (dx, dy) = (other.pose.x - own.x, other.pose.y - own.y);
+        let place = [(dx * cos + dy * sin) / 50.0, (dy * cos - dx * sin) / 50.0].map(|v| v.clamp(-1.0, 1.0) as f32);
+        assert!((token[0] - place[0]).abs() < 1e-5 && (token[1] - place[1]).abs() < 1e-5, "{token:?} {other:?}");
+        assert_eq!(token[4..], [1.0, 1.0], "it moves, and is there");
+    }
+    assert_eq!(world.frame().comm, [1.0], "nobody else is there to hear");
+}
+
+#[test]
+fn others_are_seen_on_streams_and_as_encounters() {
+    let (task, world) = stand(|s| s.observation.encounters = 3, 12);
+    let own = world.agents().next().expect("an agent");
+    let others: Vec<OtherView> = world.others().collect();
+    for (stream, conflict) in task.routes[own.route].conflicts.iter().take(2).enumerate() {
+        let mut ways: Vec<f64> =
+            others.iter().filter(|o| o.route == conflict.route).map(|o| conflict.other - o.position).collect();
+        ways.sort_by(f64::total_cmp);
+        let count = tokens(&task, &world, &format!("stream{stream}"))[0][2];
+        assert!((f64::from(count) - ways.len() as f64 / 12.0).abs() < 1e-6, "stream {stream}");
+        assert!(!ways.is_empty());
+        for (token, way) in tokens(&task, &world, &format!("stream{stream}_vehicle")).iter().zip(&ways) {
+            assert!((f64::from(token[0]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {way}");
+            assert_eq!(token[4], 1.0);
+        }
+    }
+    assert!(tokens(&task, &world, "encounter").iter().all(|token| token[8] == 1.0));
+}
+
+#[test]
+fn beams_end_at_others() {
+    let (task, world) = stand(|s| (s.observation.lidar.beams, s.observation.lidar.range) = (72, 60.0), 12);
+    let own = world.agents().next().expect("an agent").pose;
+    let seen: Vec<f32> = tokens(&task, &world, "lidar").iter().map(|token| token[0]).collect();
+    let mut hits = 0;
+    for other in world.others() {
+        let (dx, dy) = (other.pose.x - own.x, other.pose.y - own.y);
+        let beam =
+            ((dy.atan2(dx) - own.heading).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU * 72.0).round();
+        let distance = f64::from(seen[beam as usize % 72]) * 60.0;
+        // No beam goes through a vehicle.
+        assert!(distance <= dx.hypot(dy) + other.size[0] / 2.0, "{distance} {other:?}");
+        hits += usize::from((distance - dx.hypot(dy)).abs() < other.size[0] / 2.0 + 0.5);
+    }
+    assert!(hits > 0, "some are in plain sight");
+}
+
+#[test]
+fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
+    // One agent at full throttle among seven: it runs into whoever is ahead.
+    let task = task(|scenario| scenario.traffic.penetration = 0.125);
+    let mut env = VecEnv::new(&task, &options(1, 2, Backend::Traci)).expect("SUMO runs");
+    let mut crashes = 0;
+    for _ in 0..3000 {
+        env.step(&[1.0]).expect("a step");
+        let finished = env.take_finished();
+        let world = env.worlds().next().expect("one world");
+        let (agent, wrecks) = (world.agents().next().expect("an agent"), world.others().filter(|o| o.wreck));
+        let wrecks: Vec<OtherView> = wrecks.collect();
+        if let Some(record) = finished.first() {
+            let others = record.others.expect("there are others");
+            assert_eq!(record.crash > 0.0, others.crash > 0.0, "it takes two");
+            crashes += usize::from(record.crash > 0.0);
+            if record.crash > 0.0 {
+                assert!(agent.fate.crashed && record.own_collisions > 0);
+                let hit = |other: &OtherView| {
+                    let size = [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
+                    boxes_overlap((&agent.pose, size), (&other.pose, other.size))
+                };
+                assert!(wrecks.iter().any(hit), "{agent:?} {wrecks:?}");
+                assert_eq!((others.ttc, others.pet), (0.0, 0.0));
+            } else {
+                assert!(agent.fate.arrived && wrecks.is_empty());
+            }
+        }
+    }
+    assert!(crashes >= 5, "{crashes}");
+}
+
+#[test]
+fn a_wreck_of_theirs_is_cleared_away() {
+    // Two agents, of which one stands still to keep the episode going.
+    let task = task(|scenario| scenario.traffic.penetration = 0.25);
+    let wreck_steps = (task.scenario.termination.wreck_time / task.scenario.control.interval).round() as usize;
+    let mut env = VecEnv::new(&task, &options(1, 2, Backend::Traci)).expect("SUMO runs");
+    let (mut lives, mut last) = (Vec::new(), Vec::<(OtherView, usize)>::new());
+    for _ in 0..2000 {
+        env.step(&[1.0, -1.0]).expect("a step");
+        let world = env.worlds().next().expect("one world");
+        let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
+        let mut next = Vec::new();
+        for wreck in &wrecks {
+            let before = last.iter().find(|(old, _)| old.pose.distance(&wreck.pose) < 0.01 && old.route == wreck.route);
+            assert_eq!(wreck.speed, 0.0);
+            next.push((*wreck, before.map_or(1, |(_, steps)| steps + 1)));
+        }
+        let gone = last.iter().filter(|(old, _)| !wrecks.iter().any(|w| w.pose.distance(&old.pose) < 0.01));
+        if world.is_running() && world.step_count() > 1 {
+            lives.extend(gone.map(|(_, steps)| *steps));
+        }
+        last = next;
+        if world.step_count() > 200 {
+            env.reset();
+        }
+    }
+    assert!(lives.len() >= 3, "{lives:?}");
+    // One step in which it comes to a stop, and one in which it is taken away.
+    assert!(lives.iter().all(|steps| (wreck_steps..=wreck_steps + 2).contains(steps)), "{lives:?} {wreck_steps}");
+}
+
+fn play(task: &Arc<Task>, policy: &Policy<'_>, episodes: u64) -> Evaluation {
+    let onlooker = Onlooker { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None };
+    evaluate(task, policy, episodes, Seed::new(0), &Hosting::default(), onlooker).expect("SUMO runs")
+}
+
+#[test]
+fn metrics_of_others_tell_who_gives_way() {
+    let task = task(|scenario| scenario.traffic.penetration = 0.25);
+    let of = |policy: Policy<'_>| play(&task, &policy, 40).metrics().expect("episodes").others.expect("others");
+    let (rude, polite) = (of(Policy::Throttle(1.0)), of(Policy::Sumo));
+    assert!(rude.crash.low > 0.0 && polite.crash.mean == 0.0, "{rude:?} {polite:?}");
+    assert!(rude.crash.mean <= rude.close.mean && polite.ttc.low > 0.0 && polite.pet.low > 0.0, "{rude:?} {polite:?}");
+    // Who waits loses time; wrecks and those who were let through lose less.
+    assert!(
+        polite.delay.low > rude.delay.high && rude.delay.low > 0.0 && polite.braking.low > 0.0,
+        "{rude:?} {polite:?}"
+    );
+    // Nothing of it where SUMO drives nobody.
+    let alone = self::task(|scenario| (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new()));
+    assert_eq!((alone.agents, alone.others), (8, 0));
+    assert!(play(&alone, &Policy::Throttle(1.0), 4).metrics().expect("episodes").others.is_none());
+}
+
+#[test]
+fn penetration_is_the_share_that_learns() {
+    for (share, agents) in [(0.01, 1), (0.125, 1), (0.25, 2), (0.5, 4), (0.8, 6), (1.0, 8)] {
+        let task = task(|scenario| scenario.traffic.penetration = share);
+        assert_eq!((task.agents, task.others), (agents, 8 - agents + 8), "{share}");
+    }
+}
+
+/// Sizes by class are SUMO's own.
+#[test]
+fn vehicles_are_as_large_as_sumo_has_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("classes.rou.xml");
+    let classes = [
+        "passenger",
+        "private",
+        "taxi",
+        "evehicle",
+        "hov",
+        "vip",
+        "authority",
+        "army",
+        "emergency",
+        "delivery",
+        "truck",
+        "bus",
+        "coach",
+        "motorcycle",
+        "moped",
+        "bicycle",
+    ];
+    let types = classes.map(|class| format!("<vType id=\"a_{class}\" vClass=\"{class}\"/>")).concat();
+    fs::write(&file, format!("<routes>{types}</routes>")).expect("a file");
+    let demand = Demand::load(&[&file]).expect("types");
+    let net = root().join("sumo_nets/intersection/arm30.net.xml");
+    let arguments = ["--net-file".into(), net.into(), "--additional-files".into(), file.into(), "--no-step-log".into()];
+    let options = Options { arguments: arguments.to_vec(), ..Options::default() };
+    let (_process, mut sumo, _) = Process::start(&options).expect("SUMO runs");
+    assert_eq!(demand.types.len(), classes.len() + 1);
+    for kind in &demand.types {
+        let size =
+            (sumo.vehicle_type().get_length(&kind.id).unwrap(), sumo.vehicle_type().get_width(&kind.id).unwrap());
+        assert_eq!(size, (kind.length, kind.width), "{}", kind.id);
+    }
+}
+
+/// The message that the shipped scenario's check gives when its `<traffic>` and the route file are changed.
+fn mistake(traffic: &str, file: Option<(&str, &str)>) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = fs::read_to_string(root().join("scenarios/mixed_cross.xml")).expect("the scenario");
+    let (head, rest) = text.split_once("<traffic ").expect("it has traffic");
+    let (_, tail) = rest.split_once("/>").expect("an element");
+    let nets = root().join("sumo_nets");
+    let text = format!("{head}<traffic {traffic}/>{tail}")
+        .replace("../sumo_nets/intersection", &nets.join("intersection").display().to_string());
+    let demand = fs::read_to_string(nets.join("mixed_cross/humans.rou.xml")).expect("the route file");
+    let demand = file.map_or(demand.clone(), |(from, to)| {
+        assert!(demand.contains(from));
+        demand.replacen(from, to, 1)
+    });
+    fs::write(folder.path().join("humans.rou.xml"), demand).expect("a file");
+    let path = folder.path().join("a.xml");
+    fs::write(&path, text).expect("a file");
+    let found = Scenario::check(&path);
+    let first =
+        found.list.iter().find(|finding| finding.severity == iwol_sumo::scenario::Severity::Error).expect("a mistake");
+    let text = format!(
+        "{}:{} {}",
+        Path::new(&first.file).file_name().unwrap().to_string_lossy(),
+        first.at.map_or(0, |at| at.line),
+        first.message
+    );
+    assert!(Scenario::load(&path).is_err());
+    text
+}
+
+#[test]
+fn mistakes_in_traffic_are_pointed_at() {
+    let files = "files=\"humans.rou.xml\"";
+    let cases = [
+        (format!("penetration=\"0\" {files}"), None, "a.xml:40 `0` is not a valid penetration"),
+        (format!("type=\"humn\" {files}"), None, "a.xml:40 `humn` is not a valid type"),
+        ("type=\"human\"".into(), None, "a.xml:40 <traffic> lacks the attribute `files`"),
+        ("files=\"none.rou.xml\"".into(), None, "none.rou.xml:0"),
+        (files.into(), Some(("edges=\"west_in east_out\"", "edges=\"west_in north_out\"")), "humans.rou.xml:12 "),
+        (files.into(), Some(("exp(0.025)", "exp(x)")), "humans.rou.xml:18 `exp(x)` is not a valid period"),
+    ];
+    for (traffic, file, expected) in cases {
+        let found = mistake(&traffic, file);
+        assert!(found.starts_with(expected), "{found}");
+    }
+}
