@@ -174,6 +174,8 @@ pub struct Exploration {
     /// of going first; but vehicles that must reckon with it drive slowly. Probabilities stay those of independent noise, which
     /// makes the policy gradient a biased estimate (Hollenstein et al., AAAI 2024).
     pub correlation: f64,
+    /// Environment steps over which it falls to 0; 0: it stays.
+    pub correlation_steps: u64,
     /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
     /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
     pub late_steps: u32,
@@ -194,6 +196,7 @@ impl Default for Exploration {
             explore_steps: 250_000,
             spread: 1.2,
             correlation: 0.0,
+            correlation_steps: 0,
             late_steps: 60,
             steering: -1.0,
             mean_bias: 0.5,

@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 94] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 95] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -83,6 +83,7 @@ impl Config {
             (&["exploration.spread"], (0.0..=10.0).contains(&x.spread), "0 to 10"),
             (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
+            (&["exploration.correlation_steps"], x.correlation_steps <= 1 << 50, "0 to 2^50"),
             (&["exploration.steering"], x.steering.is_finite() && x.steering <= 0.0, "finite and at most 0"),
             (&["exploration.mean_bias"], x.mean_bias.is_finite(), "a finite number"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),

@@ -83,24 +83,18 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         );
     }
     if settings.groups.nearest() {
-        let mut neighbour = vec![
-            ("forward", "50 m", -1.0, 1.0),
-            ("left", "50 m", -1.0, 1.0),
-            ("velocity_forward", "22.2 m/s", -1.0, 1.0),
-            ("velocity_left", "22.2 m/s", -1.0, 1.0),
-            ("moving", "flag", 0.0, 1.0),
-        ];
-        // Among vehicles that steer, metres and how they stand decide.
-        if scenario.control.steering.is_some() {
-            neighbour.extend([
-                ("forward_near", "10 m", -1.0, 1.0),
-                ("left_near", "10 m", -1.0, 1.0),
-                ("heading_cos", "1", -1.0, 1.0),
-                ("heading_sin", "1, turned left", -1.0, 1.0),
-            ]);
-        }
-        neighbour.push(("present", "flag", 0.0, 1.0));
-        features.push("neighbour", settings.neighbours, &neighbour);
+        features.push(
+            "neighbour",
+            settings.neighbours,
+            &[
+                ("forward", "50 m", -1.0, 1.0),
+                ("left", "50 m", -1.0, 1.0),
+                ("velocity_forward", "22.2 m/s", -1.0, 1.0),
+                ("velocity_left", "22.2 m/s", -1.0, 1.0),
+                ("moving", "flag", 0.0, 1.0),
+                ("present", "flag", 0.0, 1.0),
+            ],
+        );
     }
     features.push("encounter", settings.encounters, &ENCOUNTER);
     if settings.groups.conflict() {
@@ -220,33 +214,23 @@ impl View<'_> {
                 }
             }
         }
-        let steers = self.scenario.control.steering.is_some();
         for &(d, j) in &nearest[..k] {
             if d.is_infinite() {
-                w.skip(if steers { 10 } else { 6 });
+                w.skip(6);
                 continue;
             }
             let other = &traffic.slots[j];
             let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
             let (other_sin, other_cos) = other.pose.heading.sin_cos();
             let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
-            let (forward, left) = (dx * cos + dy * sin, dy * cos - dx * sin);
             w.put([
-                forward / FAR,
-                left / FAR,
+                (dx * cos + dy * sin) / FAR,
+                (dy * cos - dx * sin) / FAR,
                 (vx * cos + vy * sin) / SPEED,
                 (vy * cos - vx * sin) / SPEED,
                 moving(other.status),
+                1.0,
             ]);
-            if steers {
-                w.put([
-                    forward / 10.0,
-                    left / 10.0,
-                    other_cos * cos + other_sin * sin,
-                    other_sin * cos - other_cos * sin,
-                ]);
-            }
-            w.put([1.0]);
         }
     }
 

@@ -30,7 +30,9 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
 
 /// Correlation of the noise from step to step: none once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
-    if searching(progress) { config.exploration.correlation as f32 } else { 0.0 }
+    let noise = &config.exploration;
+    let left = if noise.correlation_steps == 0 { 1.0 } else { fading(noise.correlation_steps, progress) };
+    if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
 }
 
 /// The share of penalties that is not counted yet.
@@ -252,6 +254,10 @@ mod tests {
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
         assert_eq!(at(560), 0.5, "it looks for a way again");
+        // Or it falls by itself.
+        config.exploration.correlation_steps = 200;
+        let falls = |step| correlation(&config, &Progress { step, begun: 100, ..Progress::default() });
+        assert_eq!([100, 150, 300, 900].map(falls), [0.5, 0.375, 0.0, 0.0]);
     }
 
     /// Plays a run in iterations of 10 steps with a validation after each five; gives it, and where it began again.
