@@ -376,7 +376,7 @@ fn mistakes_in_traffic_are_pointed_at() {
         (format!("penetration=\"0\" {files}"), None, "a.xml:40 `0` is not a valid penetration"),
         (format!("type=\"humn\" {files}"), None, "a.xml:40 `humn` is not a valid type"),
         ("type=\"human\"".into(), None, "a.xml:40 <traffic> lacks the attribute `files`"),
-        ("files=\"none.rou.xml\"".into(), None, "none.rou.xml:0"),
+        ("files=\"none.rou.xml\"".into(), None, "a.xml:40 `"),
         (files.into(), Some(("edges=\"west_in east_out\"", "edges=\"west_in north_out\"")), "humans.rou.xml:12 "),
         (files.into(), Some(("exp(0.025)", "exp(x)")), "humans.rou.xml:18 `exp(x)` is not a valid period"),
     ];
@@ -384,4 +384,6 @@ fn mistakes_in_traffic_are_pointed_at() {
         let found = mistake(&traffic, file);
         assert!(found.starts_with(expected), "{found}");
     }
+    let found = mistake("files=\"none.rou.xml\"", None);
+    assert!(found.contains("none.rou.xml` is not a valid files of <traffic>"), "{found}");
 }

@@ -16,6 +16,8 @@ pub(super) struct Places {
     pub(super) lateral: usize,
     /// Of the traffic's `type`.
     pub(super) traffic_type: usize,
+    /// … of its `files`.
+    pub(super) traffic_files: usize,
 }
 
 /// Where the parts of a route stand.
@@ -68,7 +70,15 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Ve
 
 /// What the files of `<traffic>` say.
 fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Demand, Error> {
-    let demand = Demand::load(&scenario.traffic.files)?;
+    let demand = Demand::load(&scenario.traffic.files).map_err(|error| match error {
+        Error::Read { path: file, source } => {
+            let (line, column) = reader.position(places.traffic_files);
+            let allowed = format!("route files that can be read ({source})");
+            let (path, value) = (scenario.path.clone(), shorten(&file.to_string_lossy()));
+            Error::Value { path, line, column, element: "traffic".into(), key: "files", value, allowed }
+        }
+        other => other,
+    })?;
     match &scenario.traffic.kind {
         Some(kind) if demand.mix(kind).is_none() => {
             let (line, column) = reader.position(places.traffic_type);

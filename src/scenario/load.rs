@@ -135,6 +135,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             nets: net_places,
             lateral: Self::offset(jitter, "lateral"),
             traffic_type: Self::offset(traffic, "type"),
+            traffic_files: Self::offset(traffic, "files"),
         };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
