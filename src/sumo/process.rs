@@ -231,10 +231,12 @@ impl Process {
         Some(Error::Exited { status: status.to_string(), stderr_tail: self.stderr_tail() })
     }
 
-    /// Whether SUMO ended because its port was taken.
+    /// Whether SUMO ended because its port was taken, or because another client had it by mistake, and left.
     fn port_lost(&mut self) -> Option<Error> {
         match self.exited(Duration::ZERO) {
-            Some(Error::Exited { stderr_tail, .. }) if stderr_tail.contains("listening socket") => {
+            Some(Error::Exited { stderr_tail, .. })
+                if ["listening socket", "peer shutdown"].iter().any(|words| stderr_tail.contains(words)) =>
+            {
                 Some(Error::PortTaken { port: self.port })
             }
             _ => None,
