@@ -183,7 +183,7 @@ fn failures_are_told_and_retried_on_request() {
     // A run from before there was a setting is one in which it did nothing.
     let config = out.join("tiny/mappo/seed_0/config.toml");
     let old = std::fs::read_to_string(&config).expect("a configuration");
-    let known = |line: &&str| !line.starts_with("restart_steps") && !line.starts_with("correlation");
+    let known = |line: &&str| !line.starts_with("restart_steps =") && !line.starts_with("correlation =");
     let older: Vec<&str> = old.lines().filter(known).collect();
     assert_eq!(older.len() + 2, old.lines().count());
     std::fs::write(&config, older.join("\n")).expect("written");
