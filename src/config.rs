@@ -83,9 +83,6 @@ pub struct Train {
     /// Chance that a world plays an episode of training again that failed before, where it remembers one (the last 16 that failed
     /// when last played), instead of the next: what seldom goes wrong is seldom seen otherwise.
     pub replay_failed: f64,
-    /// Crashes and leaving the road cost nothing at first, and over so many environment steps rise to what the scenario says: who
-    /// must learn to steer finds out sooner that driving pays. 0: at once. Evaluations always count them in full.
-    pub penalty_steps: u64,
     /// At first the policy imitates pure pursuit of the route ([`Train::imitate_speed`]) on its own episodes, and over so many
     /// environment steps does so ever less and learns from rewards ever more (kickstarting: Schmitt et al., 2018); 0: not at all.
     pub imitate_steps: u64,
@@ -119,7 +116,6 @@ impl Default for Train {
             segment: 128,
             fewest_agents: 0,
             replay_failed: 0.0,
-            penalty_steps: 0,
             imitate_steps: 0,
             imitate_speed: 6.0,
             validate_every: 16_384,
@@ -283,10 +279,10 @@ impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
-    /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter (the latter never up), `steps` and
+    /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
     /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`),
-    /// annealing goes on from 90 % of success, and `ppo.gamma` is 0.998.
+    /// annealing goes on from 90 % of success, training stops at 99.7 %, and `ppo.gamma` is 0.998.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, in runs
@@ -622,8 +618,10 @@ mod tests {
         let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
         let own = settings::Exploration::default().spread;
         assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
-        let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.ppo.gamma);
-        assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.9, 0.998), (0.0, 0.95, 0.99), (0.0, 0.95, 0.99)]);
+        let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
+        let (few, more) = ((0.5, 0.9, 0.997, 0.998), (0.0, 0.95, 0.99, 0.99));
+        assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
+        assert_eq!(four.train.validation_episodes, 128);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 

@@ -236,7 +236,6 @@ impl Trainer {
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
-        let forgiven = schedule::forgiven(&self.config, &self.progress);
         let taught = schedule::pace(&self.config, &self.progress).imitation > 0.0;
         self.rollout.teacher.resize(if taught { self.rollout.action.len() } else { 0 }, 0.0);
         for t in 0..s.steps {
@@ -289,10 +288,7 @@ impl Trainer {
             timed(&mut self.timers.copy, || {
                 for (e, world) in self.env.worlds().enumerate() {
                     let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
-                    let parts = frame.reward.iter().zip(&frame.penalty);
-                    for (reward, (all, penalty)) in self.rollout.reward[cell.clone()].iter_mut().zip(parts) {
-                        *reward = all - forgiven * penalty;
-                    }
+                    self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
                     self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
                     self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
                 }

@@ -108,6 +108,15 @@ fn sumos_own_driver_is_safe() {
 }
 
 #[test]
+fn sumos_own_driver_brings_every_episode_on_the_parking_lot_to_an_end() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let (evaluation, metrics) = play_on(&path, &Policy::Sumo, 5, 60);
+    assert_eq!(evaluation.episodes.len(), 60);
+    assert!(evaluation.episodes.iter().all(|episode| !episode.interrupted));
+    assert!(metrics.success.mean > 0.3 && metrics.crash.mean > 0.0, "it is blind where a space is left");
+}
+
+#[test]
 fn results_do_not_depend_on_how_the_work_is_shared() {
     // Episode i is the same whether 3 or 12 are asked for, though other worlds play it.
     let (few, _) = play(&Policy::Gaussian, 4, 3);

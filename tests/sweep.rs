@@ -132,8 +132,15 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
 
 /// The report of a finished sweep has what it should.
 fn report(file: &Path, runs: &Path, folder: &Path) {
-    let out = folder.join("report");
-    succeeds(&mut iwol(&["report"], &[file, Path::new("--runs"), runs, Path::new("-o"), &out]));
+    let (out, kept) = (folder.join("report"), folder.join("kept"));
+    let make = |runs: &Path, more: &[&Path]| {
+        succeeds(&mut iwol(&["report"], &[&[file, Path::new("--runs"), runs, Path::new("-o"), &out], more].concat()));
+        std::fs::read_to_string(out.join("report.md")).expect("written")
+    };
+    // The same again from what was kept, which holds no weights.
+    let first = make(runs, &[Path::new("--keep"), &kept]);
+    assert_eq!(make(&kept, &[]), first);
+    assert!(!kept.join("tiny/mappo/seed_0/checkpoints").exists());
     let read = |name: &str| std::fs::read_to_string(out.join(name)).expect("written");
     let markdown = read("report.md");
     for part in

@@ -133,7 +133,7 @@ impl PolicyTerms {
             let mean = |x: &Tensor| ppo::masked_mean(x, &sampled);
             (mean(&(difference.exp() - 1.0 - difference)), mean(&outside.mean_dim(-1, false, Kind::Float)))
         });
-        let earned = &policy - ppo.entropy * &entropy;
+        let earned = &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
         // The negative logarithm of the probability of what the teacher does, but for a constant.
         let loss = match imitation {
             Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,

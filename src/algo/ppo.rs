@@ -28,6 +28,13 @@ pub fn value_loss(
     masked_mean(&loss, active)
 }
 
+/// How far means `[B, A]` lie beyond -1 to 1: half the squared excess, in units of the noise whose logarithm is given, added over
+/// dimensions and averaged over samples. No policy is moved by it through its noise.
+pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
+    let excess = (mean.abs() - 1.0).relu() / log_std.detach().exp();
+    excess.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
+}
+
 /// Value loss of a shard from the critic's outputs for its active samples.
 pub(super) fn value_terms(batch: &Batch, shard: &Shard, values: &Tensor, norm: &ValueNorm, ppo: &Ppo) -> Tensor {
     let target = norm.normalize(&shard.active(&batch.returns));
@@ -79,6 +86,17 @@ mod tests {
         normalize_advantages(&mut advantage, &[1.0, 1.0, 1.0, 0.0]);
         assert_eq!(advantage[3], 0.0);
         assert!((advantage[0] + 1.224_7).abs() < 1e-3 && advantage[1].abs() < 1e-6);
+    }
+
+    #[test]
+    fn means_beyond_the_bounds_are_pushed_back() {
+        let mean = Tensor::from_slice(&[0.9_f32, -3.0, 1.5, -1.0]).view([2, 2]).set_requires_grad(true);
+        let log_std = Tensor::from_slice(&[0.0_f32, 2.0_f32.ln()]);
+        let loss = bounds_loss(&mean, &log_std);
+        // Half of 0.5² and of (2 / 2)², over two samples.
+        assert!((loss.double_value(&[]) - 0.3125).abs() < 1e-6, "{loss:?}");
+        loss.backward();
+        assert_eq!(Vec::<f32>::try_from(mean.grad().view([-1])).expect("numbers"), [0.0, -0.25, 0.25, 0.0]);
     }
 
     #[test]

@@ -18,6 +18,10 @@ pub(super) struct Args {
     /// Folder to write [default: results/ and the name of the sweep]
     #[arg(long, short, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Copy what the report is made from to another folder of run folders: settings, validations and evaluations of every trained
+    /// run, without weights. `--runs DIR` makes the report from them
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
@@ -26,6 +30,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let command = format!("iwol sweep {0}\niwol report {0}", args.file.display());
     for path in report::write(&sweep, &command, &out)? {
         println!("{}", path.display());
+    }
+    if let Some(keep) = &args.keep {
+        for cell in &sweep.cells {
+            cell.keep(keep, &sweep.name)?;
+        }
+        println!("{}", keep.join(&sweep.name).display());
     }
     Ok(Verdict::Good)
 }

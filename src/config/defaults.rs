@@ -24,11 +24,12 @@ impl Config {
         let train = Train {
             envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
-            validation_episodes: scaled(train.validation_episodes).clamp(16, train.validation_episodes),
+            validation_episodes: scaled(train.validation_episodes).max(16),
             anneal_steps: scaled(train.anneal_steps),
             // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen.
             replay_failed: if agents < 8 && !steers { 0.5 } else { train.replay_failed },
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
+            stop_success: if agents < 8 { 0.997 } else { train.stop_success },
             // They also wait for ever for a success that only less noise brings.
             anneal_success: if agents < 8 { 0.9 } else { train.anneal_success },
             // Of 16, every second run finds a way in less than this.

@@ -31,7 +31,6 @@ impl Config {
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
-            (&["train.penalty_steps"], t.penalty_steps <= 1 << 50, "0 to 2^50"),
             (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
             (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
             (
@@ -73,6 +72,7 @@ impl Config {
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
             (&["ppo.clip"], finite_positive(p.clip), "above 0"),
+            (&["ppo.bounds"], p.bounds.is_finite() && p.bounds >= 0.0, "0 or more"),
             (&["ppo.huber_delta"], finite_positive(p.huber_delta), "above 0"),
             (&["ppo.entropy"], p.entropy.is_finite(), "a finite number"),
             (&["ppo.max_grad_norm"], finite_positive(p.max_grad_norm), "above 0"),

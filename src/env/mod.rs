@@ -195,8 +195,8 @@ pub enum Error {
     /// SUMO died while the episodes of a run were played again.
     #[error("SUMO died while the run's episodes were played again to resume; try once more")]
     Replay,
-    /// An episode cannot be played: SUMO dies in it again and again.
-    #[error("SUMO died {times} times in episode {episode}; the warnings say of what")]
+    /// An episode cannot be played: SUMO dies in it, or loses a vehicle, again and again.
+    #[error("the simulation broke off {times} times in episode {episode}; the warnings say why")]
     Doomed {
         /// The episode.
         episode: u64,
@@ -211,12 +211,18 @@ pub enum Error {
     },
     /// A vehicle under control is not on the road.
     #[error(
-        "slot {slot}: its vehicle is not on SUMO's roads at step {step} of an episode; SUMO had no room at its spawn \
-         place, or its route ends before the arrival position"
+        "slot {slot}: its vehicle is not on SUMO's roads at step {step} of an episode, on route `{route}` at {position:.1} m of \
+         {length:.1} m; SUMO had no room at its spawn place, or its route ends before the arrival position"
     )]
     Vanished {
         /// The slot.
         slot: usize,
+        /// Its route.
+        route: String,
+        /// Where its centre was last seen on it \[m\].
+        position: f64,
+        /// The route's length \[m\].
+        length: f64,
         /// Step of the episode.
         step: u32,
     },

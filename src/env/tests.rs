@@ -577,7 +577,7 @@ proptest! {
 }
 
 #[test]
-fn penalties_are_the_part_of_rewards_for_failures() {
+fn a_crash_replaces_the_reward_of_its_step() {
     let task = task(8, |s| s.reward.cooperation = 0.0);
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
@@ -587,30 +587,10 @@ fn penalties_are_the_part_of_rewards_for_failures() {
         let frame = world.frame();
         for (i, agent) in world.agents().enumerate() {
             let failed = frame.terminated[i] > 0.0 && agent.fate.crashed && !agent.fate.arrived;
-            assert_eq!(frame.penalty[i], if failed { -10.0 } else { 0.0 });
             assert!(!failed || frame.reward[i] == -10.0);
+            assert!(failed || frame.reward[i] >= 0.0);
             crashes += usize::from(failed);
         }
     }
     assert!(crashes > 2, "{crashes} crashes at full throttle");
-    // In the mix, others' failures count as they do in the reward.
-    let task = self::task(8, |s| s.reward.cooperation = 1.0);
-    let (mut world, mut rails) = (self::world(&task, 1), Rails::new(&task));
-    world.reset(0);
-    let mut shared = 0;
-    for _ in 0..150 {
-        exchange(&mut world, &mut rails, &[1.0; 8]);
-        let frame = world.frame();
-        let failed = (0..8).filter(|&i| frame.terminated[i] > 0.0 && frame.penalty[i] < 0.0).count();
-        if failed > 0 && !frame.start {
-            // All are within range of each other.
-            assert!(
-                frame.penalty.iter().all(|&penalty| (penalty - frame.penalty[0]).abs() < 1e-6),
-                "{:?}",
-                frame.penalty
-            );
-            shared += 1;
-        }
-    }
-    assert!(shared > 0);
 }

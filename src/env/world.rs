@@ -89,7 +89,6 @@ pub struct World {
     others: Others,
     frame: Frame,
     own_rewards: Vec<f64>,
-    own_penalties: Vec<f64>,
     /// Scratch: positions along the routes before the step, poses and presence after it, whom each overlaps with.
     positions: Vec<f64>,
     poses: Vec<Pose>,
@@ -127,12 +126,10 @@ impl World {
                 active: vec![0.0; n],
                 start: false,
                 reward: vec![0.0; n],
-                penalty: vec![0.0; n],
                 terminated: vec![0.0; n],
                 truncated: vec![0.0; n],
             },
             own_rewards: vec![0.0; n],
-            own_penalties: vec![0.0; n],
             positions: vec![0.0; n],
             poses: vec![Pose::default(); n],
             present: vec![false; n],
@@ -270,7 +267,6 @@ impl World {
                 self.phase = Phase::Running;
                 self.frame.start = true;
                 self.frame.reward.fill(0.0);
-                self.frame.penalty.fill(0.0);
                 self.frame.terminated.fill(0.0);
                 self.frame.truncated.fill(0.0);
             }
@@ -278,7 +274,6 @@ impl World {
                 self.frame.start = false;
                 self.step += 1;
                 self.own_rewards.fill(0.0);
-                self.own_penalties.fill(0.0);
                 self.frame.terminated.fill(0.0);
                 self.frame.truncated.fill(0.0);
                 self.advance(world, snapshot)?;
@@ -336,7 +331,6 @@ impl World {
                 *active = 0.0;
             }
             self.frame.reward.fill(0.0);
-            self.frame.penalty.fill(0.0);
             self.frame.terminated.fill(0.0);
             self.frame.start = false;
         } else if self.phase == Phase::Spawning {
@@ -416,9 +410,6 @@ impl World {
                 if off { scenario.routes[slot.route].off_lane * reward } else { reward }
             };
             self.own_rewards[i] = reward;
-            if fate.crashed || fate.out_of_road {
-                self.own_penalties[i] = reward.min(0.0);
-            }
             sum += reward;
             if fate.arrived || fate.out_of_road || fate.crashed {
                 self.frame.terminated[i] = 1.0;
@@ -485,19 +476,16 @@ impl World {
         let range = self.task.scenario.communication.range;
         let slots = &self.traffic.slots;
         for i in 0..n {
-            let (mut near, mut near_penalty) = (0.0, 0.0);
+            let mut near = 0.0;
             if lambda > 0.0 {
                 for j in 0..n {
                     // Agents that have just arrived are off the road, but their last reward counts.
                     if i == j || slots[i].pose.distance(&slots[j].pose) <= range {
                         near += self.own_rewards[j];
-                        near_penalty += self.own_penalties[j];
                     }
                 }
             }
-            let mixed = |own: f64, near: f64| ((1.0 - lambda) * own + lambda * near / n as f64) as f32;
-            self.frame.reward[i] = mixed(self.own_rewards[i], near);
-            self.frame.penalty[i] = mixed(self.own_penalties[i], near_penalty);
+            self.frame.reward[i] = ((1.0 - lambda) * self.own_rewards[i] + lambda * near / n as f64) as f32;
         }
     }
 

@@ -163,11 +163,11 @@ impl Cell {
         let (mut was, is) = (table(&text), table(&self.config.to_toml()));
         // A run may be older than a setting: what it did is what these say.
         for (key, neutral) in [
+            ("ppo.bounds", Value::Float(0.0)),
             ("exploration.correlation", Value::Float(0.0)),
             ("exploration.correlation_steps", Value::Integer(0)),
             ("iwol.graph_bias", Value::Float(0.0)),
             ("train.replay_failed", Value::Float(0.0)),
-            ("train.penalty_steps", Value::Integer(0)),
             ("train.imitate_steps", Value::Integer(0)),
             ("train.imitate_speed", Value::Float(6.0)),
             ("exploration.steering", Value::Float(-1.0)),
@@ -178,6 +178,12 @@ impl Cell {
             ("train.restart_steps", Value::Integer(0)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);
+        }
+        // Where the other cell's folder is does not matter.
+        if let (Some(after), Some(Value::String(path))) = (&self.after, was.get("init_from"))
+            && Path::new(path).ends_with(after)
+        {
+            was.insert("init_from".to_owned(), is["init_from"].clone());
         }
         let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));
         differs.map_or(Ok(()), |key| {
@@ -228,6 +234,40 @@ impl Cell {
             let what = format!("evaluate {} {}", evaluate.name, label(&combination));
             Job { arguments, what: what.trim_end().to_owned() }
         }))
+    }
+
+    /// Copies what reports are made from, if training is over, to the same place below another folder of run folders: settings,
+    /// validations and evaluations, without weights.
+    ///
+    /// # Errors
+    /// When a file cannot be read or written.
+    pub fn keep(&self, out: &Path, sweep: &str) -> Result<(), Error> {
+        let Some(trained) = self.trained() else { return Ok(()) };
+        let kept = Self { folder: out.join(sweep).join(&self.id), ..self.clone() };
+        let io = |action, path: &Path| {
+            let path = path.to_owned();
+            move |source| Error::from(record::Error::Io { action, path, source })
+        };
+        let evaluations = self.folder.join("evaluations");
+        let copies = kept.folder.join("evaluations");
+        std::fs::create_dir_all(&copies).map_err(io("create", &copies))?;
+        let mut files = vec![(self.run().config(), kept.run().config())];
+        for entry in std::fs::read_dir(&evaluations).map_err(io("read", &evaluations))? {
+            let name = entry.map_err(io("read", &evaluations))?.file_name();
+            files.push((evaluations.join(&name), copies.join(&name)));
+        }
+        for (from, to) in files {
+            write_atomic(&to, &std::fs::read(&from).map_err(io("read", &from))?)?;
+        }
+        let mut validations = String::new();
+        for line in record::read_json_lines::<serde_json::Value>(&self.run().metrics())? {
+            if line["validation/success"].is_number() {
+                validations += &format!("{line}\n");
+            }
+        }
+        write_atomic(&kept.run().metrics(), validations.as_bytes())?;
+        let text = serde_json::to_string(&trained).expect("two numbers");
+        Ok(write_atomic(&kept.trained_mark(), text.as_bytes())?)
     }
 
     /// Notes that training ended by itself.

@@ -35,11 +35,6 @@ pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
 }
 
-/// The share of penalties that is not counted yet.
-pub(super) fn forgiven(config: &Config, progress: &Progress) -> f32 {
-    fading(config.train.penalty_steps, progress) as f32
-}
-
 /// From 1 to 0 over `steps` from when training began; 0 where there are none.
 fn fading(steps: u64, progress: &Progress) -> f64 {
     if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step - progress.begun, steps) }
@@ -160,15 +155,6 @@ mod tests {
         let at = |config: &Config, step| pace(config, &Progress { step, begun: 100, ..Progress::default() }).imitation;
         assert_eq!(at(&config, 100), 0.0, "by default nobody is imitated");
         config.train.imitate_steps = 200;
-        assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
-    }
-
-    #[test]
-    fn penalties_grow_to_what_they_are() {
-        let mut config = config();
-        let at = |config: &Config, step| forgiven(config, &Progress { step, begun: 100, ..Progress::default() });
-        assert_eq!(at(&config, 100), 0.0, "by default they count at once");
-        config.train.penalty_steps = 200;
         assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
     }
 

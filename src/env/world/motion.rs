@@ -76,8 +76,8 @@ impl World {
                             match &task.scenario.control.steering {
                                 // SUMO knows no vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
-                                Some(_) => moves(task, world, at, slot, commands),
-                                None => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
+                                Some(_) if self.driver == Driver::Agents => moves(task, world, at, slot, commands),
+                                _ => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
                             }
                         }
                         Status::Empty if slot.added => {
@@ -198,9 +198,15 @@ impl World {
                     slot.pose = slot.motion.pose;
                     continue;
                 }
+                // A wreck that SUMO's driver had yet to stop may roll over the end of its route.
+                if slot.departed && self.driver == Driver::Sumo && slot.status == Status::Wreck {
+                    (slot.status, slot.added) = (Status::Empty, false);
+                    continue;
+                }
                 // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
                 if slot.departed || self.driver == Driver::Agents {
-                    return Err(Error::Vanished { slot: i, step: self.step });
+                    let (route, length) = (task.route_ids[slot.route].clone(), task.routes[slot.route].path.length());
+                    return Err(Error::Vanished { slot: i, route, position: slot.s, length, step: self.step });
                 }
                 continue;
             };

@@ -18,8 +18,6 @@ pub struct Frame {
     pub start: bool,
     /// `[N]`: what the last step gave, with the cooperative mix.
     pub reward: Vec<f32>,
-    /// `[N]`: the part of that for crashes and for leaving the road.
-    pub penalty: Vec<f32>,
     /// `[N]`, 1 where the last step ended an agent's trajectory for good.
     pub terminated: Vec<f32>,
     /// `[N]`, 1 where the last step cut an agent's trajectory short.
