@@ -579,17 +579,6 @@ mod tests {
     }
 
     #[test]
-    fn a_method_brings_its_defaults() {
-        let rate = |text: &str, sets: &[&str]| resolve(text, sets).unwrap().ppo.learning_rate;
-        let common = settings::Ppo::default().learning_rate;
-        let own = algo::Settings::of("ex-iwol").ppo.learning_rate;
-        assert_ne!(own, common);
-        assert_eq!((rate("", &[]), rate("algorithm = \"ex-iwol\"", &[])), (common, own));
-        assert_eq!(rate("algorithm = \"ex-iwol\"", &["algorithm=im-iwol"]), common);
-        assert_eq!(rate("algorithm = \"ex-iwol\"\n[ppo]\nlearning_rate = 0.5", &[]), 0.5);
-    }
-
-    #[test]
     fn lengths_follow_the_number_of_agents() {
         let at = |agents: u32| {
             let config = resolve(&format!("agents = {agents}"), &[]).unwrap();

@@ -7,7 +7,7 @@ use tch::Tensor;
 use crate::env::EnvSpec;
 use crate::nn::MaskMode;
 
-/// Everything a learner can be told. Methods differ from [`Settings::default`] where [`Settings::of`] says so.
+/// Everything a learner can be told.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
@@ -29,21 +29,6 @@ pub struct Settings {
     pub icp: Icp,
     /// MADDPG's own.
     pub maddpg: Maddpg,
-}
-
-impl Settings {
-    /// The defaults of a method: the common ones, but for what was measured to be needed.
-    pub fn of(algorithm: &str) -> Self {
-        let mut settings = Self::default();
-        if algorithm == "ex-iwol" {
-            // A policy that reads messages made by attention changes more with a step of the same size: at the common rate
-            // the KL divergence per update was 0.02 to 0.06, and success fell back from 80 to 55 %. It leans most on its
-            // noise, too: at a standard deviation of 0.05 one succeeded at 95 %, at 0 at 74 %.
-            settings.ppo.learning_rate = 3e-4;
-            settings.exploration.late_steps = 100;
-        }
-        settings
-    }
 }
 
 /// Networks.

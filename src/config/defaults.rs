@@ -12,7 +12,7 @@ impl Config {
     /// Those of `algorithm` with so many agents; `trained`: it begins with a trained policy.
     pub(super) fn defaults(scenario: &Scenario, algorithm: &str, agents: u32, trained: bool) -> Table {
         let algo::Settings { network, ppo, exploration, iwol, transformer, magic, commformer, icp, maddpg } =
-            algo::Settings::of(algorithm);
+            algo::Settings::default();
         let train = Train::default();
         // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
         // of more; but among more the way takes longer to find.
