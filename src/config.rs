@@ -77,6 +77,10 @@ pub struct Train {
     pub envs: usize,
     /// Steps T per rollout.
     pub segment: usize,
+    /// Once noise has fallen to what is kept until validations succeed ([`Exploration::explore_steps`](settings::Exploration)),
+    /// rollouts have so many times the steps, and minibatches so many times the samples: a policy that has found most of its way
+    /// is lost again to the noise of small ones. 1: as before.
+    pub growth: usize,
     /// Each episode of training and validation has a random number of agents, from this one to `agents`, on the same net, so
     /// that the policy drives among any number; 0: always all.
     pub fewest_agents: u32,
@@ -114,6 +118,7 @@ impl Default for Train {
         Self {
             envs: 16,
             segment: 128,
+            growth: 1,
             fewest_agents: 0,
             replay_failed: 0.0,
             imitate_steps: 0,
@@ -286,7 +291,7 @@ impl Config {
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, in runs
-    /// twice as long; minibatches and `train.replay_failed` are those of 8.
+    /// twice as long, after which batches grow (`train.growth`; not of methods that replay); minibatches and `train.replay_failed` are those of 8.
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///

@@ -16,7 +16,7 @@ use rand::RngExt as _;
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, ActMode, Algorithm, Losses, Observation, settings::NoiseMode};
+use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
@@ -214,15 +214,26 @@ impl Trainer {
     pub fn iterate(&mut self) -> Result<Losses, Error> {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
+        self.grow();
         self.collect(seed.child("noise"))?;
         let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
         schedule::advance(&self.config, &mut self.progress, steps);
-        let pace = schedule::pace(&self.config, &self.progress);
+        let growth = self.rollout.sizes.steps / self.config.train.segment;
+        let pace = Pace { growth, ..schedule::pace(&self.config, &self.progress) };
         let learner = &mut self.learner;
         let losses = timed(&mut self.timers.update, || learner.update(&self.rollout, &pace, seed.child("update")))?;
         self.progress.iteration += 1;
         self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
+    }
+
+    /// Makes room for as many steps as the coming rollout has.
+    fn grow(&mut self) {
+        let steps = self.config.train.segment * schedule::pace(&self.config, &self.progress).growth;
+        if steps != self.rollout.sizes.steps {
+            let quiet = std::mem::take(&mut self.rollout.quiet);
+            self.rollout = Rollout { quiet, ..Rollout::new(Sizes { steps, ..self.rollout.sizes }) };
+        }
     }
 
     fn collect(&mut self, seed: Seed) -> Result<(), Error> {

@@ -166,6 +166,31 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
 }
 
 #[test]
+fn reports_of_mixed_traffic_say_what_the_others_met_with() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (runs, out) = (folder.path().join("runs"), folder.path().join("report"));
+    let changes = [
+        ("scenarios/intersection.xml", "scenarios/mixed_cross.xml"),
+        ("steps = 4096", "steps = 256"),
+        ("seed = [0, 1]", "seed = [0]"),
+    ];
+    let file =
+        sweep_file(folder.path(), &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)));
+    succeeds(&mut sweep(&file, &runs, &[]));
+    succeeds(&mut iwol(&["report"], &[&file, Path::new("--runs"), &runs, Path::new("-o"), &out]));
+    let markdown = std::fs::read_to_string(out.join("report.md")).expect("written");
+    let result = runs.join("tiny/mappo/seed_0/evaluations/range_communication_range=10.0.json");
+    let found: Value = serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
+    let delay = found["metrics"]["others"]["delay"]["mean"].as_f64().expect("others lose time");
+    let table = markdown.split("| others' delay s at communication range | 100.0 | 10.0 |").nth(1).expect("a table");
+    let row = table.lines().find(|line| line.starts_with("| mappo |")).expect("a row");
+    assert!(
+        row.rsplit('|').nth(1).is_some_and(|cell| cell.trim().starts_with(&format!("{delay:.1}"))),
+        "{row}, {delay}"
+    );
+}
+
+#[test]
 fn failures_are_told_and_retried_on_request() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("runs");

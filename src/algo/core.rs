@@ -297,6 +297,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, ppo, N::TEAM);
         let mut means = Means::default();
+        let size = ppo.minibatch * pace.growth;
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
                 let noise = |of: &str, graphs: usize| {
@@ -310,7 +311,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
-            for shards in minibatches(rollout, length, ppo.minibatch, self.copies.len(), self.device, order) {
+            for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order) {
                 let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
                 means.add(&self.step(&batch, shards, rate)?);
             }

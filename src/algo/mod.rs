@@ -225,6 +225,8 @@ pub struct Pace {
     pub log_std: f64,
     /// Weight of imitating the rollout's teacher in the policy's loss, 0 to 1; what it earns has the rest.
     pub imitation: f64,
+    /// Minibatches have so many times the samples that are set.
+    pub growth: usize,
 }
 
 /// Named diagnostics of an update, in the field's usual names.

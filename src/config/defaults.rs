@@ -20,8 +20,10 @@ impl Config {
         let envs = train.envs as u64;
         // To stay on the road is imitated; what a vehicle that steers must find out is when to wait.
         let steers = scenario.control.steering.is_some();
-        let imitates = steers && !trained && algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
+        let on_policy = algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
+        let imitates = steers && !trained && on_policy;
         let train = Train {
+            growth: if steers && on_policy { 4 } else { train.growth },
             envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),

@@ -12,21 +12,27 @@ impl Config {
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
         // A rollout's observations alone must fit into memory.
-        let samples = t.envs.saturating_mul(t.segment).saturating_mul(self.agents as usize);
+        let samples = t.envs.saturating_mul(t.segment * t.growth).saturating_mul(self.agents as usize);
         let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 95] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 97] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
             (&["train.envs"], (1..=1024).contains(&t.envs), "1 to 1024"),
             (&["train.segment"], (1..=100_000).contains(&t.segment), "1 to 100000"),
             (
-                &["train.segment", "train.envs", "agents"],
+                &["train.segment", "train.growth", "train.envs", "agents"],
                 samples <= 1 << 24,
-                "2^24 samples per rollout (segment × envs × agents)",
+                "2^24 samples per rollout (segment × growth × envs × agents)",
+            ),
+            (&["train.growth"], (1..=64).contains(&t.growth), "1 to 64"),
+            (
+                &["train.growth", "algorithm"],
+                t.growth == 1 || able.is_none_or(|able| able.on_policy),
+                "1 with MADDPG, which learns from replayed steps",
             ),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
@@ -35,7 +41,7 @@ impl Config {
             (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
             (
                 &["train.imitate_steps", "algorithm"],
-                t.imitate_steps == 0 || algo::capabilities(&self.algorithm).is_ok_and(|c| c.on_policy),
+                t.imitate_steps == 0 || able.is_none_or(|able| able.on_policy),
                 "0 with MADDPG, which learns from replayed steps",
             ),
             (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),

@@ -23,7 +23,7 @@ pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(
         }
     }
     let panels: Vec<Panel> = if names.is_empty() {
-        METRICS.iter().map(|metric| panel(sweep, block, metric, None)).collect()
+        block.metrics().map(|metric| panel(sweep, block, metric, None)).collect()
     } else {
         names.into_iter().map(|name| panel(sweep, block, &METRICS[0], Some(name))).collect()
     };
@@ -58,7 +58,6 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
             style: Style::Beside(reference.beside.clone()),
         });
     }
-    let unit = if metric.factor == 100.0 { "agents (%)" } else { "reward per agent in 1000 steps" };
     // Panels side by side have one scale.
     let of_all =
         |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric)?.mean)).collect::<Vec<_>>();
@@ -67,7 +66,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     Panel {
         title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),
-        y_label: unit.to_owned(),
+        y_label: metric.axis.to_owned(),
         // Where everything succeeds, differences are in the last percent.
         y_range: (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0)),
         categories: if block.x.is_some() { block.categories.clone() } else { vec![String::new()] },

@@ -20,19 +20,29 @@ use crate::{plot, stats};
 /// A metric that is shown: key in the JSON of `iwol evaluate`, heading, factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Metric {
-    /// Key.
+    /// Key; one within another is separated by a point.
     pub key: &'static str,
     /// Heading, with the unit.
     pub title: &'static str,
+    /// What an axis says.
+    pub axis: &'static str,
     /// By which the value is multiplied.
     pub factor: f64,
 }
 
 /// What is tabulated and drawn of each evaluation.
 pub const METRICS: [Metric; 3] = [
-    Metric { key: "success", title: "success %", factor: 100.0 },
-    Metric { key: "safety", title: "safety %", factor: 100.0 },
-    Metric { key: "window_reward", title: "window reward", factor: 1.0 },
+    Metric { key: "success", title: "success %", axis: "agents (%)", factor: 100.0 },
+    Metric { key: "safety", title: "safety %", axis: "agents (%)", factor: 100.0 },
+    Metric { key: "window_reward", title: "window reward", axis: "reward per agent in 1000 steps", factor: 1.0 },
+];
+
+/// What is tabulated and drawn besides where SUMO drives some vehicles.
+pub const OF_OTHERS: [Metric; 4] = [
+    Metric { key: "others.crash", title: "others' crash %", axis: "others (%)", factor: 100.0 },
+    Metric { key: "others.delay", title: "others' delay s", axis: "time loss of others (s)", factor: 1.0 },
+    Metric { key: "others.hard_braking", title: "others braking hard %", axis: "others (%)", factor: 100.0 },
+    Metric { key: "others.pet", title: "smallest PET s", axis: "post-encroachment time (s)", factor: 1.0 },
 ];
 
 /// One evaluation of all cells.
@@ -64,6 +74,23 @@ struct Row<'a> {
     runs: Vec<(&'a Cell, Option<Value>)>,
 }
 
+impl Metric {
+    /// A number of it in what was found, times its factor.
+    fn of(&self, found: &Value, number: &str) -> Option<f64> {
+        let metric = self.key.split('.').fold(&found["metrics"], |value, key| &value[key]);
+        Some(metric[number].as_f64()? * self.factor)
+    }
+}
+
+impl Block<'_> {
+    /// The metrics that its runs have.
+    fn metrics(&self) -> impl Iterator<Item = &'static Metric> {
+        let has =
+            |metric: &&Metric| self.series.iter().flat_map(|line| &line.rows).any(|row| !row.values(metric).is_empty());
+        METRICS.iter().chain(OF_OTHERS.iter().filter(has))
+    }
+}
+
 impl Row<'_> {
     /// Whether all its runs are finished.
     fn is_complete(&self) -> bool {
@@ -72,18 +99,16 @@ impl Row<'_> {
 
     /// A metric of each finished run, times its factor.
     fn values(&self, metric: &Metric) -> Vec<f64> {
-        let value = |found: &Value| found["metrics"][metric.key]["mean"].as_f64().map(|v| v * metric.factor);
-        self.runs.iter().filter_map(|(_, found)| value(found.as_ref()?)).collect()
+        self.runs.iter().filter_map(|(_, found)| metric.of(found.as_ref()?, "mean")).collect()
     }
 
     /// Mean and interval over seeds; of a single seed the interval over its episodes. Rates stay in their range.
     fn estimate(&self, metric: &Metric) -> Option<Estimate> {
         let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
         if let [only] = finished[..] {
-            let end = |key: &str| only["metrics"][metric.key][key].as_f64().map(|v| v * metric.factor);
-            let open = |key: &str, none: f64| end(key).unwrap_or(none);
+            let open = |key: &str, none: f64| metric.of(only, key).unwrap_or(none);
             let (low, high) = (open("low", f64::NEG_INFINITY), open("high", f64::INFINITY));
-            return Some(Estimate { mean: end("mean")?, low, high });
+            return Some(Estimate { mean: metric.of(only, "mean")?, low, high });
         }
         let values = self.values(metric);
         let e = Estimate::t(&values)?;
@@ -126,7 +151,8 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         document.heading(2, &heading(sweep, block));
         let file = out.join(format!("{}.png", block.evaluate.name));
         figures::results(&file, sweep, block)?;
-        let shown = if block.evaluate.panels.is_some() { "success" } else { "success, safety and window reward" };
+        let all: Vec<&str> = block.metrics().map(|metric| metric.title.trim_end_matches(" %")).collect();
+        let shown = if block.evaluate.panels.is_some() { "success".to_owned() } else { all.join(", ") };
         document.figure(&file, &format!("{}: {shown}", heading(sweep, block)));
         written.push(file);
         tables::results(&mut document, sweep, block);

@@ -32,7 +32,7 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
 /// A table per metric, a line per series, a column per place; published values below; then every row in detail.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
     let axis = block.x.as_deref().map_or("", |x| x.rsplit('.').next().unwrap_or(x)).replace('_', " ");
-    for metric in &METRICS {
+    for metric in block.metrics() {
         let header = |title: &str| [&[title.to_owned()], &block.categories[..]].concat();
         let title = if axis.is_empty() { metric.title.to_owned() } else { format!("{} at {axis}", metric.title) };
         let mut rows: Vec<Vec<String>> = Vec::new();

@@ -176,6 +176,7 @@ impl Cell {
             ("env.lidar_range", Value::Float(50.0)),
             ("env.penetration", Value::Float(1.0)),
             ("train.restart_steps", Value::Integer(0)),
+            ("train.growth", Value::Integer(1)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);
         }

@@ -25,6 +25,7 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
         log_std,
         imitation: fading(config.train.imitate_steps, progress),
+        growth: if progress.step - progress.begun < noise.explore_steps { 1 } else { config.train.growth },
     }
 }
 
@@ -156,6 +157,15 @@ mod tests {
         assert_eq!(at(&config, 100), 0.0, "by default nobody is imitated");
         config.train.imitate_steps = 200;
         assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn batches_grow_when_the_noise_is_small() {
+        let mut config = config();
+        config.train.growth = 4;
+        let at = |step, begun| pace(&config, &Progress { step, begun, ..Progress::default() }).growth;
+        assert_eq!([at(0, 0), at(399, 0), at(400, 0), at(1000, 0)], [1, 1, 4, 4]);
+        assert_eq!([at(599, 200), at(600, 200)], [1, 4], "new weights begin anew");
     }
 
     /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.
