@@ -12,6 +12,7 @@
 //! (reference: LSTM, REINFORCE, discrete actions); a value of its own that is told the privileged state, as every method's is
 //! (reference: from hidden state and message); edges beyond the radio range do not exist; the noise of the graphs is kept
 //! with the rollout, and there is none in evaluation (reference: always new noise). `magic.lambda_world` adds IWoL's world decoder.
+//! `experiments/magic_reinforce.toml` learns as the reference does, by REINFORCE with the value as baseline.
 
 use tch::Tensor;
 

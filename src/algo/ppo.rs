@@ -88,6 +88,20 @@ mod tests {
         assert!((advantage[0] + 1.224_7).abs() < 1e-3 && advantage[1].abs() < 1e-6);
     }
 
+    /// One step on a whole rollout is REINFORCE with a baseline (`experiments/magic_reinforce.toml`).
+    #[test]
+    fn the_first_step_follows_the_policy_gradient() {
+        let old = Tensor::from_slice(&[-0.3_f32, -2.0, 0.4, -1.0]).view([4, 1]);
+        let new = old.copy().set_requires_grad(true);
+        let advantage = Tensor::from_slice(&[0.5_f32, -8.0, 9.0, 3.0]);
+        let active = Tensor::from_slice(&[1.0_f32, 1.0, 1.0, 0.0]);
+        policy_loss(&new, &old, &advantage, &active, 0.2).backward();
+        // -A ∇ log π, averaged over who acts.
+        let expected = Tensor::from_slice(&[-0.5_f32 / 3.0, 8.0 / 3.0, -3.0, 0.0]);
+        let difference = (new.grad().view([-1]) - expected).abs().max().double_value(&[]);
+        assert!(difference < 1e-6, "{:?}", new.grad());
+    }
+
     #[test]
     fn means_beyond_the_bounds_are_pushed_back() {
         let mean = Tensor::from_slice(&[0.9_f32, -3.0, 1.5, -1.0]).view([2, 2]).set_requires_grad(true);
