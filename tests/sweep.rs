@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::sweep::Sweep;
 use serde_json::Value;
 
 const FILE: &str = r#"
@@ -275,6 +277,25 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
     assert!(text(&both.stdout).contains("2 of 2 cells finished, 0 failed"), "{}", text(&both.stdout));
     let config = std::fs::read_to_string(out.join("tiny/mappo_agents=5/seed_0/config.toml")).expect("written");
     assert!(config.contains("init_from = ") && config.contains("tiny/mappo_agents=4/seed_0"), "{config}");
+}
+
+/// Sweeps name settings that there are, and so do configurations.
+#[test]
+fn the_experiments_that_come_along_load() {
+    let mut sweeps = 0;
+    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")).expect("the folder") {
+        let path = entry.expect("a file").path();
+        let text = std::fs::read_to_string(&path).expect("text");
+        if text.contains("[grid]") {
+            let sweep = Sweep::load(&path, Path::new("runs")).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            assert!(!sweep.cells.is_empty(), "{}", path.display());
+            sweeps += 1;
+        } else {
+            let document = Document { name: path.display().to_string(), text };
+            Config::resolve(&Layers { document, ..Layers::default() }).unwrap_or_else(|e| panic!("{e}"));
+        }
+    }
+    assert!(sweeps > 8);
 }
 
 /// On a real Slurm of one machine, from Debian's packages (`scripts/bootstrap --tests` installs them).

@@ -12,6 +12,8 @@ pub(super) const UPSTREAM: f64 = 6.0;
 pub(super) struct Crash {
     /// Route of one that it overlapped with in the step of its crash, the lowest slot of several.
     pub(super) other: usize,
+    /// One was ahead of the other on its way.
+    pub(super) same_way: bool,
     /// The other was a wreck by then.
     pub(super) wreck: bool,
     pub(super) step: u32,
@@ -24,9 +26,9 @@ pub(super) struct Crash {
 /// Sums over agents that did not arrive.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Failures {
-    /// Crashed into a moving vehicle of another route.
+    /// Crashed into a moving vehicle that came another way.
     pub crossing: u32,
-    /// Crashed into a moving vehicle of their own route, from in front or behind.
+    /// Crashed into a moving vehicle on their own way, from in front or behind: on a lane that both use, or just behind its fork.
     pub rear_end: u32,
     /// Crashed into a wreck.
     pub wreck: u32,
@@ -45,12 +47,12 @@ pub struct Failures {
 }
 
 impl Failures {
-    /// Adds an agent that crashed. `same`: both have the same route; `routes`: names of its own and the other's.
-    pub(super) fn add(&mut self, crash: &Crash, same: bool, routes: [&str; 2]) {
+    /// Adds an agent that crashed. `routes`: names of its own and the other's.
+    pub(super) fn add(&mut self, crash: &Crash, routes: [&str; 2]) {
         let count = |flag: bool| u32::from(flag);
         self.wreck += count(crash.wreck);
-        self.rear_end += count(!crash.wreck && same);
-        if !crash.wreck && !same {
+        self.rear_end += count(!crash.wreck && crash.same_way);
+        if !crash.wreck && !crash.same_way {
             self.crossing += 1;
             let [a, b] = if routes[0] <= routes[1] { routes } else { [routes[1], routes[0]] };
             *self.routes.entry(format!("{a} × {b}")).or_default() += 1;
@@ -89,8 +91,7 @@ impl Failures {
         if crashed > 0 {
             let share = |count: u32| 100.0 * f64::from(count) / f64::from(crashed);
             lines.push(format!(
-                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one of their own route, {:.0} % into a \
-                 wreck",
+                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one on their own, {:.0} % into a wreck",
                 share(self.crossing),
                 share(self.rear_end),
                 share(self.wreck)

@@ -289,7 +289,8 @@ impl View<'_> {
     }
 }
 
-/// The `count` vehicles that will soonest be with the agent of `slot` where their routes meet.
+/// The `count` vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
+/// meet: at the end of the gap between them.
 pub(super) fn put_encounters(
     w: &mut Writer,
     routes: &[RouteGeometry],
@@ -305,8 +306,12 @@ pub(super) fn put_encounters(
         if j == slot || other.status == Status::Empty || !seen(j) {
             continue;
         }
-        let Some(meeting) = routes[own.route].meeting(other.route) else { continue };
-        let (own_way, other_way) = (meeting.own - own.s, meeting.other - other.s);
+        let ahead = routes[own.route].shared_position(other.route, other.s).map(|s| s - own.s).filter(|way| *way > 0.0);
+        let (own_way, other_way) = match (ahead, routes[own.route].meeting(other.route)) {
+            (Some(way), _) => (way - f64::midpoint(own.size[0], other.size[0]), 0.0),
+            (None, Some(meeting)) => (meeting.own - own.s, meeting.other - other.s),
+            (None, None) => continue,
+        };
         if own_way < -CLEARED || other_way < -CLEARED {
             continue;
         }

@@ -42,7 +42,8 @@ struct Shared {
 }
 
 impl RouteGeometry {
-    /// Position on this route of something at `s` on `route`, if it is on a lane that both use.
+    /// Position on this route of something at `s` on `route`, if it is on a lane that both use, or behind a fork of it still as
+    /// good as on this route.
     pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {
         self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
     }
@@ -77,7 +78,28 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeome
     for (i, conflict) in conflicts.iter().enumerate() {
         meetings[conflict.route] = Some(i);
     }
+    let shared = shared.into_iter().zip(paths).map(|(stretches, other)| beyond_forks(path, other, stretches)).collect();
     RouteGeometry { path: path.clone(), first_lane: 0, arrival, conflicts, apart, meetings, shared }
+}
+
+/// The stretches, each as far as the ways behind it are not yet apart: who waits there is in the way of both.
+fn beyond_forks(own: &Path, other: &Path, stretches: Vec<Shared>) -> Vec<Shared> {
+    /// Vehicles on ways this far apart pass each other \[m\].
+    const APART: f64 = 2.5;
+    /// \[m\]
+    const STEP: f64 = 0.25;
+    let apart = |s: f64, shift: f64| {
+        let ([x, y], [u, v]) = (other.at(s).0, own.at(s + shift).0);
+        (x - u).hypot(y - v) >= APART
+    };
+    let (end, own_end) = (other.length(), own.length());
+    let beyond = |mut stretch: Shared| {
+        while stretch.to < end && stretch.to + stretch.shift < own_end && !apart(stretch.to, stretch.shift) {
+            stretch.to += STEP;
+        }
+        stretch
+    };
+    stretches.into_iter().map(beyond).collect()
 }
 
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {

@@ -320,6 +320,38 @@ fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRe
     }
 }
 
+/// Behind a fork the ways stay one as long as vehicles on them would touch.
+#[test]
+fn who_waits_behind_a_fork_is_still_ahead() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
+    let scenario = Scenario::load(&path).expect("a scenario");
+    let task = Task::new(&scenario, 8).expect("a task");
+    let route = |id: &str| task.route_ids.iter().position(|own| own == id).expect("a route");
+    let (left, right) = (route("west_left"), route("west_right"));
+    let (own, other) = (&task.routes[left], &task.routes[right]);
+    let fork = other.path.arc(0, -1e-6).expect("the end of its first edge");
+    for s in [fork - 10.0, fork - 0.1, fork + 2.0] {
+        let there = own.shared_position(right, s).unwrap_or_else(|| panic!("{s} of {fork}"));
+        assert!((there - s).abs() < 0.1, "{s}: {there}");
+    }
+    assert_eq!(own.shared_position(right, other.path.length() - 1.0), None);
+    // Wherever one counts as ahead, it is in the way.
+    for (a, own) in task.routes.iter().enumerate() {
+        for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
+            for s in (0..other.path.length() as u32).map(f64::from) {
+                let Some(there) = own.shared_position(b, s) else { continue };
+                let ([x, y], [u, v]) = (other.path.at(s).0, own.path.at(there).0);
+                assert!(
+                    (x - u).hypot(y - v) < 3.0,
+                    "{} at {s} is not ahead of {}",
+                    task.route_ids[b],
+                    task.route_ids[a]
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn failures_say_how_a_crash_came_about() {
     // The second of a lane runs into the first, which stands, and the third into the wreck; the fourth stays.
@@ -329,8 +361,7 @@ fn failures_say_how_a_crash_came_about() {
     assert_eq!((failures.upstream, failures.unfinished, failures.out_of_road), (3, 13, 0));
     assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
     let text = failures.describe().join("\n");
-    for part in
-        ["3 vehicles crashed: 0 % crossing", "67 % with one of their own route", "33 % into a wreck", "100 % of them"]
+    for part in ["3 vehicles crashed: 0 % crossing", "67 % with one on their own", "33 % into a wreck", "100 % of them"]
     {
         assert!(text.contains(part), "{text}");
     }
@@ -554,6 +585,12 @@ proptest! {
             for (j, other) in views.iter().enumerate() {
                 let far = own.pose.distance(&other.pose) > task.scenario.observation.detection_range;
                 if i == j || far || !(other.driving || other.wreck) {
+                    continue;
+                }
+                // One ahead is met at the end of the gap.
+                let gap = other.position - own.position - task.scenario.vehicle.length;
+                if other.route == own.route && other.position > own.position {
+                    expected.push([gap, 0.0]);
                     continue;
                 }
                 let met = task.routes[own.route].conflicts.iter().find(|conflict| conflict.route == other.route);

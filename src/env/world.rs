@@ -56,6 +56,8 @@ enum Phase {
 #[derive(Debug, Clone, Copy)]
 struct Partner {
     route: usize,
+    /// One is ahead of the other on its way.
+    same_way: bool,
     /// It is a wreck.
     wreck: bool,
 }
@@ -392,9 +394,9 @@ impl World {
                 crashed: self.partners[i].is_some(),
             };
             slot.fate = fate;
-            if let Some(Partner { route: other, wreck }) = self.partners[i] {
+            if let Some(Partner { route: other, same_way, wreck }) = self.partners[i] {
                 let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
-                slot.crash = Some(Crash { other, wreck, step: self.step, speed: slot.speed, upstream });
+                slot.crash = Some(Crash { other, same_way, wreck, step: self.step, speed: slot.speed, upstream });
             }
             // The first that applies replaces the step's reward.
             let reward = if fate.arrived {
@@ -455,8 +457,13 @@ impl World {
                     boxes_overlap((&a, slots[i].size), (&b, slots[j].size))
                 });
                 if hit {
-                    self.partners[i].get_or_insert(Partner { route: slots[j].route, wreck: !moving(j) });
-                    self.partners[j].get_or_insert(Partner { route: slots[i].route, wreck: !moving(i) });
+                    let on_way = |a: usize, b: usize| {
+                        let way = &self.task.routes[slots[a].route];
+                        way.shared_position(slots[b].route, slots[b].s).is_some_and(|s| s >= slots[a].s)
+                    };
+                    let same_way = on_way(i, j) || on_way(j, i);
+                    self.partners[i].get_or_insert(Partner { route: slots[j].route, same_way, wreck: !moving(j) });
+                    self.partners[j].get_or_insert(Partner { route: slots[i].route, same_way, wreck: !moving(i) });
                     if j >= agents {
                         continue;
                     }
@@ -501,8 +508,7 @@ impl World {
             failures.unfinished += u32::from(slot.status == Status::Active);
             failures.out_of_road += u32::from(slot.fate.out_of_road && slot.crash.is_none());
             if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
-                let both = [slot.route, crash.other];
-                failures.add(&crash, both[0] == both[1], both.map(|route| routes[route].as_str()));
+                failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
             }
         }
         EpisodeRecord {
