@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
-use iwol_sumo::env::Task;
+use iwol_sumo::env::{Driver, Task, World};
 use iwol_sumo::evaluate::{Onlooker, Policy, evaluate};
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Error, Map, Sizes, State, Template, build, create, import};
-use iwol_sumo::scenario::{self, Element, Finding, Scenario, Severity};
+use iwol_sumo::scenario::{self, Element, Finding, Scenario, Severity, SpawnRow};
 use iwol_sumo::sumo::net::Net;
-use iwol_sumo::sumo::{Hosting, find_program};
+use iwol_sumo::sumo::{Hosting, Snapshot, VehicleState, find_program};
 
 const SIZES: Sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889 };
 
@@ -61,6 +61,8 @@ fn findings(file: &Path) -> String {
 fn every_template_builds_checks_and_runs() {
     for template in Template::ALL {
         for (lanes, agents) in [(None, 8), (Some(2), 20)] {
+            // A parking lot has one lane in each direction.
+            let lanes = lanes.filter(|_| template != Template::Parking);
             let folder = folder();
             let sizes = Sizes { lanes, agents, ..SIZES };
             let file = create(folder.path(), "site", template, &sizes).unwrap_or_else(|e| panic!("{template:?}: {e}"));
@@ -88,19 +90,87 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
         let folder = folder();
         let scenario = Scenario::load(&create(folder.path(), "site", template, &SIZES).unwrap()).unwrap();
         let task = Arc::new(Task::new(&scenario, 8).unwrap());
-        let success = |policy| {
+        let success = |task: &Arc<Task>, policy| {
             let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
-            let played = evaluate(&task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+            let played = evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
             played.metrics().unwrap().success.mean
         };
         // The check would say so.
         let trial = Trial::run(&scenario, 8, 600, Seed::new(0), &Hosting::default()).unwrap();
         let [played, unharmed] = trial.flat_out;
         assert!(played > unharmed, "{template:?}: {unharmed} of {played} episodes at full throttle go well");
-        let (flat_out, sumo) = (success(Policy::Throttle(1.0)), success(Policy::Sumo));
+        let flat_out = success(&task, Policy::Throttle(1.0));
         assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
-        assert!(sumo > 0.9, "{template:?}: SUMO's own driver succeeds at {sumo}");
+        if template == Template::Parking {
+            // SUMO's own driver does not see who leaves a space on the edge into it: one alone shows that all can be driven.
+            let alone = success(&Arc::new(Task::new(&scenario, 1).unwrap()), Policy::Pursuit(3.0));
+            let blind = success(&task, Policy::Sumo);
+            assert!(alone == 1.0, "{template:?}: pursuit of one vehicle succeeds at {alone}");
+            assert!(blind > 0.3, "{template:?}: SUMO's own driver succeeds at {blind}");
+        } else {
+            let sumo = success(&task, Policy::Sumo);
+            assert!(sumo > 0.9, "{template:?}: SUMO's own driver succeeds at {sumo}");
+        }
     }
+}
+
+#[test]
+fn a_parking_lot_has_room_for_any_mix_of_vehicles() {
+    for agents in [1, 5, 6, 60] {
+        let folder = folder();
+        let sizes = Sizes { agents, ..SIZES };
+        let scenario = Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap()).unwrap();
+        let (outside, spaces): (Vec<&SpawnRow>, Vec<&SpawnRow>) =
+            scenario.nets[0].spawns.iter().partition(|row| scenario.routes[row.routes[0]].reserved);
+        assert_eq!(spaces.len(), agents.next_multiple_of(2).max(4) as usize);
+        assert!(spaces.iter().all(|row| row.count == 1 && row.routes.len() == 2), "{spaces:?}");
+        let from_outside: u32 = outside.iter().map(|row| row.count).sum();
+        assert!(agents <= from_outside && from_outside as usize <= spaces.len(), "{agents}: {from_outside}");
+        assert!(outside.len() == 2 && outside.iter().all(|row| row.routes.len() == spaces.len()));
+        assert_eq!((scenario.agents.min, scenario.agents.default), (1, agents));
+        // SUMO alone shows each space as a parking area.
+        let shown = |ending: &str| fs::read_to_string(folder.path().join("sumo_nets/lot/lot").with_extension(ending));
+        assert_eq!(shown("add.xml").unwrap().matches("<parkingArea ").count(), spaces.len());
+        assert!(shown("sumocfg").unwrap().contains("<additional-files value=\"lot.add.xml\"/>"));
+    }
+}
+
+#[test]
+fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
+    for (agents, arm_length) in [(1, None), (9, Some(60.0))] {
+        let folder = folder();
+        let sizes = Sizes { agents, arm_length, ..SIZES };
+        let whole = Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap()).unwrap();
+        for place in whole.nets[0].places() {
+            for &route in &*place.routes {
+                let mut scenario = whole.clone();
+                scenario.routes = vec![whole.routes[route].clone()];
+                scenario.nets[0].spawns =
+                    vec![SpawnRow { routes: [0].into(), first: place.pos, spacing: 8.0, count: 1 }];
+                let task = Arc::new(Task::new(&scenario, 1).unwrap());
+                for speed in [2.0, 3.0, 4.0] {
+                    let arrived = alone(&task, speed, 3);
+                    let from = (place.pos, &whole.routes[route].id);
+                    assert_eq!(arrived, [1.0; 3], "{agents} agents, from {} m on {} at {speed} m/s", from.0, from.1);
+                }
+            }
+        }
+    }
+}
+
+/// Success of a vehicle that pursues its route at `speed` \[m/s\], in each of some episodes: no simulator moves a vehicle that steers.
+fn alone(task: &Arc<Task>, speed: f64, episodes: u64) -> Vec<f64> {
+    let there = Snapshot { vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })], ..Snapshot::default() };
+    let mut world = World::new(Arc::clone(task), Driver::Agents, Seed::new(0), 0, 1, episodes);
+    let mut success = Vec::new();
+    world.reset(0);
+    while !world.is_idle() {
+        let actions = world.pursuit(0, speed).map(|action| action as f32);
+        world.act(0, &actions, &mut Vec::new());
+        world.observe(0, &there).unwrap();
+        success.extend(world.take_finished().map(|record| record.success));
+    }
+    success
 }
 
 #[test]
@@ -117,6 +187,19 @@ fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
         "--arm-length 40: allowed: 90 to 5000 m for 30 agents on 3 lanes"
     );
     assert_eq!(refused(Template::Cross, Sizes { agents: 0, ..SIZES }), "--agents 0: allowed: 1 to 200");
+    assert_eq!(refused(Template::Parking, Sizes { lanes: Some(2), ..SIZES }), "--lanes 2: allowed: 1 for `parking`");
+    assert_eq!(
+        refused(Template::Parking, Sizes { agents: 61, ..SIZES }),
+        "--agents 61: allowed: 1 to 60 for `parking`"
+    );
+    assert_eq!(
+        refused(Template::Parking, Sizes { speed: 30.0, ..SIZES }),
+        "--speed 30: allowed: 1 to 22.222 m/s for `parking`"
+    );
+    assert_eq!(
+        refused(Template::Parking, Sizes { arm_length: Some(41.0), ..SIZES }),
+        "--arm-length 41: allowed: 42 to 5000 m for 8 agents on 2 lanes"
+    );
     assert!(refused(Template::Cross, Sizes { speed: f64::NAN, ..SIZES }).starts_with("--speed NaN"));
     for name in ["", "../x", "a b"] {
         assert!(matches!(create(folder.path(), name, Template::Cross, &SIZES), Err(Error::Name { .. })), "{name}");

@@ -12,10 +12,10 @@ use super::Verdict;
 pub(super) struct Args {
     /// Name of the scenario, also of its files
     name: String,
-    /// cross, tee, roundabout, merge, grid or bottleneck
+    /// cross, tee, roundabout, merge, grid, bottleneck or parking
     #[arg(long, short)]
     template: String,
-    /// Lanes per direction, 1 to 4 [default: 1, of a bottleneck 2]
+    /// Lanes per direction, 1 to 4; of a bottleneck 2 to 4, of a parking lot 1 [default: the fewest]
     #[arg(long)]
     lanes: Option<u32>,
     /// Length of the lanes on which vehicles begin, at least, in metres [default: what the agents need]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::super::write::escape;
 use super::super::{
     AgentRange, Border, Communication, Control, Jitter, Lidar, Net, Observation, ObservationGroups, Reward, Route,
-    SCHEMA, Scenario, SpawnRow, Termination, Traffic, Vehicle, schema,
+    SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
@@ -21,6 +21,8 @@ const DETECTION: f64 = 100.0;
 const RADIO: f64 = 50.0;
 /// Most crossing or merging streams that agents see, which is also the most that a scenario may ask for.
 const STREAMS: usize = 16;
+/// Speed at which vehicles that steer take narrow curves, about \[m/s\].
+const CURVES: f64 = 5.0;
 /// An episode has so many times the steps of the longest route, as cars have to wait.
 const PATIENCE: f64 = 8.0;
 
@@ -96,13 +98,29 @@ impl Layout {
         write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
         // What goes for everyone goes for files that were just made.
         let scenario = Scenario::load(&self.scenario)?;
-        write_atomic(&self.file("sumocfg"), configuration(&self.name, &scenario).as_bytes())?;
+        write_atomic(&self.file("sumocfg"), self.configuration(&scenario).as_bytes())?;
         scenario.nets.iter().try_for_each(|net| show_traffic(&scenario, net))
+    }
+
+    /// What `sumo -c` takes: net, vehicles, and what else is shown, if there is something.
+    fn configuration(&self, scenario: &Scenario) -> String {
+        let name = &self.name;
+        let additional = if self.file("add.xml").exists() {
+            format!("        <additional-files value=\"{name}.add.xml\"/>\n")
+        } else {
+            String::new()
+        };
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- sumo-gui -c {name}.sumocfg shows the net with SUMO's own drivers. -->\n\
+             <configuration>\n    <input>\n        <net-file value=\"{name}.net.xml\"/>\n        <route-files value=\"{name}.rou.xml\"/>\n{additional}    </input>\n\
+             \x20   <time>\n        <step-length value=\"{}\"/>\n    </time>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>\n</configuration>\n",
+            scenario.control.interval
+        )
     }
 
     /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
     pub(super) fn scenario(&self, site: Site) -> Scenario {
-        let Site { description, routes, ways, rows, agents, speed } = site;
+        let Site { description, routes, ways, rows, agents, speed, steers } = site;
         let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
         // A vehicle should see all whose way it may meet; those behind each other on a lane do not count.
         let meets = |one: &Way| ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count();
@@ -113,8 +131,9 @@ impl Layout {
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
         let places: u32 = spawns.iter().map(|row| row.count).sum();
         let interval = 0.1;
-        let horizon = (PATIENCE * longest / (speed * interval) / 100.0).ceil() * 100.0;
-        Scenario {
+        let pace = if steers { speed.min(CURVES) } else { speed };
+        let horizon = (PATIENCE * longest / (pace * interval) / 100.0).ceil() * 100.0;
+        let scenario = Scenario {
             name: self.name.clone(),
             path: self.scenario.clone(),
             description,
@@ -154,7 +173,38 @@ impl Layout {
             },
             communication: Communication { range: RADIO },
             traffic: Traffic::default(),
-        }
+        };
+        if steers { steered(scenario) } else { scenario }
+    }
+}
+
+/// The same for vehicles that steer, and can reverse: as in `scenarios/parking_lot.xml`.
+fn steered(scenario: Scenario) -> Scenario {
+    let steering = Steering {
+        max_angle: 40.0,
+        wheelbase: 2.469,
+        offset: 2.05,
+        slip: 0.4,
+        dead_time: 0.065,
+        lag: 0.175,
+        max_lateral: 7.2,
+        reverse: true,
+    };
+    let accel = scenario.control.accel;
+    Scenario {
+        // One alone has something to do, too.
+        agents: AgentRange { min: 1, ..scenario.agents },
+        control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering: Some(steering), ..scenario.control },
+        observation: Observation {
+            groups: ObservationGroups::Nearest,
+            conflict_streams: 0,
+            stream_vehicles: 0,
+            encounters: 6,
+            ..scenario.observation
+        },
+        reward: Reward { arrive: 100.0, cooperation: 0.5, ..scenario.reward },
+        termination: Termination { border: Border::Kerb, ..scenario.termination },
+        ..scenario
     }
 }
 
@@ -168,6 +218,8 @@ pub(super) struct Site {
     pub(super) agents: u32,
     /// Top speed \[m/s\].
     pub(super) speed: f64,
+    /// Vehicles steer, and can reverse.
+    pub(super) steers: bool,
 }
 
 /// Places on a lane.
@@ -231,15 +283,6 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
         );
     }
     text + "</routes>\n"
-}
-
-fn configuration(name: &str, scenario: &Scenario) -> String {
-    format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- sumo-gui -c {name}.sumocfg shows the net with SUMO's own drivers. -->\n\
-         <configuration>\n    <input>\n        <net-file value=\"{name}.net.xml\"/>\n        <route-files value=\"{name}.rou.xml\"/>\n    </input>\n\
-         \x20   <time>\n        <step-length value=\"{}\"/>\n    </time>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>\n</configuration>\n",
-        scenario.control.interval
-    )
 }
 
 /// Whether two ways merge or cross.

@@ -131,6 +131,7 @@ pub fn import(root: &Path, name: &str, map: Map, junction: Option<&str>, agents:
             rows: proposal.rows,
             agents,
             speed: proposal.speed.clamp(SPEED.0, SPEED.1),
+            steers: false,
         }))?;
         Ok(Imported { scenario: layout.scenario.clone(), candidates, warnings })
     })

@@ -47,14 +47,18 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
             write_atomic(&layout.file(ending), text.as_bytes())?;
             inputs.push((option, format!("{name}.{ending}")));
         }
+        if let Some(text) = plan.additional() {
+            write_atomic(&layout.file("add.xml"), text.as_bytes())?;
+        }
         layout.configure(&inputs, &OPTIONS)?;
         netconvert::convert(&layout.net)?;
         let net = Net::load(&layout.net)?;
         let way = |route: &Route| net.route_path_from(&route.edges, route.lane);
         let ways = plan.routes.iter().map(way).collect::<Result<_, _>>()?;
         let row = |routes: Vec<usize>| {
-            let ahead = plan.ahead.get(&plan.routes[routes[0]].edges[0]).copied().unwrap_or(0.0);
-            Row { routes, first: FIRST + ahead, count: places }
+            let edge = &plan.routes[routes[0]].edges[0];
+            let ahead = plan.ahead.get(edge).copied().unwrap_or(0.0);
+            Row { routes, first: FIRST + ahead, count: if plan.single.contains(edge) { 1 } else { places } }
         };
         let site = Site {
             description: template.description().into(),
@@ -63,6 +67,7 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
             ways,
             agents: sizes.agents,
             speed: sizes.speed,
+            steers: plan.steers,
         };
         layout.write(&layout.scenario(site))?;
         Ok(layout.scenario.clone())

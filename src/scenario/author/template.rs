@@ -4,7 +4,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::plan::Plan;
+use super::plan::{LANE_WIDTH, Plan, Space};
 use super::{Error, SPACING};
 
 /// A kind of site.
@@ -22,12 +22,14 @@ pub enum Template {
     Grid,
     /// A road with half as many lanes in the middle, both ways.
     Bottleneck,
+    /// A road between two rows of spaces, in which vehicles steer.
+    Parking,
 }
 
 /// How large a site is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sizes {
-    /// Lanes per direction; `None`: 1, of a bottleneck 2.
+    /// Lanes per direction; `None`: the fewest that the template has, 1 or, of a bottleneck, 2.
     pub lanes: Option<u32>,
     /// Length of the lanes on which vehicles begin, at least \[m\]; `None`: what the agents need, at least 30 m.
     pub arm_length: Option<f64>,
@@ -49,10 +51,17 @@ const FREE: f64 = 10.0;
 const SHORTEST: f64 = 30.0;
 /// Angle between ramp and main road \[rad\].
 const RAMP: f64 = PI / 6.0;
+/// Radius of the curves between a road and spaces, and length of a space \[m\].
+const CURVE: f64 = 4.0;
+const DEPTH: f64 = 8.0;
+/// Most agents of a parking lot, which has four routes for each, and highest speed \[m/s\], at which one stops within sight.
+const LOT_AGENTS: u32 = 60;
+const LOT_SPEED: f64 = 22.222;
 
 impl Template {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Cross, Self::Tee, Self::Roundabout, Self::Merge, Self::Grid, Self::Bottleneck];
+    pub const ALL: [Self; 7] =
+        [Self::Cross, Self::Tee, Self::Roundabout, Self::Merge, Self::Grid, Self::Bottleneck, Self::Parking];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -63,6 +72,7 @@ impl Template {
             Self::Merge => "merge",
             Self::Grid => "grid",
             Self::Bottleneck => "bottleneck",
+            Self::Parking => "parking",
         }
     }
 
@@ -80,15 +90,21 @@ impl Template {
             Self::Merge => "Vehicles from a ramp merge into those of a main road.",
             Self::Grid => "Vehicles drive through four unsignalised intersections.",
             Self::Bottleneck => "Vehicles merge where a road loses half of its lanes, and spread out behind it.",
+            Self::Parking => "Vehicles enter and leave the spaces of a parking lot.",
         }
     }
 
     /// Lanes per direction.
     pub(super) fn lanes(self, sizes: &Sizes) -> Result<u32, Error> {
-        let (least, usual) = if self == Self::Bottleneck { (2, 2) } else { (1, 1) };
+        let (least, most, usual) = match self {
+            Self::Bottleneck => (2, 4, 2),
+            Self::Parking => (1, 1, 1),
+            _ => (1, 4, 1),
+        };
         let lanes = sizes.lanes.unwrap_or(usual);
-        if !(least..=4).contains(&lanes) {
-            return Err(Error::size("lanes", &lanes, format!("{least} to 4 for `{}`", self.name())));
+        if !(least..=most).contains(&lanes) {
+            let range = if least == most { least.to_string() } else { format!("{least} to {most}") };
+            return Err(Error::size("lanes", &lanes, format!("{range} for `{}`", self.name())));
         }
         Ok(lanes)
     }
@@ -96,20 +112,26 @@ impl Template {
     /// The site, and the number of places on each lane where vehicles begin.
     pub(super) fn plan(self, sizes: &Sizes) -> Result<(Plan, u32), Error> {
         let lanes = self.lanes(sizes)?;
-        if !(1..=200).contains(&sizes.agents) {
-            return Err(Error::size("agents", &sizes.agents, "1 to 200".into()));
+        let (agents, speed, kind) = match self {
+            Self::Parking => (LOT_AGENTS, LOT_SPEED, " for `parking`"),
+            _ => (200, 70.0, ""),
+        };
+        if !(1..=agents).contains(&sizes.agents) {
+            return Err(Error::size("agents", &sizes.agents, format!("1 to {agents}{kind}")));
         }
-        if !(1.0..=70.0).contains(&sizes.speed) {
-            return Err(Error::size("speed", &sizes.speed, "1 to 70 m/s".into()));
+        if !(1.0..=speed).contains(&sizes.speed) {
+            return Err(Error::size("speed", &sizes.speed, format!("1 to {speed} m/s{kind}")));
         }
         let starts = match self {
             Self::Cross | Self::Roundabout => 4 * lanes,
             Self::Tee => 3 * lanes,
             Self::Merge => lanes + 1,
             Self::Grid => 8 * lanes,
-            Self::Bottleneck => 2 * lanes,
+            Self::Bottleneck | Self::Parking => 2 * lanes,
         };
-        let places = sizes.agents.div_ceil(starts);
+        // A parking lot has two rows of as many spaces: one for each vehicle from outside.
+        let fewest = if self == Self::Parking { 2 } else { 1 };
+        let places = sizes.agents.div_ceil(starts).max(fewest);
         let ahead = if self == Self::Roundabout { quarter(radius(lanes)) } else { 0.0 };
         let needed = (FREE + SPACING * f64::from(places) + ahead).max(SHORTEST);
         let arm = sizes.arm_length.unwrap_or(needed);
@@ -124,6 +146,7 @@ impl Template {
             Self::Roundabout => roundabout(lanes, arm),
             Self::Merge => merge(lanes, arm),
             Self::Bottleneck => bottleneck(lanes, arm),
+            Self::Parking => parking(places, arm),
         };
         Ok((plan, places))
     }
@@ -229,12 +252,11 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
         plan.node(name, [-outer * dx, -outer * dy], "dead_end");
         plan.edge(format!("{name}_in"), [name, &node], lanes);
         plan.edge(format!("{name}_out"), [&node, name], lanes);
-        // Counter-clockwise to the next arm.
-        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes);
         let start = PI + FRAC_PI_2 * turns as f64;
         let angles = (0..=8).map(|k| start + FRAC_PI_2 * f64::from(k) / 8.0);
         let arc = angles.map(|angle| [radius * angle.cos(), radius * angle.sin()]).collect();
-        plan.edges.last_mut().expect("just added").shape = arc;
+        // Counter-clockwise to the next arm.
+        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes).shape = arc;
         for lane in 0..lanes {
             plan.link(&format!("{name}_in"), &ring(turns), [lane, lane]);
             plan.link(&ring(turns + 3), &ring(turns), [lane, lane]);
@@ -294,6 +316,72 @@ fn bottleneck(lanes: u32, arm: f64) -> Plan {
         // Each to one: what leads to several lanes is SUMO's choice.
         (0..narrow).for_each(|lane| plan.link(&middle, &exit, [lane, 2 * lane]));
         plan.route(direction, &[entry, middle, exit], lanes);
+    }
+    plan
+}
+
+/// Two rows of `spaces` spaces beside a road, which goes on for `arm` metres to the west and to the east.
+///
+/// As in `sumo_nets/parking_lot`, vehicles reach every space from both directions and leave it in both, along quarters of circles, and
+/// the edges into a space and out of it lie on one another.
+fn parking(spaces: u32, arm: f64) -> Plan {
+    let half = LANE_WIDTH / 2.0;
+    // From the middle to the lot's ends, and to where spaces begin.
+    let (end, mouth) = (CURVE + half * f64::from(spaces - 1), half + CURVE);
+    let mut plan = Plan { steers: true, ..Plan::default() };
+    plan.node("lot", [0.0, 0.0], "right_before_left").shape =
+        vec![[-end, -mouth], [-end, mouth], [end, mouth], [end, -mouth]];
+    let sides = [("west", -1.0), ("east", 1.0)];
+    for (name, side) in sides {
+        plan.node(name, [side * (end + arm), 0.0], "dead_end");
+        plan.edge(format!("{name}_in"), [name, "lot"], 1);
+        plan.edge(format!("{name}_out"), ["lot", name], 1);
+    }
+    plan.way("west_in", "east_out", vec![[-end, -half], [end, -half]]);
+    plan.way("east_in", "west_out", vec![[end, half], [-end, half]]);
+    let rows = [1.0, -1.0].into_iter().flat_map(|up| (0..spaces).map(move |column| (up, column)));
+    let places: Vec<(String, f64, f64)> = rows
+        .enumerate()
+        .map(|(i, (up, column))| (format!("space{}", i + 1), up, LANE_WIDTH * f64::from(column) + CURVE - end))
+        .collect();
+    for (space, up, x) in &places {
+        let [entry, exit] = ["in", "out"].map(|way| format!("{space}_{way}"));
+        // An end each for in and out: netconvert would move them apart at a common one.
+        let ends = ["end", "start"].map(|which| format!("{space}_{which}"));
+        let [near, far] = [mouth, mouth + DEPTH].map(|y| [*x, up * y]);
+        for id in &ends {
+            plan.node(id.clone(), far, "dead_end");
+        }
+        let edge = plan.edge(entry.clone(), ["lot", &ends[0]], 1);
+        (edge.shape, edge.centred) = (vec![near, far], true);
+        let edge = plan.edge(exit.clone(), [&ends[1], "lot"], 1);
+        (edge.shape, edge.centred) = (vec![far, near], true);
+        for (name, side) in sides {
+            // From a lane at a side of the lot into the space, by a quarter of a circle.
+            let bend = |lane: f64| {
+                let angles = (0..=9).map(|k| FRAC_PI_2 * f64::from(k) / 9.0);
+                let arc = angles
+                    .map(|angle| [x + side * CURVE * (1.0 - angle.sin()), lane + up * CURVE * (1.0 - angle.cos())]);
+                std::iter::once([side * end, lane]).chain(arc).chain([near]).collect::<Vec<_>>()
+            };
+            plan.way(&format!("{name}_in"), &entry, bend(side * half));
+            let mut out = bend(-side * half);
+            out.reverse();
+            plan.way(&exit, &format!("{name}_out"), out);
+        }
+        plan.single.insert(exit);
+        plan.spaces.push(Space { id: space.clone(), edge: entry, depth: DEPTH });
+    }
+    for (name, _) in sides {
+        for (space, ..) in &places {
+            plan.route(&format!("{name}_{space}"), &[format!("{name}_in"), format!("{space}_in")], 1);
+        }
+    }
+    plan.routes.iter_mut().for_each(|route| route.reserved = true);
+    for (space, ..) in &places {
+        for (name, _) in sides {
+            plan.route(&format!("{space}_{name}"), &[format!("{space}_out"), format!("{name}_out")], 1);
+        }
     }
     plan
 }
