@@ -260,13 +260,10 @@ impl Cell {
         for (from, to) in files {
             write_atomic(&to, &std::fs::read(&from).map_err(io("read", &from))?)?;
         }
-        let mut validations = String::new();
-        for line in record::read_json_lines::<serde_json::Value>(&self.run().metrics())? {
-            if line["validation/success"].is_number() {
-                validations += &format!("{line}\n");
-            }
-        }
-        write_atomic(&kept.run().metrics(), validations.as_bytes())?;
+        let lines: Vec<serde_json::Value> = record::read_json_lines(&self.run().metrics())?;
+        let validations = lines.iter().filter(|line| line["validation/success"].is_number());
+        let validations: Vec<String> = validations.map(|line| format!("{line}\n")).collect();
+        write_atomic(&kept.run().metrics(), validations.concat().as_bytes())?;
         let text = serde_json::to_string(&trained).expect("two numbers");
         Ok(write_atomic(&kept.trained_mark(), text.as_bytes())?)
     }
