@@ -205,6 +205,8 @@ fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
         assert!(matches!(create(folder.path(), name, Template::Cross, &SIZES), Err(Error::Name { .. })), "{name}");
     }
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    create(folder.path(), "fast", Template::Cross, &Sizes { speed: 70.0, ..SIZES }).unwrap();
+    create(folder.path(), "alone", Template::Cross, &Sizes { agents: 1, ..SIZES }).unwrap();
     create(folder.path(), "site", Template::Cross, &SIZES).unwrap();
     let again = create(folder.path(), "site", Template::Tee, &SIZES).unwrap_err();
     assert!(matches!(again, Error::Exists { .. }), "{again}");

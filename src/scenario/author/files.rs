@@ -137,7 +137,7 @@ impl Layout {
             name: self.name.clone(),
             path: self.scenario.clone(),
             description,
-            agents: AgentRange { min: places.min(2), max: places, default: agents.min(places) },
+            agents: AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places) },
             nets: vec![Net { file: self.net.clone(), spawns }],
             routes,
             vehicle: Vehicle { length: 4.515, width: 1.852, max_speed: speed },

@@ -47,6 +47,9 @@ const TURNS: [(&str, usize); 3] = [("straight", 0), ("left", 1), ("right", 3)];
 const HEADINGS: [[f64; 2]; 4] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
 /// What is left free of a lane beside its places \[m\].
 const FREE: f64 = 10.0;
+/// Half a vehicle \[m\], and the time between decisions \[s\].
+const HALF: f64 = 2.26;
+const INTERVAL: f64 = 0.1;
 /// Shortest lane \[m\].
 const SHORTEST: f64 = 30.0;
 /// Angle between ramp and main road \[rad\].
@@ -139,7 +142,7 @@ impl Template {
             let allowed = format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
             return Err(Error::size("arm-length", &arm, allowed));
         }
-        let plan = match self {
+        let mut plan = match self {
             Self::Cross => streets(1, &ARMS, lanes, arm),
             Self::Tee => streets(1, &ARMS[..3], lanes, arm),
             Self::Grid => streets(2, &ARMS, lanes, arm),
@@ -148,6 +151,9 @@ impl Template {
             Self::Bottleneck => bottleneck(lanes, arm),
             Self::Parking => parking(places, arm),
         };
+        // A vehicle must be seen behind the finish before SUMO takes it off the road.
+        let finish = (HALF + sizes.speed * INTERVAL).ceil();
+        plan.routes.iter_mut().for_each(|route| route.arrival_pos = route.arrival_pos.min(-finish));
         Ok((plan, places))
     }
 }
