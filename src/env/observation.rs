@@ -4,7 +4,8 @@
 //! - `conflict`: the vehicle ahead, and for each route that crosses or merges with the agent's own, the vehicles next to
 //!   the meeting point: a description that does not depend on the number of vehicles and reads the same from every arm.
 //!
-//! Beside either, `encounters` describes vehicles whose routes meet the agent's, one by one: for scenarios with many routes.
+//! Beside either, `encounters` describes vehicles whose routes meet the agent's, or who are ahead on its way, one by one: for scenarios
+//! with many routes.
 //!
 //! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros.
 

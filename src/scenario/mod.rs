@@ -219,8 +219,8 @@ pub struct Observation {
     pub conflict_streams: usize,
     /// Vehicles described per stream, those next to the conflict point first.
     pub stream_vehicles: usize,
-    /// Vehicles described one by one whose routes cross or merge with the agent's, those first that will soonest be with it where
-    /// they meet.
+    /// Vehicles described one by one whose routes cross or merge with the agent's, or that are ahead of it, those first that will
+    /// soonest be with it where they meet.
     pub encounters: usize,
     /// Distances to whatever is around.
     pub lidar: Lidar,
