@@ -29,7 +29,7 @@ pub fn value_loss(
 }
 
 /// How far means `[B, A]` lie beyond -1 to 1: half the squared excess, in units of the noise whose logarithm is given, added over
-/// dimensions and averaged over samples. No policy is moved by it through its noise.
+/// dimensions and averaged over samples. The noise gets no gradient of it.
 pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
     let excess = (mean.abs() - 1.0).relu() / log_std.detach().exp();
     excess.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5

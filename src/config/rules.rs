@@ -12,7 +12,7 @@ impl Config {
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
         // A rollout's observations alone must fit into memory.
-        let samples = t.envs.saturating_mul(t.segment * t.growth).saturating_mul(self.agents as usize);
+        let samples = t.envs.saturating_mul(t.segment).saturating_mul(t.growth).saturating_mul(self.agents as usize);
         let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
