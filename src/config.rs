@@ -288,7 +288,6 @@ impl Config {
     /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
     /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`),
     /// annealing goes on from 90 % of success, training stops at 99.7 %, and `ppo.gamma` is 0.998.
-    /// Above 16, `ppo.epochs` is 3.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, in runs
@@ -618,7 +617,6 @@ mod tests {
         assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
         assert_eq!(four.train.validation_episodes, 128);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
-        assert_eq!([&at(16), &most].map(|c| c.ppo.epochs), [5, 3]);
     }
 
     #[test]

@@ -63,8 +63,6 @@ impl Config {
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
             // in twenty costs.
             gamma: if agents < 8 { 0.998 } else { ppo.gamma },
-            // A rollout of many has samples enough, and passes over it are what training takes its time for.
-            epochs: if agents > 16 { ppo.epochs.min(3) } else { ppo.epochs },
             ..ppo
         };
         let config = Self {
