@@ -13,6 +13,14 @@ from operator import length_hint
 import libsumo
 from libsumo.libsumo import _libsumo as native
 
+
+
+def add_person(name, kind, edges, position, arrival):
+    native.person_add(name, edges[0], position, DEPART_NOW, kind)
+    native.person_appendWalkingStage(name, edges, arrival, -1.0, -1.0, "")
+
+
+DEPART_NOW = -3.0
 SET = {
     "vehicle.add": native.vehicle_add,
     "vehicle.remove": native.vehicle_remove,
@@ -20,6 +28,9 @@ SET = {
     "vehicle.setSpeedMode": native.vehicle_setSpeedMode,
     "vehicle.setLaneChangeMode": native.vehicle_setLaneChangeMode,
     "vehicle.moveToXY": native.vehicle_moveToXY,
+    "person.add": add_person,
+    "person.remove": native.person_remove,
+    "person.setSpeed": native.person_setSpeed,
 }
 distance_of = native.vehicle_getDistance
 speed_of = native.vehicle_getSpeed
@@ -27,6 +38,8 @@ position_of = native.vehicle_getPosition
 angle_of = native.vehicle_getAngle
 time_loss_of = native.vehicle_getTimeLoss
 arrived_ids = native.simulation_getArrivedIDList
+arrived_persons = native.simulation_getArrivedPersonIDList
+persons_now = native.person_getIDList
 collisions_now = native.simulation_getCollisions
 time_now = native.simulation_getTime
 take_step = native.simulation_step
@@ -78,12 +91,13 @@ def introduce(types, routes):
     return None
 
 
-def step(orders, vehicles, others):
+def step(orders, vehicles, others, persons):
     """Carries out `orders`, a list of (call, columns…) with the vehicles as first column, and takes one step.
 
-    Returns the time, the vehicles that arrived or were refused, the distances and speeds of the other `vehicles` in their order, the
-    pairs of colliding vehicles, the first refusal as (call, vehicle, text) or None, and, if there are `others` that SUMO drives,
-    positions, angles and time losses of the vehicles. A refused command is passed over.
+    Returns the time, the vehicles and persons that arrived or were refused, the distances and speeds of the other `vehicles` in their
+    order, the pairs of colliding vehicles, the first refusal as (call, vehicle, text) or None, if there are `others` that SUMO drives,
+    positions, angles and time losses of the vehicles, and position, angle and speed of each of the `persons`, or None where there is
+    none of that name. A refused command is passed over.
     """
     refusal = None
     unknown = set()
@@ -104,7 +118,7 @@ def step(orders, vehicles, others):
                 name = names[len(names) - length_hint(rest) - 1]
                 if refusal is None:
                     refusal = call, name, str(refused)
-                if call == "vehicle.add":
+                if call in ("vehicle.add", "person.add"):
                     unknown.add(name)
     take_step(0.0)
     unknown.update(arrived_ids())
@@ -115,4 +129,14 @@ def step(orders, vehicles, others):
     if others:
         bodies = list(map(position_of, vehicles)), list(map(angle_of, vehicles)), list(map(time_loss_of, vehicles))
     distances, speeds = list(map(distance_of, vehicles)), list(map(speed_of, vehicles))
-    return time_now(), list(unknown), distances, speeds, collisions, refusal, bodies
+    walkers = []
+    if persons:
+        unknown.update(arrived_persons())
+        there = set(persons_now())
+        walkers = [
+            (native.person_getPosition(name), native.person_getAngle(name), native.person_getSpeed(name))
+            if name in there
+            else None
+            for name in persons
+        ]
+    return time_now(), list(unknown), distances, speeds, collisions, refusal, bodies, walkers

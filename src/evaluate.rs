@@ -120,42 +120,54 @@ pub struct Metrics {
     pub reconstruction: Vec<Knowledge>,
 }
 
-/// What the vehicles met with that SUMO drove: see [`env::Others`] for the definitions. Of episodes without any, only `vehicles`
-/// counts.
+/// What the vehicles met with that SUMO drove, and the pedestrians: see [`env::Others`] for the definitions. Shares and means are
+/// over episodes with any of them; `None` where there never were.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OthersMetrics {
-    /// How many there were in an episode.
+    /// How many vehicles there were in an episode.
     pub vehicles: Estimate,
     /// Share that collided with an agent or a wreck.
-    pub crash: Estimate,
+    pub crash: Option<Estimate>,
     /// SUMO's time loss \[s\].
-    pub delay: Estimate,
+    pub delay: Option<Estimate>,
     /// Hardest braking of each \[m/s²\].
-    pub braking: Estimate,
+    pub braking: Option<Estimate>,
     /// Share that had to brake harder than 6 m/s².
-    pub hard_braking: Estimate,
+    pub hard_braking: Option<Estimate>,
     /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
-    pub close: Estimate,
+    pub close: Option<Estimate>,
+    /// How many pedestrians there were in an episode.
+    pub pedestrians: Estimate,
+    /// Share of the pedestrians that were hit by an agent or a wreck.
+    pub pedestrian_crash: Option<Estimate>,
+    /// Share of the pedestrians that an agent came closer to than 1.5 s in time to collision, or hit.
+    pub pedestrian_close: Option<Estimate>,
     /// Smallest time to collision of an episode, at most 5 \[s\].
-    pub ttc: Estimate,
+    pub ttc: Option<Estimate>,
     /// Smallest post-encroachment time of an episode, at most 5 \[s\].
-    pub pet: Estimate,
+    pub pet: Option<Estimate>,
 }
 
 impl OthersMetrics {
     fn of(episodes: &[EpisodeRecord]) -> Option<Self> {
+        type Of = fn(&Others) -> f64;
         let all: Vec<Others> = episodes.iter().filter_map(|record| record.others).collect();
-        let met: Vec<Others> = all.iter().copied().filter(|others| others.vehicles > 0).collect();
-        let column = |of: fn(&Others) -> f64| met.iter().map(of).collect::<Vec<_>>();
+        let column = |any: fn(&Others) -> bool, of: Of| all.iter().filter(|o| any(o)).map(of).collect::<Vec<_>>();
+        let driven: fn(&Others) -> bool = |o| o.vehicles > 0;
+        let walked: fn(&Others) -> bool = |o| o.pedestrians > 0;
+        let either: fn(&Others) -> bool = |o| o.vehicles + o.pedestrians > 0;
         Some(Self {
-            vehicles: Estimate::t(&all.iter().map(|others| f64::from(others.vehicles)).collect::<Vec<_>>())?,
-            crash: Estimate::rate(&column(|o| o.crash))?,
-            delay: Estimate::t(&column(|o| o.delay))?,
-            braking: Estimate::t(&column(|o| o.braking))?,
-            hard_braking: Estimate::rate(&column(|o| o.hard_braking))?,
-            close: Estimate::rate(&column(|o| o.close))?,
-            ttc: Estimate::t(&column(|o| o.ttc))?,
-            pet: Estimate::t(&column(|o| o.pet))?,
+            vehicles: Estimate::t(&column(|_| true, |o| f64::from(o.vehicles)))?,
+            crash: Estimate::rate(&column(driven, |o| o.crash)),
+            delay: Estimate::t(&column(driven, |o| o.delay)),
+            braking: Estimate::t(&column(driven, |o| o.braking)),
+            hard_braking: Estimate::rate(&column(driven, |o| o.hard_braking)),
+            close: Estimate::rate(&column(driven, |o| o.close)),
+            pedestrians: Estimate::t(&column(|_| true, |o| f64::from(o.pedestrians)))?,
+            pedestrian_crash: Estimate::rate(&column(walked, |o| o.pedestrian_crash)),
+            pedestrian_close: Estimate::rate(&column(walked, |o| o.pedestrian_close)),
+            ttc: Estimate::t(&column(either, |o| o.ttc)),
+            pet: Estimate::t(&column(either, |o| o.pet)),
         })
     }
 }

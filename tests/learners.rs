@@ -8,8 +8,8 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, imitation: 0.0, growth: 1 };
-const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, imitation: 0.0, growth: 1 };
+const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, imitation: 0.0, growth: 1 };
+const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, imitation: 0.0, growth: 1 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
@@ -381,7 +381,7 @@ fn the_policy_learns_nothing_from_actions_without_noise() {
                     rollout.log_prob[cell].iter_mut().for_each(|log_prob| *log_prob -= disturb);
                 }
             }
-            let pace = Pace { learning_rate: 1e-2, log_std: -0.5, imitation: 0.0, growth: 1 };
+            let pace = Pace { learning_rate: 1e-2, log_std: -0.5, gamma: 0.99, imitation: 0.0, growth: 1 };
             learner.update(&rollout, &pace, Seed::new(4)).expect("finite");
             let actor = learner.state().into_iter().filter(|(name, _)| name.starts_with("actor/"));
             actor.map(|(_, t)| Vec::<f32>::try_from(t.reshape([-1])).expect("floats")).collect::<Vec<_>>()
@@ -402,7 +402,7 @@ fn a_teacher_is_imitated() {
             let mut rollout = random_rollout(&*learner, 4, 3);
             rollout.teacher = vec![-0.4; rollout.action.len()];
             rollout.reward.iter_mut().for_each(|earned| *earned *= reward);
-            let pace = Pace { learning_rate: 1e-2, log_std: 0.0, imitation: 1.0, growth: 1 };
+            let pace = Pace { learning_rate: 1e-2, log_std: 0.0, gamma: 0.99, imitation: 1.0, growth: 1 };
             for update in 0..12 {
                 learner.update(&rollout, &pace, Seed::new(update)).expect("finite");
             }
@@ -583,6 +583,7 @@ fn play(name: &str, others: bool, updates: u64) -> f32 {
         let pace = Pace {
             learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
             log_std: -0.5 - share,
+            gamma: 0.99,
             imitation: 0.0,
             growth: 1,
         };

@@ -11,6 +11,7 @@ use iwol_sumo::env::{Driver, EpisodeRecord, OtherView, Task, VecEnv, VecOptions,
 use iwol_sumo::evaluate::{Evaluation, Onlooker, Policy, evaluate};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
+use iwol_sumo::stats::Estimate;
 use iwol_sumo::sumo::process::{Options, Process};
 use iwol_sumo::sumo::{Backend, Hosting};
 
@@ -21,10 +22,14 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn task(change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
-    let mut scenario = Scenario::load(&root().join("scenarios/mixed_cross.xml")).expect("the shipped scenario");
+fn task_of(name: &str, change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
+    let mut scenario = Scenario::load(&root().join("scenarios").join(name)).expect("the shipped scenario");
     change(&mut scenario);
     Arc::new(Task::new(&scenario, 8).expect("a task"))
+}
+
+fn task(change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
+    task_of("mixed_cross.xml", change)
 }
 
 fn options(worlds: usize, seed: u64, backend: Backend) -> VecOptions {
@@ -69,6 +74,90 @@ fn watch(task: &Arc<Task>, seed: u64, steps: usize, backend: Backend) -> Vec<(Ve
         seen.push((all.into_iter().flatten().copied().collect(), world.others().collect()));
     }
     seen
+}
+
+/// Sixteen pedestrians at most, in nobody's way: all vehicles stand.
+#[test]
+fn pedestrians_walk_along_their_ways() {
+    let task = task_of("pedestrians_cross.xml", |_| {});
+    assert_eq!((task.agents, task.others), (8, 12));
+    let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
+    let (mut crossed, mut most) = (0, 0);
+    for _ in 0..900 {
+        env.step(&[-1.0; 8]).expect("a step");
+        let world = env.worlds().next().expect("one world");
+        let walkers: Vec<OtherView> = world.others().collect();
+        most = most.max(walkers.len());
+        for walker in walkers {
+            assert_eq!(walker.size, [0.215, 0.478]);
+            assert!(!walker.wreck && (0.0..4.0).contains(&walker.speed), "{walker:?}");
+            let ([x, y], _) = task.routes[walker.route].path.at(walker.position);
+            let aside = (walker.pose.x - x).hypot(walker.pose.y - y);
+            // Sidewalks are 2 m wide, crossings 4 m, and corners of walking areas are cut.
+            assert!(aside < 2.5, "{aside} m beside the way: {walker:?}");
+            crossed += usize::from(walker.pose.x.abs() < 3.5 || walker.pose.y.abs() < 3.5);
+        }
+    }
+    assert!(most > 3 && crossed > 50, "at most {most} at a time, {crossed} steps on the road");
+}
+
+#[test]
+fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait() {
+    let task = task_of("pedestrians_cross.xml", |_| {});
+    let early = task.routes.len() - 1;
+    let meets = |route: usize| task.routes[route].meeting(early).is_some();
+    assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who crosses the southern arm");
+    let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes").others.expect("others");
+    // At several speeds, so that some are at the crossing when somebody is.
+    let all = [0.15, 0.2, 0.25, 0.3].map(|throttle| of(Policy::Throttle(throttle)));
+    let hit = all.iter().map(|others| others.pedestrian_crash.expect("some walk").mean);
+    assert!(hit.sum::<f64>() > 0.0, "{all:?}");
+    let (rude, polite) = (&all[0], of(Policy::Sumo));
+    assert_eq!(polite.pedestrian_crash.expect("some walk").mean, 0.0, "SUMO's driver waits: {polite:?}");
+    assert!(polite.pedestrians.mean > 1.0 && polite.pet.expect("they meet").mean > 0.5, "{polite:?}");
+    assert!(rude.vehicles.mean == 0.0 && rude.crash.is_none() && rude.delay.is_none(), "nobody else drives: {rude:?}");
+}
+
+#[test]
+fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
+    let task = task_of("pedestrians_cross.xml", |_| {});
+    let mut env = VecEnv::new(&task, &options(1, 5, Backend::Traci)).expect("SUMO runs");
+    let (mut hit, mut lying) = (0, Vec::<OtherView>::new());
+    let mut throttle = 0.0;
+    for k in 0..5000 {
+        // Who goes north drives, a little faster each time; the others stand.
+        let northbound = |world: &World| world.agents().map(|a| if a.route == 2 { throttle } else { -1.0 }).collect();
+        let actions: Vec<f32> = northbound(env.worlds().next().expect("one world"));
+        env.step(&actions).expect("a step");
+        if k % 250 == 0 {
+            throttle = 0.18 + 0.01 * (k / 250) as f32;
+        }
+        let world = env.worlds().next().expect("one world");
+        let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
+        for old in &lying {
+            let stays = wrecks.iter().find(|new| new.route == old.route);
+            assert!(stays.is_none_or(|new| new.pose.distance(&old.pose) < 0.2), "{old:?} {stays:?}");
+        }
+        hit += usize::from(wrecks.len() > lying.len());
+        lying = wrecks;
+        if world.step_count() > 250 {
+            env.reset();
+            lying.clear();
+        }
+    }
+    assert!(hit > 0 && lying.len() < 3, "{hit} were hit");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_pedestrians_on_both_backends() {
+    let _alone = ALONE.lock();
+    let task = task_of("pedestrians_cross.xml", |_| {});
+    let first = watch(&task, 3, 400, Backend::Traci);
+    assert!(first.iter().any(|(_, others)| others.len() > 2));
+    assert!(first == watch(&task, 3, 400, Backend::Traci), "the same again");
+    if cfg!(feature = "libsumo") {
+        assert!(first == watch(&task, 3, 400, Backend::Libsumo), "the same in process");
+    }
 }
 
 #[test]
@@ -280,11 +369,14 @@ fn metrics_of_others_tell_who_gives_way() {
     let task = task(|scenario| scenario.traffic.penetration = 0.25);
     let of = |policy: Policy<'_>| play(&task, &policy, 40).metrics().expect("episodes").others.expect("others");
     let (rude, polite) = (of(Policy::Throttle(1.0)), of(Policy::Sumo));
-    assert!(rude.crash.low > 0.0 && polite.crash.mean == 0.0, "{rude:?} {polite:?}");
-    assert!(rude.crash.mean <= rude.close.mean && polite.ttc.low > 0.0 && polite.pet.low > 0.0, "{rude:?} {polite:?}");
+    let met = |of: Option<Estimate>| of.expect("others drive");
+    assert!(met(rude.crash).low > 0.0 && met(polite.crash).mean == 0.0, "{rude:?} {polite:?}");
+    assert!(met(rude.crash).mean <= met(rude.close).mean, "{rude:?}");
+    assert!(met(polite.ttc).low > 0.0 && met(polite.pet).low > 0.0, "{polite:?}");
+    assert!(rude.pedestrians.mean == 0.0 && rude.pedestrian_crash.is_none(), "nobody walks");
     // Who waits loses time; wrecks and those who were let through lose less.
     assert!(
-        polite.delay.low > rude.delay.high && rude.delay.low > 0.0 && polite.braking.low > 0.0,
+        met(polite.delay).low > met(rude.delay).high && met(rude.delay).low > 0.0 && met(polite.braking).low > 0.0,
         "{rude:?} {polite:?}"
     );
     // Nothing of it where SUMO drives nobody.
@@ -323,6 +415,7 @@ fn vehicles_are_as_large_as_sumo_has_them() {
         "motorcycle",
         "moped",
         "bicycle",
+        "pedestrian",
     ];
     let types = classes.map(|class| format!("<vType id=\"a_{class}\" vClass=\"{class}\"/>")).concat();
     fs::write(&file, format!("<routes>{types}</routes>")).expect("a file");
@@ -331,7 +424,7 @@ fn vehicles_are_as_large_as_sumo_has_them() {
     let arguments = ["--net-file".into(), net.into(), "--additional-files".into(), file.into(), "--no-step-log".into()];
     let options = Options { arguments: arguments.to_vec(), ..Options::default() };
     let (_process, mut sumo, _) = Process::start(&options).expect("SUMO runs");
-    assert_eq!(demand.types.len(), classes.len() + 1);
+    assert_eq!(demand.types.len(), classes.len() + 2);
     for kind in &demand.types {
         let size =
             (sumo.vehicle_type().get_length(&kind.id).unwrap(), sumo.vehicle_type().get_width(&kind.id).unwrap());

@@ -66,7 +66,12 @@ fn net() -> &'static Path {
 }
 
 fn config(slots: u32) -> SimulationConfig {
-    let route = |id: &str, edges: [&str; 2]| Route { id: id.into(), edges: edges.map(String::from).to_vec(), lane: 0 };
+    let route = |id: &str, edges: [&str; 2]| Route {
+        id: id.into(),
+        edges: edges.map(String::from).to_vec(),
+        lane: 0,
+        walked: false,
+    };
     SimulationConfig {
         net: net().to_owned(),
         step_length: 0.1,

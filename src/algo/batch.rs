@@ -3,7 +3,6 @@
 use tch::{Device, Kind, Tensor};
 
 use super::ppo;
-use super::settings::Ppo;
 use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
@@ -86,17 +85,24 @@ impl Batch {
 
     /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns: each agent's own, or
     /// those of the team, of which all outputs of a row are the value.
-    pub(super) fn estimate(&mut self, rollout: &Rollout, outputs: &Tensor, norm: &ValueNorm, ppo: &Ppo, team: bool) {
+    pub(super) fn estimate(
+        &mut self,
+        rollout: &Rollout,
+        outputs: &Tensor,
+        norm: &ValueNorm,
+        [gamma, lambda]: [f64; 2],
+        team: bool,
+    ) {
         let agents = rollout.sizes.agents;
         let values = norm.denormalize(outputs).reshape([-1]).to_device(Device::Cpu);
         let values = Vec::<f32>::try_from(values).expect("values are floats");
         let (mut advantage, returns) = if team {
             let values: Vec<f32> = values.iter().copied().step_by(agents).collect();
-            let (advantage, returns) = rollout.team().advantages(&values, ppo.gamma, ppo.gae_lambda);
+            let (advantage, returns) = rollout.team().advantages(&values, gamma, lambda);
             let shared = |of: &[f32]| of.iter().flat_map(|&x| std::iter::repeat_n(x, agents)).collect::<Vec<_>>();
             (shared(&advantage), shared(&returns))
         } else {
-            rollout.advantages(&values, ppo.gamma, ppo.gae_lambda)
+            rollout.advantages(&values, gamma, lambda)
         };
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);

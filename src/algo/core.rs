@@ -295,7 +295,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             batch.value_graph = graph_noise(rollout, 1, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(rollout, &outputs, &self.value_norm, ppo, N::TEAM);
+        batch.estimate(rollout, &outputs, &self.value_norm, [pace.gamma, ppo.gae_lambda], N::TEAM);
         let mut means = Means::default();
         let size = ppo.minibatch * pace.growth;
         for epoch in 0..ppo.epochs {

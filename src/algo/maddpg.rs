@@ -240,7 +240,7 @@ impl Maddpg {
     }
 
     /// What the networks lose and learn on some steps; gives what to report.
-    fn step(&mut self, steps: &Transitions, learning_rate: f64, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
+    fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, ended } = steps;
         let noise = |of: &str| {
             let mut noise = vec![0.0; before.comm.numel()];
@@ -251,7 +251,7 @@ impl Maddpg {
             let next = self.targets.actor.mean(&after.observation);
             let (seen, _) = self.targets.critic.look(after, noise("after"));
             let value = self.targets.critic.value(&seen, &next, &next, &after.comm);
-            reward + self.settings.ppo.gamma * (ended.ones_like() - ended) * self.value_norm.denormalize(&value)
+            reward + pace.gamma * (ended.ones_like() - ended) * self.value_norm.denormalize(&value)
         });
         let samples = active.reshape([-1]).nonzero().squeeze_dim(-1);
         let of_active = |x: &Tensor| x.flatten(0, 1).index_select(0, &samples);
@@ -261,7 +261,7 @@ impl Maddpg {
         let value = self.networks.critic.value(&seen, action, action, &before.comm);
         let value_loss = ppo::masked_mean(&(value - target).square(), active);
         value_loss.backward();
-        let mut report = self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, learning_rate)?;
+        let mut report = self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, pace.learning_rate)?;
 
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
@@ -281,7 +281,7 @@ impl Maddpg {
             total = total + iwol.lambda_world * world + iwol.lambda_interaction * interaction;
         }
         total.backward();
-        report.extend(self.weights.step(ACTOR, self.settings.ppo.max_grad_norm, learning_rate)?);
+        report.extend(self.weights.step(ACTOR, self.settings.ppo.max_grad_norm, pace.learning_rate)?);
         self.target_weights.follow(&self.weights, self.settings.maddpg.target_rate);
         Ok(report)
     }
@@ -354,7 +354,7 @@ impl Algorithm for Maddpg {
         for update in 0..self.settings.maddpg.updates {
             let seed = seed.index(update as u64);
             let steps = self.replay.draw(rows, &mut seed.child("steps").rng());
-            means.add(&self.step(&steps, pace.learning_rate, seed.child("graph"))?);
+            means.add(&self.step(&steps, pace, seed.child("graph"))?);
         }
         let head = self.networks.actor.head();
         head.impose(pace.log_std);

@@ -223,6 +223,8 @@ pub struct Pace {
     pub learning_rate: f64,
     /// Logarithm of the standard deviation of the actions from this update on, where it is imposed.
     pub log_std: f64,
+    /// Discount per step.
+    pub gamma: f64,
     /// Weight of imitating the rollout's teacher in the policy's loss, 0 to 1; what it earns has the rest.
     pub imitation: f64,
     /// Minibatches have so many times the samples that are set.

@@ -99,6 +99,9 @@ pub struct Ppo {
     pub average: f64,
     /// Discount per step.
     pub gamma: f64,
+    /// Discount once [`Exploration::explore_steps`] are over; 0: as before. A short view finds a way sooner, among vehicles that
+    /// move; a long one then makes it safe: at 0.99, arriving ten steps earlier is worth a crash in ten.
+    pub gamma_explored: f64,
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
     /// ε of the clipped ratio and of the clipped value.
@@ -128,6 +131,7 @@ impl Default for Ppo {
             shards: 2,
             average: 0.9,
             gamma: 0.99,
+            gamma_explored: 0.0,
             gae_lambda: 0.95,
             clip: 0.2,
             bounds: 0.1,

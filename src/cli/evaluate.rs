@@ -171,7 +171,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         rows.push(Row {
             scenario: scenario.name.clone(),
             agents: config.agents,
-            learners: (task.others > 0).then_some(task.agents),
+            learners: (task.agents < config.agents as usize).then_some(task.agents),
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
@@ -213,16 +213,17 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
 /// How a metric is written.
 type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
 
-/// What the vehicles met with that SUMO drove, if there were any.
-fn others(metrics: &Metrics, cell: &dyn Fn(&OthersMetrics) -> String) -> String {
-    metrics.others.as_ref().map_or_else(|| "–".to_owned(), cell)
+/// What those met with that SUMO moved, if there were any.
+fn others(metrics: &Metrics, of: fn(&OthersMetrics) -> Option<Estimate>, write: fn(&Estimate) -> String) -> String {
+    metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
 }
 
 /// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
-    let percent = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
-    let number = |e: &Estimate| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
-    let fine = |e: &Estimate| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
+    let percent: fn(&Estimate) -> String =
+        |e| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
+    let number: fn(&Estimate) -> String = |e| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
+    let fine: fn(&Estimate) -> String = |e| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
     let of_agents: [(&str, Cell<'_>); 10] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),
@@ -235,18 +236,29 @@ fn table(rows: &[Row]) -> String {
         ("collisions", &|m| fine(&m.own_collisions)),
         ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
     ];
-    let of_others: [(&str, Cell<'_>); 8] = [
-        ("others", &|m| others(m, &|o| number(&o.vehicles))),
-        ("others' crash %", &|m| others(m, &|o| percent(&o.crash))),
-        ("others' delay s", &|m| others(m, &|o| number(&o.delay))),
-        ("others' braking m/s²", &|m| others(m, &|o| number(&o.braking))),
-        ("others braking hard %", &|m| others(m, &|o| percent(&o.hard_braking))),
-        ("others with TTC < 1.5 s %", &|m| others(m, &|o| percent(&o.close))),
-        ("smallest TTC s", &|m| others(m, &|o| fine(&o.ttc))),
-        ("smallest PET s", &|m| others(m, &|o| fine(&o.pet))),
+    let of_vehicles: [(&str, Cell<'_>); 6] = [
+        ("others", &|m| others(m, |o| Some(o.vehicles), number)),
+        ("others' crash %", &|m| others(m, |o| o.crash, percent)),
+        ("others' delay s", &|m| others(m, |o| o.delay, number)),
+        ("others' braking m/s²", &|m| others(m, |o| o.braking, number)),
+        ("others braking hard %", &|m| others(m, |o| o.hard_braking, percent)),
+        ("others with TTC < 1.5 s %", &|m| others(m, |o| o.close, percent)),
     ];
-    let mixed = rows.iter().any(|row| row.metrics.others.is_some());
-    let lines = [&of_agents[..], if mixed { &of_others } else { &[] }].concat();
+    let of_pedestrians: [(&str, Cell<'_>); 3] = [
+        ("pedestrians", &|m| others(m, |o| Some(o.pedestrians), number)),
+        ("pedestrians hit %", &|m| others(m, |o| o.pedestrian_crash, percent)),
+        ("pedestrians with TTC < 1.5 s %", &|m| others(m, |o| o.pedestrian_close, percent)),
+    ];
+    let of_both: [(&str, Cell<'_>); 2] =
+        [("smallest TTC s", &|m| others(m, |o| o.ttc, fine)), ("smallest PET s", &|m| others(m, |o| o.pet, fine))];
+    let any = |of: fn(&OthersMetrics) -> f64| {
+        rows.iter().any(|row| row.metrics.others.as_ref().is_some_and(|others| of(others) > 0.0))
+    };
+    let (driven, walked) = (any(|o| o.vehicles.mean), any(|o| o.pedestrians.mean));
+    let mut lines = of_agents.to_vec();
+    lines.extend(of_vehicles.iter().filter(|_| driven));
+    lines.extend(of_pedestrians.iter().filter(|_| walked));
+    lines.extend(of_both.iter().filter(|_| driven || walked));
     let mut columns: Vec<Vec<String>> =
         vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
     for row in rows {

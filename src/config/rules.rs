@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 97] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 98] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -76,6 +76,7 @@ impl Config {
             (&["ppo.average"], (0.0..1.0).contains(&p.average), "0 to below 1"),
             (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
+            (&["ppo.gamma_explored"], share(p.gamma_explored), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
             (&["ppo.clip"], finite_positive(p.clip), "above 0"),
             (&["ppo.bounds"], p.bounds.is_finite() && p.bounds >= 0.0, "0 or more"),

@@ -45,7 +45,7 @@ pub struct EpisodeRecord {
     pub step_rewards: Vec<f32>,
 }
 
-/// What the vehicles of an episode met with that SUMO drove, while agents were on the road.
+/// What the vehicles of an episode met with that SUMO drove, and the pedestrians, while agents were on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Others {
     /// How many there were.
@@ -60,7 +60,16 @@ pub struct Others {
     pub hard_braking: f64,
     /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
     pub close: f64,
-    /// Smallest time to collision with an agent, if both went on as they did; 5 where it was never less, 0 after a collision \[s\].
+    /// How many pedestrians there were; none of them is among the vehicles.
+    #[serde(default)]
+    pub pedestrians: u32,
+    /// Share of the pedestrians that were hit by an agent or a wreck.
+    #[serde(default)]
+    pub pedestrian_crash: f64,
+    /// Share of the pedestrians that an agent came closer to than 1.5 s in time to collision, or hit.
+    #[serde(default)]
+    pub pedestrian_close: f64,
+    /// Smallest time to collision of any of them with an agent, if both went on as they did; 5 where it was never less, 0 after a collision \[s\].
     pub ttc: f64,
     /// Smallest post-encroachment time: from when the first of an agent and another left the place where their ways meet until the
     /// second came there; 5 where it was never less, 0 after a collision \[s\].

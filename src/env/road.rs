@@ -73,8 +73,9 @@ impl Road {
             half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
             border,
         };
-        for edge in net.edges.iter().filter(|edge| edge.function != EdgeFunction::Other) {
-            for lane in &net.lanes[edge.lanes.clone()] {
+        let drivable = |edge: &&Edge| matches!(edge.function, EdgeFunction::Normal | EdgeFunction::Internal);
+        for edge in net.edges.iter().filter(drivable) {
+            for lane in net.lanes[edge.lanes.clone()].iter().filter(|lane| !lane.is_sidewalk()) {
                 let strip = |pair: &[Point]| Strip { ends: [pair[0], pair[1]], half: lane.width / 2.0 };
                 road.strips.extend(lane.shape.windows(2).map(strip));
             }
@@ -105,7 +106,8 @@ impl Road {
     /// The lines at both sides of edges, and along the outside of junctions.
     fn draw_all(&mut self, net: &Net, border: bool) {
         for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
-            let (right, left) = (&net.lanes[edge.lanes.start], &net.lanes[edge.lanes.end - 1]);
+            let lanes = net.carriageway(edge);
+            let (right, left) = (&net.lanes[lanes.start], &net.lanes[lanes.end - 1]);
             self.line(&parallel(&right.shape, -right.width / 2.0), border);
             self.line(&parallel(&left.shape, left.width / 2.0), border);
         }
@@ -117,7 +119,7 @@ impl Road {
     /// The lines between edges that lead from one junction to another and back.
     fn draw_between_directions(&mut self, net: &Net) {
         let left = |edge: &Edge| {
-            let lane = &net.lanes[edge.lanes.end - 1];
+            let lane = &net.lanes[net.carriageway(edge).end - 1];
             parallel(&lane.shape, lane.width / 2.0)
         };
         let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
@@ -222,7 +224,7 @@ impl Road {
 
 /// Ways over junctions that lead along their outside, the road's border to their right.
 fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
-    let outermost = |lane: usize| net.lanes[lane].index == 0;
+    let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
     let joins = net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
     let ways = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
     ways.filter(|way| {

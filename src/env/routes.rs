@@ -62,8 +62,8 @@ impl RouteGeometry {
 /// Route number `a` of `paths`, on whose last edge `arrival_pos` is the finish.
 pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeometry {
     let path = &paths[a];
-    let last = path.edges.len() - 1;
-    let arrival = path.arc(last, arrival_pos).unwrap_or_else(|| path.length());
+    let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
+    let arrival = arrival.unwrap_or_else(|| path.length());
     let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
     let mut conflicts = Vec::new();
     let mut apart = Vec::new();

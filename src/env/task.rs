@@ -64,6 +64,8 @@ pub struct Task {
     pub(super) demand: Demand,
     /// The files' routes, as indices into `routes`.
     pub(super) demand_routes: Vec<usize>,
+    /// Of those that are walked, where on the first edge they begin and where on the last they end \[m\].
+    walk_ends: Vec<Option<[f64; 2]>>,
     /// Types of those at spawn places that SUMO drives, and their weights; empty: as the agents'.
     pub(super) place_mix: Vec<(usize, f64)>,
     /// For every route whose destination is reserved, the first one that ends on the same edge.
@@ -101,9 +103,15 @@ impl Task {
         let mut route_ids: Vec<String> = scenario.routes.iter().map(|route| route.id.clone()).collect();
         let mut route_edges: Vec<Vec<String>> = scenario.routes.iter().map(|route| route.edges.clone()).collect();
         let mut demand_routes = Vec::with_capacity(demand.routes.len());
+        let mut walk_ends = Vec::with_capacity(demand.routes.len());
         for route in &demand.routes {
-            let path = net.route_path_from(&route.edges, None)?;
-            let known = paths.iter().position(|other: &Path| other.lanes == path.lanes);
+            let walk =
+                route.walk.map(|ends| net.walk(&route.edges, ends.depart, ends.arrival).map(|walk| (ends, walk)));
+            let walk = walk.transpose()?;
+            walk_ends.push(walk.as_ref().map(|(ends, walk)| [ends.depart, walk.end]));
+            let walked = walk.is_some();
+            let path = walk.map_or_else(|| net.route_path_from(&route.edges, None), |(_, walk)| Ok(walk.path))?;
+            let known = paths.iter().position(|other: &Path| !walked && other.lanes == path.lanes);
             demand_routes.push(known.unwrap_or(paths.len()));
             if known.is_none() {
                 paths.push(path);
@@ -134,7 +142,7 @@ impl Task {
                 bounds[axis + 2] = bounds[axis + 2].max(point[axis]);
             }
         }
-        let lanes = |&lane: &usize| net.edges[net.lanes[lane].edge].lanes.len() > 1;
+        let lanes = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
         let several_lanes = paths.iter().any(|path| path.lanes.iter().any(lanes));
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
         let border = scenario.termination.border;
@@ -156,6 +164,7 @@ impl Task {
             route_edges,
             place_mix,
             demand_routes,
+            walk_ends,
             demand,
             reserved,
             several_lanes,
@@ -252,6 +261,7 @@ impl Task {
                     id: id.clone(),
                     edges: edges.clone(),
                     lane: geometry.first_lane,
+                    walked: geometry.path.lanes.is_empty(),
                 })
                 .collect(),
         }
@@ -259,11 +269,13 @@ impl Task {
 
     /// What SUMO must know of the vehicles that it drives.
     fn guests(&self) -> Others {
-        let departure = |source: &Source| Departure {
-            route: self.demand_routes[source.route] as u32,
-            lane: source.lane.clone(),
-            pos: source.pos.clone(),
-            speed: source.speed.clone(),
+        let departure = |source: &Source| {
+            let route = self.demand_routes[source.route] as u32;
+            if let Some([pos, arrival]) = self.walk_ends[source.route] {
+                return Departure::Walk { route, pos, arrival };
+            }
+            let crate::scenario::Start { lane, pos, speed } = source.start.clone();
+            Departure::Drive { route, lane, pos, speed }
         };
         Others {
             first_slot: self.agents as u32,

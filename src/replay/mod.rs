@@ -371,8 +371,11 @@ impl Recorder {
         }
         let path = task.net_file();
         let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
-        let lanes =
-            net.lanes.iter().filter(|lane| net.edges[lane.edge].function != EdgeFunction::Other).map(|lane| Lane {
+        let lanes = net
+            .lanes
+            .iter()
+            .filter(|lane| !matches!(net.edges[lane.edge].function, EdgeFunction::Other | EdgeFunction::WalkingArea))
+            .map(|lane| Lane {
                 id: lane.id.clone(),
                 width: lane.width,
                 internal: net.edges[lane.edge].function == EdgeFunction::Internal,

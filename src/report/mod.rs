@@ -38,10 +38,11 @@ pub const METRICS: [Metric; 3] = [
 ];
 
 /// What is tabulated and drawn besides where SUMO drives some vehicles.
-pub const OF_OTHERS: [Metric; 4] = [
+pub const OF_OTHERS: [Metric; 5] = [
     Metric { key: "others.crash", title: "others' crash %", axis: "others (%)", factor: 100.0 },
     Metric { key: "others.delay", title: "others' delay s", axis: "time loss of others (s)", factor: 1.0 },
     Metric { key: "others.hard_braking", title: "others braking hard %", axis: "others (%)", factor: 100.0 },
+    Metric { key: "others.pedestrian_crash", title: "pedestrians hit %", axis: "pedestrians (%)", factor: 100.0 },
     Metric { key: "others.pet", title: "smallest PET s", axis: "post-encroachment time (s)", factor: 1.0 },
 ];
 

@@ -80,9 +80,9 @@ fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Deman
         other => other,
     })?;
     match &scenario.traffic.kind {
-        Some(kind) if demand.mix(kind).is_none() => {
+        Some(kind) if demand.mix(kind).is_none_or(|mix| mix.iter().any(|entry| demand.types[entry.0].walks)) => {
             let (line, column) = reader.position(places.traffic_type);
-            let allowed = "the id of a vType or vTypeDistribution of the files".into();
+            let allowed = "the id of a vType or vTypeDistribution of vehicles of the files".into();
             let (path, value) = (scenario.path.clone(), shorten(kind));
             Err(Error::Value { path, line, column, element: "traffic".into(), key: "type", value, allowed })
         }
@@ -90,10 +90,14 @@ fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Deman
     }
 }
 
-/// The first route of the files that cannot be driven in a net.
+/// The first route of the files that cannot be driven in a net, or walk that cannot be walked.
 fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
     demand.routes.iter().find_map(|route| {
-        let source = Box::new(map.route_path_from(&route.edges, None).err()?);
+        let error = match &route.walk {
+            Some(ends) => map.walk(&route.edges, ends.depart, ends.arrival).err(),
+            None => map.route_path_from(&route.edges, None).err(),
+        };
+        let source = Box::new(error?);
         let (path, line, column) = route.place.clone();
         Some(Error::Route { path, line, column, route: shorten(&route.id), source })
     })

@@ -1,4 +1,4 @@
-//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles and flows.
+//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles, persons who walk, and flows of both.
 //!
 //! SUMO itself reads the types. Who departs when is drawn here, from the seed of each episode, because episodes begin again and
 //! again while SUMO's clock goes on; times in the files count from the start of an episode.
@@ -15,12 +15,12 @@ const MAX_ROUTES: usize = 1000;
 const MAX_SOURCES: usize = 1000;
 /// Most edges of a route.
 const MAX_EDGES: usize = 4096;
-/// The type that SUMO takes where a file names none.
-pub(crate) const DEFAULT_TYPE: &str = "DEFAULT_VEHTYPE";
+/// The types that SUMO takes where a file names none: of vehicles, and of persons.
+const DEFAULT_TYPES: [&str; 2] = ["DEFAULT_VEHTYPE", "DEFAULT_PEDTYPE"];
 /// Types that the environments make known to SUMO themselves.
 const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
 /// Length and width by SUMO's class of vehicle, where a type does not say \[m\] (SUMO 1.15).
-const SIZES: [(&str, [f64; 2]); 16] = [
+const SIZES: [(&str, [f64; 2]); 17] = [
     ("passenger", [5.0, 1.8]),
     ("private", [5.0, 1.8]),
     ("taxi", [5.0, 1.8]),
@@ -37,26 +37,29 @@ const SIZES: [(&str, [f64; 2]); 16] = [
     ("motorcycle", [2.2, 0.9]),
     ("moped", [2.1, 0.78]),
     ("bicycle", [1.6, 0.65]),
+    (WALKERS, [0.215, 0.478]),
 ];
+/// SUMO's class of those who walk.
+const WALKERS: &str = "pedestrian";
 
-const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "flow"];
+const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "flow", "person", "personFlow"];
 
 /// All that route files say.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Demand {
     /// The `<vType>` elements as they stand in the files, for SUMO.
     pub definitions: String,
-    /// Types of vehicles.
+    /// Types of vehicles and of persons.
     pub types: Vec<VehicleKind>,
-    /// Routes that vehicles and flows take.
+    /// Routes that vehicles and flows take, and walks of persons.
     pub routes: Vec<DemandRoute>,
-    /// Vehicles and flows.
+    /// Vehicles, persons, and flows of both.
     pub sources: Vec<Source>,
     /// Distributions of types, by id: index and weight.
     mixes: HashMap<String, Vec<(usize, f64)>>,
 }
 
-/// A vehicle type of the files.
+/// A type of vehicles, or of persons, of the files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VehicleKind {
     /// SUMO's id.
@@ -65,20 +68,24 @@ pub struct VehicleKind {
     pub length: f64,
     /// \[m\]
     pub width: f64,
+    /// Whether it is one of persons.
+    pub walks: bool,
 }
 
-/// A route of the files.
+/// A route or walk of the files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DemandRoute {
     /// Its id, or that of the vehicle or flow that it belongs to.
     pub id: String,
     /// Edge ids in driving order.
     pub edges: Vec<String>,
+    /// Of a walk, where it begins and ends.
+    pub walk: Option<WalkEnds>,
     /// File, line and column.
     pub(super) place: (std::path::PathBuf, u32, u32),
 }
 
-/// A vehicle or flow.
+/// A vehicle, a person, or a flow of either.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
     /// SUMO's id.
@@ -87,12 +94,8 @@ pub struct Source {
     pub types: Vec<(usize, f64)>,
     /// Index into [`Demand::routes`].
     pub route: usize,
-    /// SUMO's `departLane`.
-    pub lane: String,
-    /// SUMO's `departPos`.
-    pub pos: String,
-    /// SUMO's `departSpeed`.
-    pub speed: String,
+    /// Where and how fast it begins, unless it walks.
+    pub start: Start,
     /// First departure, from the start of the episode \[s\].
     pub begin: f64,
     /// No departures from here on \[s\].
@@ -101,6 +104,26 @@ pub struct Source {
     pub number: u64,
     /// How departures follow each other.
     pub spacing: Spacing,
+}
+
+/// Where and how fast a vehicle begins, in SUMO's words.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Start {
+    /// `departLane`
+    pub lane: String,
+    /// `departPos`
+    pub pos: String,
+    /// `departSpeed`
+    pub speed: String,
+}
+
+/// Where a walk begins and ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WalkEnds {
+    /// `departPos` of the person: from the beginning of the first edge, in its direction \[m\].
+    pub depart: f64,
+    /// `arrivalPos` of the walk, likewise on the last edge; without it, the walk ends at the edge's far end \[m\].
+    pub arrival: Option<f64>,
 }
 
 /// How the departures of a flow follow each other.
@@ -120,9 +143,12 @@ impl Demand {
     /// # Errors
     /// With file, line and column, what cannot be read, or is not taken.
     pub fn load(files: &[impl AsRef<Path>]) -> Result<Self, Error> {
-        let (length, width) = (SIZES[0].1[0], SIZES[0].1[1]);
-        let kind = VehicleKind { id: DEFAULT_TYPE.into(), length, width };
-        let mut demand = Self { types: vec![kind], ..Self::default() };
+        let default = |id: &str, class: &str| {
+            let [length, width] = SIZES.iter().find(|entry| entry.0 == class).map_or([1.0; 2], |entry| entry.1);
+            VehicleKind { id: id.into(), length, width, walks: class == WALKERS }
+        };
+        let types = vec![default(DEFAULT_TYPES[0], SIZES[0].0), default(DEFAULT_TYPES[1], WALKERS)];
+        let mut demand = Self { types, ..Self::default() };
         for path in files.iter().map(AsRef::as_ref) {
             let text = load::text(path)?;
             let document = document(&text, path)?;
@@ -148,15 +174,19 @@ impl Demand {
                 "vType" => drop(self.vehicle_type(reader, node, text)?),
                 "vTypeDistribution" => self.distribution(reader, node, text)?,
                 "route" => {
-                    let route = self.route(reader, node, reader.text(node, "id")?)?;
+                    let route = self.route(reader, node, reader.text(node, "id")?, None)?;
                     if routes.insert(reader.text(node, "id")?, route).is_some() {
                         return Err(reader.duplicate(Reader::offset(node, "id"), "route of this id".into()));
                     }
                 }
-                "vehicle" | "flow" => {
+                "vehicle" | "flow" | "person" | "personFlow" => {
                     let source = self.source(reader, node, &routes)?;
                     if self.sources.len() == MAX_SOURCES {
-                        return Err(reader.value(node, "id", format!("at most {MAX_SOURCES} vehicles and flows")));
+                        return Err(reader.value(
+                            node,
+                            "id",
+                            format!("at most {MAX_SOURCES} vehicles, persons and flows"),
+                        ));
                     }
                     self.sources.push(source);
                 }
@@ -171,10 +201,11 @@ impl Demand {
         if TAKEN.contains(&id) || id.is_empty() {
             return Err(reader.value(node, "id", format!("another id than {}, which are ours", TAKEN.join(" and "))));
         }
-        if self.mixes.contains_key(id) || self.types.iter().skip(1).any(|kind| kind.id == id) {
+        let default = DEFAULT_TYPES.iter().position(|known| *known == id);
+        if self.mixes.contains_key(id) || default.is_none() && self.types.iter().any(|kind| kind.id == id) {
             return Err(reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into()));
         }
-        let class = node.attribute("vClass").unwrap_or(SIZES[0].0);
+        let class = node.attribute("vClass").unwrap_or(if default == Some(1) { WALKERS } else { SIZES[0].0 });
         let [length, width] = SIZES.iter().find(|entry| entry.0 == class).map(|entry| entry.1).ok_or_else(|| {
             let classes: Vec<&str> = SIZES.iter().map(|entry| entry.0).collect();
             reader.value(node, "vClass", classes.join(", "))
@@ -183,11 +214,16 @@ impl Demand {
             None => Ok(otherwise),
             Some(_) => reader.number(node, key, "0.1 to 100", |v| (0.1..=100.0).contains(&v)),
         };
-        let kind = VehicleKind { id: id.into(), length: size("length", length)?, width: size("width", width)? };
+        let (length, width) = (size("length", length)?, size("width", width)?);
+        let kind = VehicleKind { id: id.into(), length, width, walks: class == WALKERS };
         let _ = writeln!(self.definitions, "    {}", &text[node.range()]);
-        if id == DEFAULT_TYPE {
-            self.types[0] = kind;
-            return Ok(0);
+        if let Some(index) = default {
+            if kind.walks != self.types[index].walks {
+                let allowed = if index == 1 { WALKERS } else { "a class of vehicles" };
+                return Err(reader.value(node, "vClass", allowed));
+            }
+            self.types[index] = kind;
+            return Ok(index);
         }
         self.types.push(kind);
         Ok(self.types.len() - 1)
@@ -225,8 +261,12 @@ impl Demand {
         Ok(())
     }
 
-    fn route(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
-        let edges: Vec<String> = reader.text(node, "edges")?.split_whitespace().map(Into::into).collect();
+    fn route(&mut self, reader: &Reader, node: Node, id: &str, walk: Option<WalkEnds>) -> Result<usize, Error> {
+        let edges: Vec<String> = if walk.is_some() && !node.has_attribute("edges") && node.has_attribute("from") {
+            ["from", "to"].into_iter().map(|key| reader.text(node, key).map(Into::into)).collect::<Result<_, _>>()?
+        } else {
+            reader.text(node, "edges")?.split_whitespace().map(Into::into).collect()
+        };
         if !(1..=MAX_EDGES).contains(&edges.len()) {
             return Err(reader.value(node, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
         }
@@ -234,26 +274,41 @@ impl Demand {
             return Err(reader.value(node, "edges", format!("at most {MAX_ROUTES} routes")));
         }
         let (line, column) = reader.position(Reader::offset(node, "edges"));
-        self.routes.push(DemandRoute { id: id.into(), edges, place: (reader.path.into(), line, column) });
+        self.routes.push(DemandRoute { id: id.into(), edges, walk, place: (reader.path.into(), line, column) });
         Ok(self.routes.len() - 1)
     }
 
     fn source(&mut self, reader: &Reader, node: Node, routes: &HashMap<&str, usize>) -> Result<Source, Error> {
         let id = reader.text(node, "id")?;
-        let name = node.attribute("type").unwrap_or(DEFAULT_TYPE);
-        let unknown = || reader.value(node, "type", "the id of a vType or vTypeDistribution that stands above");
-        let types = self.mix(name).ok_or_else(unknown)?;
+        let walks = node.tag_name().name().starts_with("person");
+        let name = node.attribute("type").unwrap_or(DEFAULT_TYPES[usize::from(walks)]);
+        let (kind, inner) = if walks { ("a person", "walk") } else { ("a vehicle", "route") };
+        let unknown =
+            || reader.value(node, "type", format!("the id of {kind}'s vType or vTypeDistribution that stands above"));
+        let types = self.mix(name).filter(|mix| mix.iter().all(|entry| self.types[entry.0].walks == walks));
+        let types = types.ok_or_else(unknown)?;
         let children: Vec<Node> = node.children().filter(Node::is_element).collect();
-        let inner = children.first().filter(|child| child.has_tag_name("route") && !node.has_attribute("route"));
-        if let Some(child) = children.get(usize::from(inner.is_some())) {
-            return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), &["route"]));
+        let child = children.first().filter(|child| child.has_tag_name(inner) && !node.has_attribute("route"));
+        if let Some(child) = children.get(usize::from(child.is_some())) {
+            let allowed: Names = if walks { &["walk"] } else { &["route"] };
+            return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), allowed));
         }
-        let route = match (node.attribute("route"), inner) {
-            (_, Some(child)) => self.route(reader, *child, id)?,
-            (Some(route), None) => *routes
+        let position = |node: Node, key| {
+            let number = || reader.number(node, key, "metres from the beginning of the edge", |v| v >= 0.0);
+            if node.has_attribute(key) { number().map(Some) } else { Ok(None) }
+        };
+        let route = match (node.attribute("route"), child) {
+            (_, Some(child)) if walks => {
+                let (depart, arrival) = (position(node, "departPos")?, position(*child, "arrivalPos")?);
+                let ends = WalkEnds { depart: depart.unwrap_or(0.0), arrival };
+                self.route(reader, *child, id, Some(ends))?
+            }
+            (_, Some(child)) => self.route(reader, *child, id, None)?,
+            (Some(route), None) if !walks => *routes
                 .get(route)
                 .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
-            (None, None) => return Err(reader.missing(node, "attribute", "route")),
+            _ if walks => return Err(reader.missing(node, "element", "walk")),
+            _ => return Err(reader.missing(node, "attribute", "route")),
         };
         let text = |key: &'static str, otherwise: &str, words: &[&str]| {
             let value = node.attribute(key).unwrap_or(otherwise);
@@ -261,26 +316,24 @@ impl Demand {
             let allowed = || reader.value(node, key, format!("a number of at least 0, {}", words.join(", ")));
             if fits { Ok(value.to_owned()) } else { Err(allowed()) }
         };
+        let start = if walks {
+            Start::default()
+        } else {
+            Start {
+                lane: text("departLane", "first", &["random", "free", "allowed", "best", "first"])?,
+                pos: text("departPos", "base", &["random", "free", "random_free", "base", "last"])?,
+                speed: text("departSpeed", "0", &["random", "max", "desired", "speedLimit", "last", "avg"])?,
+            }
+        };
         let time = |key: &'static str, otherwise: f64| match node.attribute(key) {
             None => Ok(otherwise),
             Some(text) => seconds(text).ok_or_else(|| reader.value(node, key, "seconds of at least 0, or h:m:s")),
         };
-        let single = node.has_tag_name("vehicle");
+        let single = ["vehicle", "person"].contains(&node.tag_name().name());
         let begin = if single { reader.text(node, "depart").and(time("depart", 0.0))? } else { time("begin", 0.0)? };
         let end = if single { f64::INFINITY } else { time("end", f64::INFINITY)? };
         let (spacing, number) = if single { (Spacing::Equal(1.0), 1) } else { spacing(reader, node, begin, end)? };
-        Ok(Source {
-            id: id.into(),
-            types,
-            route,
-            lane: text("departLane", "first", &["random", "free", "allowed", "best", "first"])?,
-            pos: text("departPos", "base", &["random", "free", "random_free", "base", "last"])?,
-            speed: text("departSpeed", "0", &["random", "max", "desired", "speedLimit", "last", "avg"])?,
-            begin,
-            end,
-            number,
-            spacing,
-        })
+        Ok(Source { id: id.into(), types, route, start, begin, end, number, spacing })
     }
 }
 
@@ -356,14 +409,34 @@ mod tests {
         )
         .unwrap();
         let sizes: Vec<_> = found.types.iter().map(|kind| (kind.id.as_str(), kind.length, kind.width)).collect();
-        assert_eq!(sizes, [(DEFAULT_TYPE, 5.0, 1.8), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]);
+        let [car, walker] = DEFAULT_TYPES;
+        assert_eq!(sizes, [(car, 5.0, 1.8), (walker, 0.215, 0.478), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]);
         assert_eq!(found.definitions.matches("<vType ").count(), 2);
         assert!(found.definitions.contains("carFollowModel=\"IDM\""));
         let [v, f, g] = &found.sources[..] else { panic!("{:?}", found.sources) };
         assert_eq!((v.begin, v.number, v.route, &v.types[..]), (65.0, 1, 0, &[(0, 1.0)][..]));
-        assert_eq!((f.spacing, f.number, f.route, f.speed.as_str()), (Spacing::Equal(2.0), 5, 1, "max"));
-        assert_eq!(f.types, [(1, 3.0), (2, 1.0)]);
-        assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(2, 0.25)]));
+        assert_eq!((f.spacing, f.number, f.route), (Spacing::Equal(2.0), 5, 1));
+        assert_eq!((f.start.speed.as_str(), f.start.lane.as_str()), ("max", "first"));
+        assert_eq!(f.types, [(2, 3.0), (3, 1.0)]);
+        assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(3, 0.25)]));
+    }
+
+    #[test]
+    fn reads_persons_who_walk() {
+        let found = demand(
+            "<routes>\n<vType id=\"child\" vClass=\"pedestrian\" width=\"0.4\"/>\n\
+             <person id=\"p\" depart=\"3\"><walk edges=\"a b c\" arrivalPos=\"7\"/></person>\n\
+             <personFlow id=\"f\" type=\"child\" period=\"exp(0.1)\" departPos=\"5\"><walk from=\"a\" to=\"b\"/></personFlow></routes>",
+        )
+        .unwrap();
+        let [p, f] = &found.sources[..] else { panic!("{:?}", found.sources) };
+        assert_eq!((p.begin, p.number, &p.types[..]), (3.0, 1, &[(1, 1.0)][..]));
+        assert_eq!(found.routes[0].walk, Some(WalkEnds { depart: 0.0, arrival: Some(7.0) }));
+        assert_eq!((f.route, &f.types[..]), (1, &[(2, 1.0)][..]));
+        assert_eq!(found.routes[1].walk, Some(WalkEnds { depart: 5.0, arrival: None }));
+        assert_eq!(found.routes[1].edges, ["a", "b"]);
+        assert!(found.types[2].walks);
+        assert_eq!((found.types[2].length, found.types[2].width), (0.215, 0.4));
     }
 
     #[test]
@@ -386,7 +459,19 @@ mod tests {
                 "unknown element `stop`",
             ),
             ("<vTypeDistribution id=\"d\"/>", "`d` is not a valid id"),
-            ("<person id=\"p\" depart=\"0\"/>", "unknown element `person`"),
+            ("<person id=\"p\" depart=\"0\"/>", "<person> lacks the element `walk`"),
+            (
+                "<person id=\"p\" depart=\"0\"><walk edges=\"a\"/><ride from=\"a\" to=\"b\"/></person>",
+                "unknown element `ride`",
+            ),
+            ("<person id=\"p\" type=\"DEFAULT_VEHTYPE\" depart=\"0\"><walk edges=\"a\"/></person>", "not a valid type"),
+            (
+                "<vehicle id=\"v\" type=\"DEFAULT_PEDTYPE\" depart=\"0\"><route edges=\"a\"/></vehicle>",
+                "not a valid type",
+            ),
+            ("<vType id=\"DEFAULT_PEDTYPE\" vClass=\"bus\"/>", "`bus` is not a valid vClass"),
+            ("<personFlow id=\"f\" period=\"9\"><walk from=\"a\"/></personFlow>", "<walk> lacks the attribute `to`"),
+            ("<containerFlow id=\"c\"/>", "unknown element `containerFlow`"),
         ];
         for (text, expected) in cases {
             let found = mistake(&format!("<routes>\n{text}</routes>"));

@@ -13,7 +13,7 @@ mod reader;
 mod schema;
 mod write;
 
-pub use demand::{Demand, DemandRoute, Source, Spacing, VehicleKind};
+pub use demand::{Demand, DemandRoute, Source, Spacing, Start, VehicleKind, WalkEnds};
 pub use error::Error;
 pub use finding::{Finding, Findings, Severity};
 pub use schema::{Attribute, Element, SCHEMA, describe, markdown};

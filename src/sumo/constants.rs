@@ -59,6 +59,9 @@ pub const TYPE_COLOR: u8 = 0x11;
 /// Reason of a removal: taken out without arriving.
 pub const REMOVE_VAPORIZED: i8 = 0x03;
 
+/// Departure of a person who sets out at once.
+pub const DEPART_NOW: f64 = -3.0;
+
 /// A kind of simulation object, by its command identifiers. An answer's identifier is 0x10 higher.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Domain {

@@ -16,7 +16,7 @@ use std::{
 use rustix::fs::{MemfdFlags, memfd_create};
 
 use super::{
-    Body, Collision, Command, Departure, Error, SimulationConfig, Snapshot, VehicleState, constants as c,
+    Body, Collision, Command, Departure, Error, Route, SimulationConfig, Snapshot, VehicleState, constants as c,
     net::{Net, tile, tiled_id},
 };
 
@@ -26,6 +26,7 @@ pub(super) struct TileRoute {
     pub(super) id: String,
     pub(super) edges: Vec<String>,
     pub(super) lane: u32,
+    pub(super) walked: bool,
 }
 
 /// A vehicle of ours.
@@ -44,8 +45,13 @@ const NO_LANE_CHANGES: i32 = 0;
 /// Takes checked commands, by SUMO's names.
 pub(super) trait Orders {
     fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64);
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure);
+    /// Lane, position and speed in SUMO's words.
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]);
     fn remove(&mut self, vehicle: Vehicle<'_>);
+    /// A pedestrian, from a position on the first edge of a walk to one on the last.
+    fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, ends: [f64; 2]);
+    fn remove_person(&mut self, person: Vehicle<'_>);
+    fn set_walking_speed(&mut self, person: Vehicle<'_>, speed: f64);
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
     fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
@@ -77,6 +83,8 @@ pub(super) struct Fleet {
     departed: Vec<f64>,
     /// `departed` as it will be after the exchange under way.
     next_departed: Vec<f64>,
+    /// Whether a pedestrian was last put there; empty without others.
+    walking: Vec<bool>,
     pub(super) snapshot: Snapshot,
 }
 
@@ -110,10 +118,11 @@ impl Fleet {
         let routes = (0..worlds).flat_map(|world| {
             config.routes.iter().map(move |route| {
                 if worlds == 1 {
-                    return TileRoute { id: route.id.clone(), edges: route.edges.clone(), lane: route.lane };
+                    let Route { id, edges, lane, walked } = route.clone();
+                    return TileRoute { id, edges, lane, walked };
                 }
                 let edges = route.edges.iter().map(|edge| tiled_id(world, edge)).collect();
-                TileRoute { id: tiled_id(world, &route.id), edges, lane: route.lane }
+                TileRoute { id: tiled_id(world, &route.id), edges, lane: route.lane, walked: route.walked }
             })
         });
         Ok(Fleet {
@@ -128,6 +137,7 @@ impl Fleet {
             next: vec![false; vehicles],
             departed: vec![0.0; vehicles],
             next_departed: vec![0.0; vehicles],
+            walking: vec![false; bodies],
             snapshot: Snapshot { vehicles: vec![None; vehicles], bodies: vec![None; bodies], ..Snapshot::default() },
             config,
         })
@@ -180,6 +190,24 @@ impl Fleet {
         }
     }
 
+    /// Takes in where SUMO has a pedestrian, as [`Fleet::body`].
+    pub(super) fn pedestrian(&mut self, person: usize, position: [f64; 2], angle: f64, speed: f64) {
+        if self.walks(person) && position[0] != c::INVALID_DOUBLE_VALUE {
+            self.body(person, position, angle, 0.0);
+            self.snapshot.vehicles[person] = Some(VehicleState { distance: 0.0, speed });
+        }
+    }
+
+    /// Whether whoever was last put there is a pedestrian.
+    pub(super) fn walks(&self, vehicle: usize) -> bool {
+        self.walking.get(vehicle).is_some_and(|walks| *walks)
+    }
+
+    /// Whether anyone may ever walk.
+    pub(super) fn has_walks(&self) -> bool {
+        self.routes.iter().any(|route| route.walked)
+    }
+
     /// Takes in that SUMO has no vehicle of that name: it came to the end of its route, or was refused.
     pub(super) fn gone(&mut self, name: &str) {
         if let Some(vehicle) = self.vehicle_named(name) {
@@ -187,11 +215,15 @@ impl Fleet {
         }
     }
 
-    /// Takes in a collision of SUMO's report; those with vehicles of others are none of ours.
+    /// Takes in a collision of SUMO's report; those with vehicles of others are none of ours, and pedestrians have another shape
+    /// there.
     pub(super) fn collision(&mut self, collider: &str, victim: &str) {
         let (Some(collider), Some(victim)) = (self.vehicle_named(collider), self.vehicle_named(victim)) else {
             return;
         };
+        if self.walks(collider) || self.walks(victim) {
+            return;
+        }
         let slots = self.config.slots;
         let (collider, victim) = (collider as u32, victim as u32);
         if collider / slots == victim / slots {
@@ -230,6 +262,9 @@ impl Fleet {
                     let route = &self.routes[world as usize * known + route as usize];
                     let kind = self.kind(vehicle_type)?;
                     orders.add(self.named(vehicle), route, kind, depart_pos, depart_speed);
+                    if let Some(walks) = self.walking.get_mut(vehicle) {
+                        *walks = false;
+                    }
                     self.next_departed[vehicle] = depart_pos;
                     self.next[vehicle] = true;
                 }
@@ -242,12 +277,21 @@ impl Fleet {
                     let unknown =
                         || Error::invalid(format!("there is no departure {departure}: there are {}", ways.len()));
                     let way = ways.get(departure as usize).ok_or_else(unknown)?;
-                    let (route, known) = (way.route as usize, self.config.routes.len());
+                    let (route, known) = (way.route() as usize, self.config.routes.len());
                     if route >= known {
                         return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
                     }
                     let route = &self.routes[world as usize * known + route];
-                    orders.depart(self.named(vehicle), route, self.kind(vehicle_type)?, way);
+                    let (named, kind) = (self.named(vehicle), self.kind(vehicle_type)?);
+                    match way {
+                        Departure::Drive { lane, pos, speed, .. } => {
+                            orders.depart(named, route, kind, [lane, pos, speed])
+                        }
+                        Departure::Walk { pos, arrival, .. } => orders.walk(named, route, kind, [*pos, *arrival]),
+                    }
+                    if let Some(walks) = self.walking.get_mut(vehicle) {
+                        *walks = route.walked;
+                    }
                     // SUMO knows where; ways of vehicles that it drives are not asked for.
                     self.next_departed[vehicle] = 0.0;
                     self.next[vehicle] = true;
@@ -255,15 +299,28 @@ impl Fleet {
                 Command::Remove { world, slot } => {
                     let vehicle = self.vehicle(world, slot)?;
                     if std::mem::take(&mut self.next[vehicle]) {
-                        orders.remove(self.named(vehicle));
+                        if self.walks(vehicle) {
+                            orders.remove_person(self.named(vehicle));
+                        } else {
+                            orders.remove(self.named(vehicle));
+                        }
                     }
                 }
                 Command::SetSpeed { world, slot, speed } => {
                     finite("a speed", speed)?;
-                    orders.set_speed(self.named(self.vehicle(world, slot)?), speed);
+                    let vehicle = self.vehicle(world, slot)?;
+                    if self.walks(vehicle) {
+                        orders.set_walking_speed(self.named(vehicle), speed);
+                    } else {
+                        orders.set_speed(self.named(vehicle), speed);
+                    }
                 }
                 Command::SpeedMode { world, slot, mode } => {
-                    orders.set_speed_mode(self.named(self.vehicle(world, slot)?), mode);
+                    let vehicle = self.vehicle(world, slot)?;
+                    // There is none of pedestrians.
+                    if !self.walks(vehicle) {
+                        orders.set_speed_mode(self.named(vehicle), mode);
+                    }
                 }
                 Command::KeepLane { world, slot } => {
                     orders.set_lane_change_mode(self.named(self.vehicle(world, slot)?), NO_LANE_CHANGES);

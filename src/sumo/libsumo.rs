@@ -15,7 +15,7 @@ use pyo3::{
 };
 
 use super::{
-    Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     constants::{self as c, Domain},
     fleet::{Fleet, Orders, TileRoute, Vehicle},
 };
@@ -49,6 +49,9 @@ pub struct LibsumoSimulation {
     /// The vehicles that are asked for after each step, as indices and as Python's list; made anew when they change.
     asked: Vec<usize>,
     asked_names: Py<PyList>,
+    /// The pedestrians among them, who are asked for by themselves.
+    on_foot: Vec<usize>,
+    asked_on_foot: Py<PyList>,
     columns: Columns,
     awaiting: bool,
     exchanges: u64,
@@ -77,6 +80,8 @@ impl LibsumoSimulation {
                 names,
                 asked: Vec::new(),
                 asked_names: PyList::empty(py).unbind(),
+                on_foot: Vec::new(),
+                asked_on_foot: PyList::empty(py).unbind(),
                 columns: Columns::default(),
                 awaiting: false,
                 exchanges: 0,
@@ -121,7 +126,7 @@ impl LibsumoSimulation {
                 types.append(attributes)?;
             }
             let routes = PyList::empty(py);
-            for route in &self.fleet.routes {
+            for route in self.fleet.routes.iter().filter(|route| !route.walked) {
                 routes.append((&route.id, &route.edges))?;
             }
             self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
@@ -138,12 +143,13 @@ impl LibsumoSimulation {
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
         type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
         type Refusal = Option<(String, String, String)>;
-        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Refusal, Bodies);
+        type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
+        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Refusal, Bodies, Pedestrians);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
         let others = self.fleet.config().others.is_some();
-        let reply = self.step.bind(py).call1((orders, &self.asked_names, others));
-        let (time, gone, distances, speeds, collisions, refusal, (positions, angles, losses)) =
+        let reply = self.step.bind(py).call1((orders, &self.asked_names, others, &self.asked_on_foot));
+        let (time, gone, distances, speeds, collisions, refusal, (positions, angles, losses), pedestrians) =
             reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
@@ -162,6 +168,11 @@ impl LibsumoSimulation {
                 }
             }
         }
+        for (&person, found) in self.on_foot.iter().zip(pedestrians) {
+            if let Some((position, angle, speed)) = found {
+                self.fleet.pedestrian(person, position, angle, speed);
+            }
+        }
         for (collider, victim) in &collisions {
             self.fleet.collision(collider, victim);
         }
@@ -173,11 +184,19 @@ impl LibsumoSimulation {
 
     /// Brings the list of vehicles to ask for up to what SUMO will know after the commands.
     fn ask(&mut self, py: Python<'_>) -> PyResult<()> {
-        let wanted = || self.fleet.expected();
-        if !wanted().eq(self.asked.iter().copied()) {
-            self.asked = wanted().collect();
-            let names = self.asked.iter().map(|&vehicle| self.names[vehicle].bind(py));
-            self.asked_names = PyList::new(py, names.collect::<Vec<_>>())?.unbind();
+        let list = |of: &[usize]| {
+            let names: Vec<_> = of.iter().map(|&vehicle| self.names[vehicle].bind(py)).collect();
+            PyList::new(py, names).map(Bound::unbind)
+        };
+        let fleet = &self.fleet;
+        let wanted = |walks: bool| fleet.expected().filter(move |&vehicle| fleet.walks(vehicle) == walks);
+        if !wanted(false).eq(self.asked.iter().copied()) {
+            let asked: Vec<usize> = wanted(false).collect();
+            (self.asked_names, self.asked) = (list(&asked)?, asked);
+        }
+        if !wanted(true).eq(self.on_foot.iter().copied()) {
+            let on_foot: Vec<usize> = wanted(true).collect();
+            (self.asked_on_foot, self.on_foot) = (list(&on_foot)?, on_foot);
         }
         Ok(())
     }
@@ -272,6 +291,9 @@ enum Kind {
     SpeedMode,
     LaneChangeMode,
     Move,
+    Walk,
+    RemovePerson,
+    WalkingSpeed,
 }
 
 /// Commands, in order; consecutive ones of a kind make a run, which goes over the bridge as columns.
@@ -280,18 +302,21 @@ struct Columns {
     rows: Vec<(Kind, usize, [f64; 4])>,
     /// Route, type, lane, position and speed of the vehicles to be added.
     texts: Vec<[String; 5]>,
+    /// Type and edges of the pedestrians to be added.
+    walks: Vec<(String, Vec<String>)>,
 }
 
 impl Columns {
     fn clear(&mut self) {
         self.rows.clear();
         self.texts.clear();
+        self.walks.clear();
     }
 
     /// The list of `(kind, vehicles, columns…)`.
     fn list<'py>(&self, py: Python<'py>, names: &[Py<PyString>]) -> PyResult<Bound<'py, PyList>> {
         let orders = PyList::empty(py);
-        let mut texts = self.texts.iter();
+        let (mut texts, mut walks) = (self.texts.iter(), self.walks.iter());
         for run in self.rows.chunk_by(|a, b| a.0 == b.0) {
             let vehicles = PyList::new(py, run.iter().map(|row| names[row.1].bind(py)))?;
             let numbers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k]));
@@ -304,6 +329,13 @@ impl Columns {
                         [column(0)?, column(1)?, column(2)?, column(3)?, column(4)?];
                     orders.append(("vehicle.add", vehicles, routes, types, lanes, positions, speeds))?;
                 }
+                Kind::Walk => {
+                    let (types, edges): (Vec<_>, Vec<_>) =
+                        walks.by_ref().take(run.len()).map(|(kind, edges)| (kind, edges)).unzip();
+                    orders.append(("person.add", vehicles, types, edges, numbers(0)?, numbers(1)?))?;
+                }
+                Kind::RemovePerson => orders.append(("person.remove", vehicles))?,
+                Kind::WalkingSpeed => orders.append(("person.setSpeed", vehicles, numbers(0)?))?,
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
                 Kind::SpeedMode => orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?,
@@ -333,10 +365,23 @@ impl Orders for Columns {
         self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, position, speed]);
     }
 
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure) {
-        let Departure { lane, pos, speed, .. } = departure.clone();
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]) {
+        let [lane, pos, speed] = start.map(str::to_owned);
         self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
         self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, pos, speed]);
+    }
+
+    fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, [pos, arrival]: [f64; 2]) {
+        self.rows.push((Kind::Walk, person.index, [pos, arrival, 0.0, 0.0]));
+        self.walks.push((person_type.to_owned(), route.edges.clone()));
+    }
+
+    fn remove_person(&mut self, person: Vehicle<'_>) {
+        self.rows.push((Kind::RemovePerson, person.index, [0.0; 4]));
+    }
+
+    fn set_walking_speed(&mut self, person: Vehicle<'_>, speed: f64) {
+        self.rows.push((Kind::WalkingSpeed, person.index, [speed, 0.0, 0.0, 0.0]));
     }
 
     fn remove(&mut self, vehicle: Vehicle<'_>) {

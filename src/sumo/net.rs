@@ -9,6 +9,7 @@
 mod error;
 mod path;
 mod tile;
+mod walk;
 pub(crate) mod xml;
 
 use std::{
@@ -23,6 +24,7 @@ pub use error::NetError;
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;
 pub use tile::{Tiled, tile, tiled_id};
+pub use walk::Walk;
 pub use xml::XmlError;
 
 /// Width of a lane for which the file gives none \[m\].
@@ -39,6 +41,9 @@ const MIN_LENGTH: f64 = 1e-3;
 
 /// SUMO's class of the vehicles that this program drives.
 const CARS: &str = "passenger";
+
+/// SUMO's class of pedestrians.
+const PEDESTRIANS: &str = "pedestrian";
 
 /// Largest magnitude of any number in a net; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
@@ -82,6 +87,15 @@ pub struct Lane {
     pub shape: Vec<[f64; 2]>,
     /// Whether passenger cars may use it.
     pub cars: bool,
+    /// Whether pedestrians may use it.
+    pub pedestrians: bool,
+}
+
+impl Lane {
+    /// Whether it is for pedestrians, and not for cars.
+    pub fn is_sidewalk(&self) -> bool {
+        self.pedestrians && !self.cars
+    }
 }
 
 /// What an edge is for.
@@ -92,7 +106,11 @@ pub enum EdgeFunction {
     Normal,
     /// A way over a junction.
     Internal,
-    /// Anything else: connector, crossing, walking area.
+    /// Where pedestrians go over a road.
+    Crossing,
+    /// Where sidewalks and crossings meet.
+    WalkingArea,
+    /// Anything else: connector.
     Other,
 }
 
@@ -291,6 +309,18 @@ impl Net {
         edge.function == EdgeFunction::Normal && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
     }
 
+    /// The lanes of an edge that are for vehicles: all without the sidewalks at its sides.
+    pub fn carriageway(&self, edge: &Edge) -> Range<usize> {
+        let mut lanes = edge.lanes.clone();
+        while lanes.len() > 1 && self.lanes[lanes.start].is_sidewalk() {
+            lanes.start += 1;
+        }
+        while lanes.len() > 1 && self.lanes[lanes.end - 1].is_sidewalk() {
+            lanes.end -= 1;
+        }
+        lanes
+    }
+
     /// Edges that a route of a car can name.
     pub fn roads(&self) -> impl Iterator<Item = &Edge> {
         self.edges.iter().filter(|edge| self.is_road(edge))
@@ -397,6 +427,8 @@ impl Reader<'_, '_> {
             function: match node.attribute("function") {
                 None | Some("normal") => EdgeFunction::Normal,
                 Some("internal") => EdgeFunction::Internal,
+                Some("crossing") => EdgeFunction::Crossing,
+                Some("walkingarea") => EdgeFunction::WalkingArea,
                 Some(_) => EdgeFunction::Other,
             },
             lanes: start..net.lanes.len(),
@@ -416,10 +448,8 @@ impl Reader<'_, '_> {
                 Some(_) => self.number(node, "width", 0.0)?,
             },
             shape: self.points(node, 2)?,
-            cars: {
-                let cars = |list: &str| list.split_whitespace().any(|class| matches!(class, "all" | CARS));
-                node.attribute("allow").is_none_or(cars) && !node.attribute("disallow").is_some_and(cars)
-            },
+            cars: allows(node, CARS),
+            pedestrians: allows(node, PEDESTRIANS),
         })
     }
 
@@ -509,6 +539,12 @@ impl Reader<'_, '_> {
         let (line, column) = self.attribute_position(node, "id");
         NetError::Duplicate { path: self.path.into(), line, column, kind, id: shorten(id) }
     }
+}
+
+/// Whether a lane is for a class of vehicles.
+fn allows(lane: Node, class: &str) -> bool {
+    let named = |list: &str| list.split_whitespace().any(|name| name == "all" || name == class);
+    lane.attribute("allow").is_none_or(named) && !lane.attribute("disallow").is_some_and(named)
 }
 
 fn elements<'a, 'i>(parent: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {

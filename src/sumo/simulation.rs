@@ -54,7 +54,7 @@ pub enum Command {
         /// Speed at departure \[m/s\].
         depart_speed: f64,
     },
-    /// As [`Command::Add`], where SUMO finds the place and the speed.
+    /// As [`Command::Add`], where SUMO finds the place and the speed, or of a pedestrian.
     Depart {
         /// World number.
         world: u32,
@@ -146,32 +146,55 @@ pub struct Route {
     pub edges: Vec<String>,
     /// Lane of the first edge on which vehicles depart, from the right, starting at 0.
     pub lane: u32,
+    /// Whether it is for pedestrians, who need not know of it before they depart.
+    pub walked: bool,
 }
 
-/// Vehicles that SUMO drives, beside those that are told what to do.
+/// Vehicles that SUMO drives, and pedestrians, beside those that are told what to do.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Others {
     /// The slots from this one on are theirs: [`Snapshot::bodies`] tells where they are.
     pub first_slot: u32,
     /// `<vType>` elements, as SUMO reads them.
     pub definitions: String,
-    /// Ids of these types, addressed by index.
+    /// Ids of these types and of SUMO's own, addressed by index.
     pub types: Vec<String>,
     /// Ways to depart, addressed by index.
     pub departures: Vec<Departure>,
 }
 
-/// How a vehicle departs, in SUMO's words.
+/// How a vehicle or a pedestrian departs, in SUMO's words.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Departure {
+pub enum Departure {
+    /// A vehicle.
+    Drive {
+        /// Index into [`SimulationConfig::routes`].
+        route: u32,
+        /// `departLane`.
+        lane: String,
+        /// `departPos`.
+        pos: String,
+        /// `departSpeed`.
+        speed: String,
+    },
+    /// A pedestrian.
+    Walk {
+        /// Index into [`SimulationConfig::routes`].
+        route: u32,
+        /// From the beginning of the first edge, in its direction \[m\].
+        pos: f64,
+        /// Likewise on the last edge, where the walk ends \[m\].
+        arrival: f64,
+    },
+}
+
+impl Departure {
     /// Index into [`SimulationConfig::routes`].
-    pub route: u32,
-    /// `departLane`.
-    pub lane: String,
-    /// `departPos`.
-    pub pos: String,
-    /// `departSpeed`.
-    pub speed: String,
+    pub fn route(&self) -> u32 {
+        match self {
+            Self::Drive { route, .. } | Self::Walk { route, .. } => *route,
+        }
+    }
 }
 
 /// What a host needs to start.

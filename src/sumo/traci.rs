@@ -8,12 +8,13 @@
 use std::{fmt::Write as _, time::Duration};
 
 use super::{
-    Batch, Client, Command, Departure, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    Batch, Client, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     client::Version,
     codec::Reader,
     constants::{self as c, Domain},
     domain::{
-        simulation::{VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
+        person::{self, Walk},
+        simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
         vehicle::{Addition, Placement, VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::{Fleet, Orders, TileRoute, Vehicle},
@@ -104,17 +105,23 @@ impl TraciSimulation {
             types.set_speed_factor(&kind.id, 1.0);
             types.set_speed_deviation(&kind.id, 0.0);
         }
-        for route in &self.fleet.routes {
+        for route in self.fleet.routes.iter().filter(|route| !route.walked) {
             batch.route().add(&route.id, &route.edges);
         }
-        let of_simulation = [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
-        batch.subscribe(Domain::SIMULATION, "", &of_simulation);
+        let of_simulation =
+            [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id(), VAR_ARRIVED_PERSONS_IDS.id()];
+        let walks = self.fleet.has_walks();
+        batch.subscribe(Domain::SIMULATION, "", &of_simulation[..if walks { 4 } else { 3 }]);
         let all = [VAR_DISTANCE.id(), VAR_SPEED.id(), VAR_POSITION.id(), VAR_ANGLE.id(), VAR_TIMELOSS.id()];
         let of_vehicles = if self.fleet.config().others.is_some() { &all[..] } else { &all[..2] };
         // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
         // that one for each vehicle would make respawns slow.
         for junction in &self.fleet.junctions {
             batch.subscribe_context(Domain::JUNCTION, junction, Domain::VEHICLE, self.fleet.diagonal, of_vehicles);
+            if walks {
+                let of_persons = [person::VAR_POSITION.id(), person::VAR_ANGLE.id(), person::VAR_SPEED.id()];
+                batch.subscribe_context(Domain::JUNCTION, junction, Domain::PERSON, self.fleet.diagonal, &of_persons);
+            }
         }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
         outcomes.into_iter().try_for_each(|outcome| outcome.map(drop))
@@ -141,20 +148,29 @@ impl Orders for Message<'_> {
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, departure: &Departure) {
-        let Departure { lane, pos, speed, .. } = departure;
-        let addition = Addition {
-            vehicle_type,
-            depart_lane: lane,
-            depart_pos: pos,
-            depart_speed: speed,
-            ..Addition::on_route(&route.id)
-        };
+    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]) {
+        let [depart_lane, depart_pos, depart_speed] = start;
+        let addition =
+            Addition { vehicle_type, depart_lane, depart_pos, depart_speed, ..Addition::on_route(&route.id) };
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 
     fn remove(&mut self, vehicle: Vehicle<'_>) {
         self.batch.vehicle().remove(vehicle.name, c::REMOVE_VAPORIZED);
+    }
+
+    fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, [pos, arrival_pos]: [f64; 2]) {
+        let first = route.edges.first().map_or("", String::as_str);
+        self.batch.person().add(person.name, person_type, first, c::DEPART_NOW, pos);
+        self.batch.person().append_walking_stage(person.name, &route.edges, &Walk::to(arrival_pos));
+    }
+
+    fn remove_person(&mut self, person: Vehicle<'_>) {
+        self.batch.person().remove(person.name, c::REMOVE_VAPORIZED);
+    }
+
+    fn set_walking_speed(&mut self, person: Vehicle<'_>, speed: f64) {
+        self.batch.person().set_speed(person.name, speed);
     }
 
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64) {
@@ -211,7 +227,7 @@ impl Simulation for TraciSimulation {
         for (index, message) in refused {
             let error = self.batch.refusal(index, &message);
             if let Error::Refused { call, id, .. } = &error
-                && call == "vehicle.add"
+                && ["vehicle.add", "person.add"].contains(&call.as_str())
             {
                 self.fleet.gone(id);
             }
@@ -248,6 +264,7 @@ impl Simulation for TraciSimulation {
 const TIME: u8 = VAR_TIME.number();
 const COLLISIONS: u8 = VAR_COLLISIONS.number();
 const ARRIVED: u8 = VAR_ARRIVED_VEHICLES_IDS.number();
+const ARRIVED_ON_FOOT: u8 = VAR_ARRIVED_PERSONS_IDS.number();
 const DISTANCE: u8 = VAR_DISTANCE.number();
 const SPEED: u8 = VAR_SPEED.number();
 const POSITION: u8 = VAR_POSITION.number();
@@ -285,9 +302,9 @@ impl Sink for StepSink<'_> {
         match report.variable {
             TIME if of_simulation => self.fleet.snapshot.time = value.double()?,
             COLLISIONS if of_simulation => read_collisions(value, self.fleet)?,
-            ARRIVED if of_simulation => {
-                value.kind(c::TYPE_STRINGLIST, "the vehicles that arrived")?;
-                for _ in 0..value.count(4, "the vehicles that arrived")? {
+            ARRIVED | ARRIVED_ON_FOOT if of_simulation => {
+                value.kind(c::TYPE_STRINGLIST, "the vehicles and persons that arrived")?;
+                for _ in 0..value.count(4, "the vehicles and persons that arrived")? {
                     self.fleet.gone(value.str()?);
                 }
             }
@@ -305,6 +322,14 @@ impl Sink for StepSink<'_> {
                 }
             }
             _ => drop(read_value(report.response, report.variable, value)?),
+        }
+        // The last that is asked for of pedestrians, who have no distance.
+        if let (None, Some(position), Some(angle), Some(speed)) = (self.distance, self.position, self.angle, self.speed)
+        {
+            (self.position, self.angle, self.speed) = (None, None, None);
+            if let Some(person) = self.fleet.vehicle_named(report.object) {
+                self.fleet.pedestrian(person, position, angle, speed);
+            }
         }
         if let (Some(distance), Some(speed)) = (self.distance, self.speed) {
             (self.distance, self.speed) = (None, None);

@@ -164,6 +164,7 @@ impl Cell {
         // A run may be older than a setting: what it did is what these say.
         for (key, neutral) in [
             ("ppo.bounds", Value::Float(0.0)),
+            ("ppo.gamma_explored", Value::Float(0.0)),
             ("exploration.correlation", Value::Float(0.0)),
             ("exploration.correlation_steps", Value::Integer(0)),
             ("iwol.graph_bias", Value::Float(0.0)),

@@ -15,9 +15,10 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let explored =
-        between(noise.log_std_start, noise.log_std_explore, ramp(progress.step - progress.begun, noise.explore_steps));
-    let log_std = between(explored, noise.log_std_end.min(explored), quiet);
+    let (trained, length) = (progress.step - progress.begun, noise.explore_steps);
+    let loud = between(noise.log_std_start, noise.log_std_explore, ramp(trained, length));
+    let log_std = between(loud, noise.log_std_end.min(loud), quiet);
+    let explored = trained >= length;
     // A step of the same size changes a policy with less noise by more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
@@ -25,7 +26,8 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
         log_std,
         imitation: fading(config.train.imitate_steps, progress),
-        growth: if progress.step - progress.begun < noise.explore_steps { 1 } else { config.train.growth },
+        gamma: if explored && ppo.gamma_explored > 0.0 { ppo.gamma_explored } else { ppo.gamma },
+        growth: if explored { config.train.growth } else { 1 },
     }
 }
 
@@ -166,6 +168,16 @@ mod tests {
         let at = |step, begun| pace(&config, &Progress { step, begun, ..Progress::default() }).growth;
         assert_eq!([at(0, 0), at(399, 0), at(400, 0), at(1000, 0)], [1, 1, 4, 4]);
         assert_eq!([at(599, 200), at(600, 200)], [1, 4], "new weights begin anew");
+    }
+
+    #[test]
+    fn the_view_grows_longer_when_the_noise_is_small() {
+        let mut config = config();
+        let at = |config: &Config, step| pace(config, &Progress { step, ..Progress::default() }).gamma.to_bits();
+        let bits = |gamma: [f64; 3]| gamma.map(f64::to_bits);
+        assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99; 3]), "by default it stays");
+        config.ppo.gamma_explored = 0.998;
+        assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99, 0.99, 0.998]));
     }
 
     /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.

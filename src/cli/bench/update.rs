@@ -104,7 +104,13 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
     let device = config.device.find()?;
     let mut learner = algo::build(name, &task.spec, &config.settings(), Seed::new(0), device)?;
     let rollout = random_rollout(&*learner, config, task);
-    let pace = Pace { learning_rate: config.ppo.learning_rate, log_std: 0.0, imitation: 0.0, growth: 1 };
+    let pace = Pace {
+        learning_rate: config.ppo.learning_rate,
+        log_std: 0.0,
+        gamma: config.ppo.gamma,
+        imitation: 0.0,
+        growth: 1,
+    };
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for repetition in 0..=args.repetitions {
         let begin = Instant::now();

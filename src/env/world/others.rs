@@ -1,4 +1,4 @@
-//! Vehicles that SUMO drives: when they depart, where they are, what becomes of them among the agents, and what they met with.
+//! Vehicles that SUMO drives, and pedestrians: when they depart, where they are, what becomes of them among the agents, and what they met with.
 //!
 //! They have the slots behind the agents'. First come those that start at spawn places, then those of the route files, as many
 //! as there is capacity for. One that collides with an agent or a wreck stands as a wreck itself, as long as an agent's; SUMO's
@@ -42,6 +42,8 @@ struct Guest {
     crashed: bool,
     /// SUMO has been told that it stands.
     stopped: bool,
+    /// It is a pedestrian.
+    walks: bool,
 }
 
 /// When an agent and one of them passed the place where their ways meet, fronts in and rears out \[s\].
@@ -196,6 +198,7 @@ impl World {
                 clock.left -= 1;
                 let (vehicle_type, size) = task.demand_type(kind);
                 let route = task.demand_routes[source.route];
+                self.others.guests[i - task.agents].walks = task.demand.types[kind].walks;
                 self.traffic.slots[i] = Slot { route, size, added: true, ..EMPTY };
                 commands.push(Command::Depart { world, slot: i as u32, departure: index as u32, vehicle_type });
             }
@@ -281,16 +284,22 @@ impl World {
         let here = self.traffic.slots[self.task.agents..].iter().zip(&self.others.guests);
         let here = here.filter(|(slot, _)| slot.departed).map(|(_, guest)| guest);
         let all: Vec<&Guest> = self.others.left.iter().chain(here).collect();
-        let n = all.len().max(1) as f64;
-        let share = |of: fn(&Guest) -> bool| all.iter().filter(|guest| of(guest)).count() as f64 / n;
-        let mean = |of: fn(&Guest) -> f64| all.iter().map(|guest| of(guest)).sum::<f64>() / n;
+        let (walkers, drivers): (Vec<&Guest>, Vec<&Guest>) = all.into_iter().partition(|guest| guest.walks);
+        let share = |of: &[&Guest], is: fn(&Guest) -> bool| {
+            of.iter().filter(|guest| is(guest)).count() as f64 / of.len().max(1) as f64
+        };
+        let mean =
+            |of: fn(&Guest) -> f64| drivers.iter().map(|guest| of(guest)).sum::<f64>() / drivers.len().max(1) as f64;
         Some(Record {
-            vehicles: all.len() as u32,
-            crash: share(|guest| guest.crashed),
+            vehicles: drivers.len() as u32,
+            crash: share(&drivers, |guest| guest.crashed),
             delay: mean(|guest| guest.time_loss),
             braking: mean(|guest| guest.braking),
-            hard_braking: share(|guest| guest.braking > HARD),
-            close: share(|guest| guest.close),
+            hard_braking: share(&drivers, |guest| guest.braking > HARD),
+            close: share(&drivers, |guest| guest.close),
+            pedestrians: walkers.len() as u32,
+            pedestrian_crash: share(&walkers, |guest| guest.crashed),
+            pedestrian_close: share(&walkers, |guest| guest.close),
             ttc: self.others.ttc,
             pet: self.others.pet,
         })

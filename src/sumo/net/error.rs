@@ -144,6 +144,24 @@ pub enum NetError {
         /// The route's next edge.
         to: String,
     },
+    /// A walk names an edge without a lane for pedestrians.
+    #[error("{}: nobody can walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)", path.display())]
+    NoSidewalk {
+        /// The net file.
+        path: PathBuf,
+        /// The id.
+        edge: String,
+    },
+    /// No walking areas and crossings lead from an edge of a walk to the next, other than by turning round.
+    #[error("{}: no way on foot leads from the edge `{from}` straight to `{to}`: build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections), or name the edges between them", path.display())]
+    NotWalkable {
+        /// The net file.
+        path: PathBuf,
+        /// Edge.
+        from: String,
+        /// The walk's next edge.
+        to: String,
+    },
     /// Consecutive edges are connected, but only by changing lanes on the way, which a centre line cannot show.
     #[error("{}: the route `{route}` needs a lane change", path.display())]
     LaneChange {

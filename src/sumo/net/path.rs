@@ -74,6 +74,20 @@ impl Path {
         (path.points.len() >= 2).then_some(path)
     }
 
+    /// The path of a walk: lanes, and whether each is walked against its shape; `None` if it has no extent.
+    pub(super) fn on_foot(net: &Net, steps: &[(usize, bool)]) -> Option<Self> {
+        let mut path = Self::empty();
+        for &(index, backwards) in steps {
+            let lane = &net.lanes[index];
+            if backwards {
+                lane.shape.iter().rev().for_each(|&point| path.push(point, lane.width));
+            } else {
+                lane.shape.iter().for_each(|&point| path.push(point, lane.width));
+            }
+        }
+        (path.points.len() >= 2).then_some(path)
+    }
+
     fn empty() -> Self {
         Self {
             points: Vec::new(),

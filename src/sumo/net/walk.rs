@@ -1,0 +1,210 @@
+//! Ways of pedestrians: along sidewalks, in both directions, and over the walking areas and crossings of junctions.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+
+use super::{EdgeFunction, Net, NetError, Path, nearest, shorten};
+
+/// A walk through a net.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walk {
+    /// The middle of the sidewalks and crossings, in walking direction; straight on over walking areas.
+    pub path: Path,
+    /// SUMO's position on the last edge where it ends: at its far end, as one comes to it \[m\].
+    pub end: f64,
+}
+
+/// A lane as it is walked: its index, and whether against the direction of its shape.
+type Step = (usize, bool);
+
+/// A way of walking edges so far: its length \[m\], the directions of the edges, and what lies between them.
+type Way = (f64, Vec<bool>, Vec<Vec<usize>>);
+
+impl Net {
+    /// The shortest way on foot along `edges`, whose sidewalks may be walked in both directions, from each to the next over walking
+    /// areas and crossings; from a position on the first edge to one on the last (its far end where there is none), both counted
+    /// from the edge's beginning \[m\]. SUMO's pedestrians take the same one. A walk along a single edge without a position to arrive
+    /// at goes in the edge's direction.
+    ///
+    /// # Errors
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`] or [`NetError::NotWalkable`].
+    pub fn walk(&self, edges: &[String], depart: f64, arrival: Option<f64>) -> Result<Walk, NetError> {
+        let empty = || NetError::EmptyRoute { path: self.path.clone() };
+        let lanes: Vec<usize> = edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
+        let (&first, &last) = (lanes.first().ok_or_else(empty)?, lanes.last().ok_or_else(empty)?);
+        let length = |lane: usize| self.lanes[lane].length;
+        let left = |backwards: bool| if backwards { depart } else { length(first) - depart };
+        let to_go = |backwards: bool| {
+            let forwards = arrival.unwrap_or(if backwards { 0.0 } else { length(last) });
+            if backwards { length(last) - forwards } else { forwards }
+        };
+        if lanes.len() == 1 {
+            let backwards = arrival.is_some_and(|arrival| arrival < depart);
+            let path = Path::on_foot(self, &[(first, backwards)]).ok_or_else(empty)?;
+            return Ok(Walk { path, end: arrival.unwrap_or(length(last)) });
+        }
+        let links = self.links_on_foot();
+        let mut ways: Vec<Way> = [false, true].map(|backwards| (left(backwards), vec![backwards], Vec::new())).into();
+        for (i, pair) in lanes.windows(2).enumerate() {
+            let mut onward: Vec<Way> = Vec::new();
+            for backwards in [false, true] {
+                let joined = ways.iter().filter_map(|(so_far, directions, between)| {
+                    let from = (pair[0], directions[i]);
+                    let (metres, areas) = self.over_junction(from, (pair[1], backwards), &links)?;
+                    let more = if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
+                    let directions = directions.iter().copied().chain([backwards]).collect();
+                    Some((so_far + metres + more, directions, between.iter().cloned().chain([areas]).collect()))
+                });
+                onward.extend(joined.min_by(|a: &Way, b: &Way| a.0.total_cmp(&b.0)));
+            }
+            if onward.is_empty() {
+                let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
+                return Err(NetError::NotWalkable { path: self.path.clone(), from, to });
+            }
+            ways = onward;
+        }
+        let shortest = ways.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        let (_, directions, between) = shortest.ok_or_else(empty)?;
+        let mut steps: Vec<Step> = Vec::new();
+        for (i, (&lane, &backwards)) in lanes.iter().zip(&directions).enumerate() {
+            steps.push((lane, backwards));
+            for pair in between.get(i).map_or(&[][..], Vec::as_slice).windows(2) {
+                if self.edges[self.lanes[pair[1]].edge].function == EdgeFunction::Crossing {
+                    // Connections lead from a walking area to where the crossing begins, and from its end to another.
+                    steps.push((pair[1], self.connections_from(pair[1]).any(|c| c.to == pair[0])));
+                }
+            }
+        }
+        let path = Path::on_foot(self, &steps).ok_or_else(empty)?;
+        let far = if directions.last().is_some_and(|backwards| *backwards) { 0.0 } else { length(last) };
+        Ok(Walk { path, end: arrival.unwrap_or(far) })
+    }
+
+    /// The lane of an edge that pedestrians walk on: one without cars, if there is one.
+    fn sidewalk(&self, id: &str) -> Result<usize, NetError> {
+        let walkable = |edge: &&super::Edge| {
+            edge.function == EdgeFunction::Normal && edge.lanes.clone().any(|lane| self.lanes[lane].pedestrians)
+        };
+        let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
+            let ids = self.edges.iter().filter(walkable).map(|edge| edge.id.as_str());
+            let nearest = nearest(id, ids).map(Into::into);
+            return Err(NetError::NoEdge { path: self.path.clone(), edge: shorten(id), nearest });
+        };
+        let lanes = || edge.lanes.clone().filter(|&lane| self.lanes[lane].pedestrians);
+        let lane = lanes().find(|&lane| self.lanes[lane].is_sidewalk()).or_else(|| lanes().next());
+        let lane = lane.filter(|_| edge.function == EdgeFunction::Normal);
+        lane.ok_or_else(|| NetError::NoSidewalk { path: self.path.clone(), edge: shorten(id) })
+    }
+
+    /// Which lanes are next to each other for pedestrians, who go both ways: those that a connection joins, one of which is a
+    /// walking area.
+    fn links_on_foot(&self) -> HashMap<usize, Vec<usize>> {
+        let area = |lane: usize| self.edges[self.lanes[lane].edge].function == EdgeFunction::WalkingArea;
+        let mut links: HashMap<usize, Vec<usize>> = HashMap::new();
+        for connection in self.connections.iter().filter(|c| area(c.from) || area(c.to)) {
+            links.entry(connection.from).or_default().push(connection.to);
+            links.entry(connection.to).or_default().push(connection.from);
+        }
+        links
+    }
+
+    /// The shortest way from the end of one sidewalk to the beginning of another, as they are walked, over the walking areas and
+    /// crossings of the junction where they meet: its length \[m\], and these lanes.
+    fn over_junction(&self, from: Step, to: Step, links: &HashMap<usize, Vec<usize>>) -> Option<(f64, Vec<usize>)> {
+        let end = |(lane, backwards): Step, at_end: bool| {
+            let edge = &self.edges[self.lanes[lane].edge];
+            if backwards == at_end { edge.from.as_deref() } else { edge.to.as_deref() }
+        };
+        let junction = end(from, true)?;
+        if end(to, false)? != junction {
+            return None;
+        }
+        // Whole millimetres, which have an order.
+        let millimetres = |lane: usize| (self.lanes[lane].length * 1e3) as u64;
+        let mut before: HashMap<usize, (u64, usize)> = HashMap::from([(from.0, (0, from.0))]);
+        let mut open = BinaryHeap::from([Reverse((0, from.0))]);
+        while let Some(Reverse((length, lane))) = open.pop() {
+            if before[&lane].0 < length {
+                continue;
+            }
+            for &next in links.get(&lane).into_iter().flatten() {
+                if next == to.0 {
+                    let back = |lane: &usize| Some(before[lane].1).filter(|&before| before != from.0);
+                    let mut way: Vec<usize> = std::iter::successors(Some(lane), back).collect();
+                    way.reverse();
+                    return Some((length as f64 / 1e3, way));
+                }
+                let longer = length + millimetres(next);
+                if self.joins(next, junction) && before.get(&next).is_none_or(|known| longer < known.0) {
+                    before.insert(next, (longer, lane));
+                    open.push(Reverse((longer, next)));
+                }
+            }
+        }
+        None
+    }
+
+    /// Whether a walking area or crossing belongs to a junction: `:centre_w0` to `centre`.
+    fn joins(&self, lane: usize, junction: &str) -> bool {
+        let edge = &self.edges[self.lanes[lane].edge];
+        let of_pedestrians = matches!(edge.function, EdgeFunction::Crossing | EdgeFunction::WalkingArea);
+        let name = edge.id.strip_prefix(':').and_then(|id| id.rsplit_once('_'));
+        of_pedestrians && name.is_some_and(|(name, _)| name == junction)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn net() -> Net {
+        Net::load(std::path::Path::new("sumo_nets/pedestrians_cross/pedestrians_cross.net.xml"))
+            .expect("the shipped net")
+    }
+
+    fn walk(edges: &str, depart: f64) -> Result<Walk, NetError> {
+        net().walk(&edges.split(' ').map(Into::into).collect::<Vec<_>>(), depart, None)
+    }
+
+    fn reversed(path: &Path) -> Vec<[f64; 2]> {
+        path.points.iter().rev().copied().collect()
+    }
+
+    #[test]
+    fn walks_go_both_ways_over_the_crossings_that_lie_between() {
+        let straight = walk("south_in north_out", 0.0).expect("over the eastern arm");
+        let lanes = net();
+        let length = |edge: &str| lanes.lanes[lanes.sidewalk(edge).expect("a sidewalk")].length;
+        assert_eq!(straight.end, length("north_out"));
+        let way = straight.path.length();
+        assert!((90.0..110.0).contains(&way), "two sidewalks and a crossing: {way} m");
+        // On the eastern arm x is 5.5 where it is crossed.
+        assert!(straight.path.points.contains(&[5.5, -3.5]) && straight.path.points.contains(&[5.5, 3.5]));
+        let back = walk("north_out south_in", length("north_out")).expect("the same way back");
+        assert_eq!((back.end, straight.path.points.clone()), (0.0, reversed(&back.path)));
+        let around = walk("west_in south_out east_out", 40.0);
+        assert!(matches!(around, Err(NetError::NotWalkable { .. })), "the south leads nowhere else");
+    }
+
+    #[test]
+    fn the_way_depends_on_where_one_begins() {
+        // From the end of the arm round its end, from the junction over its crossing.
+        let [far, near] = [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a way").path);
+        assert!(near.points.contains(&[-5.5, 3.5]) && !far.points.contains(&[-5.5, 3.5]), "{:?}", near.points);
+        let one = net().walk(&["west_in".into()], 30.0, Some(10.0)).expect("along one edge, backwards");
+        assert_eq!((one.path.points[0], one.end), ([-7.5, -4.5], 10.0));
+        assert_eq!(walk("west_in", 0.0).expect("along it").path.points[0], [-50.0, -4.5]);
+    }
+
+    #[test]
+    fn ways_that_nobody_can_walk_are_refused() {
+        assert!(matches!(walk("west_inn", 0.0), Err(NetError::NoEdge { nearest: Some(id), .. }) if id == "west_in"));
+        assert!(matches!(walk(":centre_c0", 0.0), Err(NetError::NoSidewalk { .. })));
+        assert!(net().walk(&[], 0.0, None).is_err());
+        let bare = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml")).expect("the shipped net");
+        assert!(matches!(
+            bare.walk(&["west_in".into(), "west_out".into()], 0.0, None),
+            Err(NetError::NotWalkable { .. })
+        ));
+    }
+}
