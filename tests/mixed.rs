@@ -76,7 +76,7 @@ fn watch(task: &Arc<Task>, seed: u64, steps: usize, backend: Backend) -> Vec<(Ve
     seen
 }
 
-/// Sixteen pedestrians at most, in nobody's way: all vehicles stand.
+/// Twelve pedestrians at most, in nobody's way: all vehicles stand.
 #[test]
 fn pedestrians_walk_along_their_ways() {
     let task = task_of("pedestrians_cross.xml", |_| {});
@@ -104,9 +104,9 @@ fn pedestrians_walk_along_their_ways() {
 #[test]
 fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait() {
     let task = task_of("pedestrians_cross.xml", |_| {});
-    let early = task.routes.len() - 1;
-    let meets = |route: usize| task.routes[route].meeting(early).is_some();
-    assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who crosses the southern arm");
+    let over_north = task.routes.len() - 1;
+    let meets = |route: usize| task.routes[route].meeting(over_north).is_some();
+    assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who uses the northern arm");
     let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes").others.expect("others");
     // At several speeds, so that some are at the crossing when somebody is.
     let all = [0.15, 0.2, 0.25, 0.3].map(|throttle| of(Policy::Throttle(throttle)));
@@ -430,6 +430,22 @@ fn vehicles_are_as_large_as_sumo_has_them() {
             (sumo.vehicle_type().get_length(&kind.id).unwrap(), sumo.vehicle_type().get_width(&kind.id).unwrap());
         assert_eq!(size, (kind.length, kind.width), "{}", kind.id);
     }
+}
+
+#[test]
+fn trips_take_the_routes_that_lead_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("trips.rou.xml");
+    let trips = "<trip id=\"a\" depart=\"0\" from=\"west_in\" to=\"east_out\"/>\
+                 <flow id=\"b\" period=\"9\" from=\"south_in\" to=\"north_out\"/>";
+    fs::write(&file, format!("<routes>{trips}</routes>")).expect("a file");
+    let task = task(|scenario| (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None));
+    assert_eq!(task.routes.len(), 4, "they are those of the scenario");
+    let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
+    env.step(&vec![-1.0; task.agents]).expect("a step");
+    let routes = |world: &World| world.others().map(|other| task.route_id(other.route).to_owned()).collect::<Vec<_>>();
+    let seen = routes(env.worlds().next().expect("one world"));
+    assert!(seen.iter().any(|id| id == "eastbound") && seen.iter().any(|id| id == "northbound"), "{seen:?}");
 }
 
 /// The message that the shipped scenario's check gives when its `<traffic>` and the route file are changed.

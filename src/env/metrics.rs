@@ -26,7 +26,7 @@ pub struct EpisodeRecord {
     pub efficiency: f64,
     /// Distinct pairs in SUMO's collision report.
     pub sumo_collisions: u32,
-    /// Distinct pairs of overlapping boxes by our own test.
+    /// Distinct pairs of overlapping boxes by our own test, of vehicles.
     pub own_collisions: u32,
     /// Where the two differ, and why.
     pub audit: Audit,

@@ -48,6 +48,11 @@ impl RouteGeometry {
         self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
     }
 
+    /// Whether it is a walk of pedestrians.
+    pub fn is_walked(&self) -> bool {
+        self.path.lanes.is_empty()
+    }
+
     /// Where `route` meets this one.
     pub fn meeting(&self, route: usize) -> Option<Conflict> {
         self.meetings[route].map(|i| self.conflicts[i])

@@ -4,7 +4,7 @@ use super::geometry::Size;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
-use crate::scenario::{Demand, Scenario, Source, SpawnPlace, VehicleKind};
+use crate::scenario::{Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
 use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
 
@@ -105,18 +105,14 @@ impl Task {
         let mut demand_routes = Vec::with_capacity(demand.routes.len());
         let mut walk_ends = Vec::with_capacity(demand.routes.len());
         for route in &demand.routes {
-            let walk =
-                route.walk.map(|ends| net.walk(&route.edges, ends.depart, ends.arrival).map(|walk| (ends, walk)));
-            let walk = walk.transpose()?;
-            walk_ends.push(walk.as_ref().map(|(ends, walk)| [ends.depart, walk.end]));
-            let walked = walk.is_some();
-            let path = walk.map_or_else(|| net.route_path_from(&route.edges, None), |(_, walk)| Ok(walk.path))?;
-            let known = paths.iter().position(|other: &Path| !walked && other.lanes == path.lanes);
+            let Laid { path, edges, walk } = route.lay(&net)?;
+            walk_ends.push(walk);
+            let known = paths.iter().position(|other: &Path| walk.is_none() && other.lanes == path.lanes);
             demand_routes.push(known.unwrap_or(paths.len()));
             if known.is_none() {
                 paths.push(path);
                 route_ids.push(format!("{} of a route file", route.id));
-                route_edges.push(route.edges.clone());
+                route_edges.push(edges);
             }
         }
         let routes = (0..paths.len())
@@ -209,6 +205,11 @@ impl Task {
         self.demand_type(kind)
     }
 
+    /// What a route is called: its id, or that of a route file.
+    pub fn route_id(&self, route: usize) -> &str {
+        &self.route_ids[route]
+    }
+
     /// The net.
     pub fn net_file(&self) -> &std::path::Path {
         &self.net_file
@@ -261,7 +262,7 @@ impl Task {
                     id: id.clone(),
                     edges: edges.clone(),
                     lane: geometry.first_lane,
-                    walked: geometry.path.lanes.is_empty(),
+                    walked: geometry.is_walked(),
                 })
                 .collect(),
         }

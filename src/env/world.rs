@@ -464,7 +464,8 @@ impl World {
                     let same_way = on_way(i, j) || on_way(j, i);
                     self.partners[i].get_or_insert(Partner { route: slots[j].route, same_way, wreck: !moving(j) });
                     self.partners[j].get_or_insert(Partner { route: slots[i].route, same_way, wreck: !moving(i) });
-                    if j >= agents {
+                    // SUMO has other shapes for pedestrians, so that there is nothing to compare.
+                    if j >= agents || i >= agents && self.others.walks(i - agents) {
                         continue;
                     }
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);

@@ -47,7 +47,7 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     for (i, route) in task.routes.iter().enumerate() {
         picture.line(&route.path.points, LINE, ROUTES[i % ROUTES.len()]);
     }
-    for route in &task.routes {
+    for route in task.routes.iter().filter(|route| !route.is_walked()) {
         let ([x, y], heading) = route.path.at(route.arrival);
         picture.line(&across([x, y], heading, route.path.widths.last().copied().unwrap_or(0.0)), 2.0 * LINE, FINISH);
     }
@@ -83,7 +83,7 @@ pub fn page(task: &Task, net: &Net) -> String {
         let meets: Vec<String> = geometry
             .conflicts
             .iter()
-            .map(|conflict| format!("{} at {:.0} m", scenario.routes[conflict.route].id, conflict.own))
+            .map(|conflict| format!("{} at {:.0} m", task.route_id(conflict.route), conflict.own))
             .collect();
         let _ = writeln!(
             rows,
@@ -108,10 +108,10 @@ pub fn page(task: &Task, net: &Net) -> String {
     )
 }
 
-/// Points at which routes cross or merge, each once.
+/// Points at which routes of vehicles cross or merge with others, each once.
 fn meetings(task: &Task) -> Vec<[f64; 2]> {
     let mut points: Vec<[f64; 2]> = Vec::new();
-    for route in &task.routes {
+    for route in task.routes.iter().filter(|route| !route.is_walked()) {
         for conflict in route.conflicts.iter().filter(|conflict| conflict.own <= route.arrival) {
             let ([x, y], _) = route.path.at(conflict.own);
             if !points.iter().any(|p| (p[0] - x).hypot(p[1] - y) < SAME) {

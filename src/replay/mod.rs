@@ -91,6 +91,9 @@ pub struct Lane {
     pub width: f64,
     /// Whether it lies in a junction.
     pub internal: bool,
+    /// Whether pedestrians cross a road there.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub crossing: bool,
     /// Centre line \[m\].
     pub shape: Vec<[f64; 2]>,
 }
@@ -379,6 +382,7 @@ impl Recorder {
                 id: lane.id.clone(),
                 width: lane.width,
                 internal: net.edges[lane.edge].function == EdgeFunction::Internal,
+                crossing: net.edges[lane.edge].function == EdgeFunction::Crossing,
                 shape: lane.shape.clone(),
             });
         let mut columns = BTreeMap::from([
@@ -481,6 +485,7 @@ mod tests {
                 id: "a_0".to_owned(),
                 width: 3.2,
                 internal: false,
+                crossing: false,
                 shape: vec![[0.0, 0.0], [9.0, 0.0]],
             }],
             columns: BTreeMap::from([

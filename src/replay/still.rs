@@ -11,8 +11,10 @@ const MARGIN: f64 = 4.0;
 const DRIVING: &str = "#0072b2";
 const ARRIVED: &str = "#009e73";
 const CRASHED: &str = "#d55e00";
-/// Of vehicles that SUMO drives.
+/// Of vehicles that SUMO drives, and of pedestrians.
 const OTHER: &str = "#59616b";
+/// Whoever is narrower is a pedestrian, drawn larger than life \[m\].
+const PERSON: f64 = 0.6;
 
 impl Recording {
     /// The net, the vehicles and who hears whom at `step` (the last one if there are fewer). One metre is one unit.
@@ -34,11 +36,19 @@ impl Recording {
             escaped(&format!("{}, {}", self.scenario, self.policy)),
         );
         for internal in [true, false] {
-            for lane in self.lanes.iter().filter(|lane| lane.internal == internal) {
+            for lane in self.lanes.iter().filter(|lane| lane.internal == internal && !lane.crossing) {
                 let color = if internal { "#e4e6e8" } else { "#d2d6da" };
                 let _ =
                     writeln!(svg, "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>", way(lane), lane.width);
             }
+        }
+        for lane in self.lanes.iter().filter(|lane| lane.crossing) {
+            let _ = writeln!(
+                svg,
+                "<path d=\"{0}\" stroke=\"#d2d6da\" stroke-linecap=\"butt\" stroke-width=\"{1:.2}\"/><path d=\"{0}\" stroke=\"#fff\" stroke-linecap=\"butt\" stroke-dasharray=\".5 .5\" stroke-width=\"{1:.2}\"/>",
+                way(lane),
+                lane.width
+            );
         }
         let vehicles = self.vehicles(step);
         for (i, j) in self.heard(step) {
@@ -49,7 +59,9 @@ impl Recording {
                 a[0], a[1], b[0], b[1]
             );
         }
-        for [x, y, heading, l, w, wreck] in self.others.get(step).into_iter().flatten() {
+        let (people, others): (Vec<&[f64; 6]>, Vec<&[f64; 6]>) =
+            self.others.get(step).into_iter().flatten().partition(|other| other[4] < PERSON);
+        for [x, y, heading, l, w, wreck] in others {
             let _ = writeln!(
                 svg,
                 "<g transform=\"translate({x:.2} {y:.2}) rotate({:.1})\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" \
@@ -58,6 +70,13 @@ impl Recording {
                 -l / 2.0,
                 -w / 2.0,
                 if *wreck > 0.0 { cross(*l, *w) } else { String::new() },
+            );
+        }
+        for [x, y, _, _, _, wreck] in people {
+            let color = if *wreck > 0.0 { CRASHED } else { OTHER };
+            let _ = writeln!(
+                svg,
+                "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{PERSON}\" fill=\"{color}\" stroke=\"#fff\" stroke-width=\".2\"/>"
             );
         }
         for (number, (status, [x, y, heading])) in vehicles.iter().enumerate() {

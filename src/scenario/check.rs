@@ -93,11 +93,7 @@ fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Deman
 /// The first route of the files that cannot be driven in a net, or walk that cannot be walked.
 fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
     demand.routes.iter().find_map(|route| {
-        let error = match &route.walk {
-            Some(ends) => map.walk(&route.edges, ends.depart, ends.arrival).err(),
-            None => map.route_path_from(&route.edges, None).err(),
-        };
-        let source = Box::new(error?);
+        let source = Box::new(route.lay(map).err()?);
         let (path, line, column) = route.place.clone();
         Some(Error::Route { path, line, column, route: shorten(&route.id), source })
     })

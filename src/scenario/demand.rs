@@ -1,4 +1,5 @@
-//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles, persons who walk, and flows of both.
+//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles and
+//! trips, persons who walk, and flows of both.
 //!
 //! SUMO itself reads the types. Who departs when is drawn here, from the seed of each episode, because episodes begin again and
 //! again while SUMO's clock goes on; times in the files count from the start of an episode.
@@ -9,6 +10,7 @@ use roxmltree::Node;
 
 use super::reader::{Names, Reader, document, finite, in_element};
 use super::{Error, load};
+use crate::sumo::net::{self, Net, NetError};
 
 /// Most routes, and most vehicles and flows, of all files of a scenario.
 const MAX_ROUTES: usize = 1000;
@@ -42,7 +44,7 @@ const SIZES: [(&str, [f64; 2]); 17] = [
 /// SUMO's class of those who walk.
 const WALKERS: &str = "pedestrian";
 
-const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "flow", "person", "personFlow"];
+const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "trip", "flow", "person", "personFlow"];
 
 /// All that route files say.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -72,17 +74,65 @@ pub struct VehicleKind {
     pub walks: bool,
 }
 
-/// A route or walk of the files.
+/// A way of the files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DemandRoute {
-    /// Its id, or that of the vehicle or flow that it belongs to.
+    /// The route's id, or that of the vehicle, person or flow that it belongs to.
     pub id: String,
-    /// Edge ids in driving order.
-    pub edges: Vec<String>,
-    /// Of a walk, where it begins and ends.
-    pub walk: Option<WalkEnds>,
+    /// What it is given by.
+    pub way: Way,
     /// File, line and column.
     pub(super) place: (std::path::PathBuf, u32, u32),
+}
+
+/// What a way is given by; edges by their ids.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Way {
+    /// All edges in driving order.
+    Route(Vec<String>),
+    /// The first and the last edge, and those to pass between them: the fastest way is taken.
+    Trip(Vec<String>),
+    /// Edges in walking order.
+    Walk {
+        /// The edges.
+        edges: Vec<String>,
+        /// `departPos` of the person: from the beginning of the first edge, in its direction \[m\].
+        depart: f64,
+        /// `arrivalPos` of the walk, likewise on the last edge; without it, the walk ends at the edge's far end \[m\].
+        arrival: Option<f64>,
+    },
+}
+
+/// A way as it lies in a net.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Laid {
+    /// Its middle line.
+    pub path: net::Path,
+    /// All its edges.
+    pub edges: Vec<String>,
+    /// Of a walk, where on the first edge it begins and where on the last it ends \[m\].
+    pub walk: Option<[f64; 2]>,
+}
+
+impl DemandRoute {
+    /// Lays the way through a net.
+    ///
+    /// # Errors
+    /// [`NetError`] where the net has no such way.
+    pub fn lay(&self, net: &Net) -> Result<Laid, NetError> {
+        let driven = |edges: Vec<String>| {
+            let path = net.route_path_from(&edges, None)?;
+            Ok(Laid { path, edges, walk: None })
+        };
+        match &self.way {
+            Way::Route(edges) => driven(edges.clone()),
+            Way::Trip(stages) => driven(net.trip(stages)?),
+            Way::Walk { edges, depart, arrival } => {
+                let walk = net.walk(edges, *depart, *arrival)?;
+                Ok(Laid { path: walk.path, edges: edges.clone(), walk: Some([*depart, walk.end]) })
+            }
+        }
+    }
 }
 
 /// A vehicle, a person, or a flow of either.
@@ -115,15 +165,6 @@ pub struct Start {
     pub pos: String,
     /// `departSpeed`
     pub speed: String,
-}
-
-/// Where a walk begins and ends.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WalkEnds {
-    /// `departPos` of the person: from the beginning of the first edge, in its direction \[m\].
-    pub depart: f64,
-    /// `arrivalPos` of the walk, likewise on the last edge; without it, the walk ends at the edge's far end \[m\].
-    pub arrival: Option<f64>,
 }
 
 /// How the departures of a flow follow each other.
@@ -174,12 +215,12 @@ impl Demand {
                 "vType" => drop(self.vehicle_type(reader, node, text)?),
                 "vTypeDistribution" => self.distribution(reader, node, text)?,
                 "route" => {
-                    let route = self.route(reader, node, reader.text(node, "id")?, None)?;
+                    let route = self.route(reader, node, reader.text(node, "id")?)?;
                     if routes.insert(reader.text(node, "id")?, route).is_some() {
                         return Err(reader.duplicate(Reader::offset(node, "id"), "route of this id".into()));
                     }
                 }
-                "vehicle" | "flow" | "person" | "personFlow" => {
+                "vehicle" | "trip" | "flow" | "person" | "personFlow" => {
                     let source = self.source(reader, node, &routes)?;
                     if self.sources.len() == MAX_SOURCES {
                         return Err(reader.value(
@@ -261,20 +302,46 @@ impl Demand {
         Ok(())
     }
 
-    fn route(&mut self, reader: &Reader, node: Node, id: &str, walk: Option<WalkEnds>) -> Result<usize, Error> {
-        let edges: Vec<String> = if walk.is_some() && !node.has_attribute("edges") && node.has_attribute("from") {
-            ["from", "to"].into_iter().map(|key| reader.text(node, key).map(Into::into)).collect::<Result<_, _>>()?
+    fn route(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
+        let edges = reader.text(node, "edges")?.split_whitespace().map(Into::into).collect();
+        self.add(reader, node, id, Way::Route(edges))
+    }
+
+    /// What a walk of a person gives.
+    fn walk(&mut self, reader: &Reader, person: Node, walk: Node, id: &str) -> Result<usize, Error> {
+        let edges = if walk.has_attribute("from") {
+            ["from", "to"].into_iter().map(|key| reader.text(walk, key).map(Into::into)).collect::<Result<_, _>>()?
         } else {
-            reader.text(node, "edges")?.split_whitespace().map(Into::into).collect()
+            reader.text(walk, "edges")?.split_whitespace().map(Into::into).collect()
         };
+        let position = |node: Node, key| {
+            let number = || reader.number(node, key, "metres from the beginning of the edge", |v| v >= 0.0);
+            if node.has_attribute(key) { number().map(Some) } else { Ok(None) }
+        };
+        let depart = position(person, "departPos")?.unwrap_or(0.0);
+        let arrival = position(walk, "arrivalPos")?;
+        self.add(reader, walk, id, Way::Walk { edges, depart, arrival })
+    }
+
+    /// The fastest way from `from` over `via` to `to`.
+    fn trip(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
+        let (from, to) = (reader.text(node, "from")?, reader.text(node, "to")?);
+        let via = node.attribute("via").unwrap_or_default().split_whitespace();
+        let stages = std::iter::once(from).chain(via).chain([to]).map(Into::into).collect();
+        self.add(reader, node, id, Way::Trip(stages))
+    }
+
+    fn add(&mut self, reader: &Reader, node: Node, id: &str, way: Way) -> Result<usize, Error> {
+        let (Way::Route(edges) | Way::Trip(edges) | Way::Walk { edges, .. }) = &way;
         if !(1..=MAX_EDGES).contains(&edges.len()) {
             return Err(reader.value(node, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
         }
         if self.routes.len() == MAX_ROUTES {
             return Err(reader.value(node, "edges", format!("at most {MAX_ROUTES} routes")));
         }
-        let (line, column) = reader.position(Reader::offset(node, "edges"));
-        self.routes.push(DemandRoute { id: id.into(), edges, walk, place: (reader.path.into(), line, column) });
+        let (line, column) =
+            reader.position(Reader::offset(node, if matches!(way, Way::Trip(_)) { "from" } else { "edges" }));
+        self.routes.push(DemandRoute { id: id.into(), way, place: (reader.path.into(), line, column) });
         Ok(self.routes.len() - 1)
     }
 
@@ -293,22 +360,15 @@ impl Demand {
             let allowed: Names = if walks { &["walk"] } else { &["route"] };
             return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), allowed));
         }
-        let position = |node: Node, key| {
-            let number = || reader.number(node, key, "metres from the beginning of the edge", |v| v >= 0.0);
-            if node.has_attribute(key) { number().map(Some) } else { Ok(None) }
-        };
         let route = match (node.attribute("route"), child) {
-            (_, Some(child)) if walks => {
-                let (depart, arrival) = (position(node, "departPos")?, position(*child, "arrivalPos")?);
-                let ends = WalkEnds { depart: depart.unwrap_or(0.0), arrival };
-                self.route(reader, *child, id, Some(ends))?
-            }
-            (_, Some(child)) => self.route(reader, *child, id, None)?,
-            (Some(route), None) if !walks => *routes
+            (_, Some(child)) if walks => self.walk(reader, node, *child, id)?,
+            (_, Some(child)) => self.route(reader, *child, id)?,
+            _ if walks => return Err(reader.missing(node, "element", "walk")),
+            (Some(route), None) => *routes
                 .get(route)
                 .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
-            _ if walks => return Err(reader.missing(node, "element", "walk")),
-            _ => return Err(reader.missing(node, "attribute", "route")),
+            (None, None) if node.has_attribute("from") || node.has_tag_name("trip") => self.trip(reader, node, id)?,
+            (None, None) => return Err(reader.missing(node, "attribute", "route")),
         };
         let text = |key: &'static str, otherwise: &str, words: &[&str]| {
             let value = node.attribute(key).unwrap_or(otherwise);
@@ -329,7 +389,7 @@ impl Demand {
             None => Ok(otherwise),
             Some(text) => seconds(text).ok_or_else(|| reader.value(node, key, "seconds of at least 0, or h:m:s")),
         };
-        let single = ["vehicle", "person"].contains(&node.tag_name().name());
+        let single = ["vehicle", "trip", "person"].contains(&node.tag_name().name());
         let begin = if single { reader.text(node, "depart").and(time("depart", 0.0))? } else { time("begin", 0.0)? };
         let end = if single { f64::INFINITY } else { time("end", f64::INFINITY)? };
         let (spacing, number) = if single { (Spacing::Equal(1.0), 1) } else { spacing(reader, node, begin, end)? };
@@ -405,7 +465,8 @@ mod tests {
              <vTypeDistribution id=\"all\" vTypes=\"car truck\" probabilities=\"3 1\"/>\n\
              <route id=\"r\" edges=\"a b\"/>\n<vehicle id=\"v\" depart=\"0:01:05\" route=\"r\"/>\n\
              <flow id=\"f\" type=\"all\" end=\"10\" number=\"5\" departSpeed=\"max\"><route edges=\"b\"/></flow>\n\
-             <flow id=\"g\" type=\"mix\" route=\"r\" period=\"exp(0.5)\"/></routes>",
+             <flow id=\"g\" type=\"mix\" route=\"r\" period=\"exp(0.5)\"/>\n\
+             <trip id=\"t\" depart=\"4\" from=\"a\" to=\"c\" via=\"d e\"/></routes>",
         )
         .unwrap();
         let sizes: Vec<_> = found.types.iter().map(|kind| (kind.id.as_str(), kind.length, kind.width)).collect();
@@ -413,12 +474,14 @@ mod tests {
         assert_eq!(sizes, [(car, 5.0, 1.8), (walker, 0.215, 0.478), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]);
         assert_eq!(found.definitions.matches("<vType ").count(), 2);
         assert!(found.definitions.contains("carFollowModel=\"IDM\""));
-        let [v, f, g] = &found.sources[..] else { panic!("{:?}", found.sources) };
+        let [v, f, g, t] = &found.sources[..] else { panic!("{:?}", found.sources) };
         assert_eq!((v.begin, v.number, v.route, &v.types[..]), (65.0, 1, 0, &[(0, 1.0)][..]));
         assert_eq!((f.spacing, f.number, f.route), (Spacing::Equal(2.0), 5, 1));
         assert_eq!((f.start.speed.as_str(), f.start.lane.as_str()), ("max", "first"));
         assert_eq!(f.types, [(2, 3.0), (3, 1.0)]);
         assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(3, 0.25)]));
+        assert_eq!((t.begin, t.number), (4.0, 1));
+        assert_eq!(found.routes[t.route].way, Way::Trip(["a", "d", "e", "c"].map(Into::into).to_vec()));
     }
 
     #[test]
@@ -431,10 +494,14 @@ mod tests {
         .unwrap();
         let [p, f] = &found.sources[..] else { panic!("{:?}", found.sources) };
         assert_eq!((p.begin, p.number, &p.types[..]), (3.0, 1, &[(1, 1.0)][..]));
-        assert_eq!(found.routes[0].walk, Some(WalkEnds { depart: 0.0, arrival: Some(7.0) }));
+        let walk = |edges: &[&str], depart, arrival| Way::Walk {
+            edges: edges.iter().map(|&e| e.into()).collect(),
+            depart,
+            arrival,
+        };
+        assert_eq!(found.routes[0].way, walk(&["a", "b", "c"], 0.0, Some(7.0)));
         assert_eq!((f.route, &f.types[..]), (1, &[(2, 1.0)][..]));
-        assert_eq!(found.routes[1].walk, Some(WalkEnds { depart: 5.0, arrival: None }));
-        assert_eq!(found.routes[1].edges, ["a", "b"]);
+        assert_eq!(found.routes[1].way, walk(&["a", "b"], 5.0, None));
         assert!(found.types[2].walks);
         assert_eq!((found.types[2].length, found.types[2].width), (0.215, 0.4));
     }
@@ -442,7 +509,8 @@ mod tests {
     #[test]
     fn mistakes_have_their_place() {
         let cases = [
-            ("<trip id=\"t\" from=\"a\" to=\"b\" depart=\"0\"/>", "unknown element `trip` in <routes>"),
+            ("<trip id=\"t\" from=\"a\" depart=\"0\"/>", "<trip> lacks the attribute `to`"),
+            ("<trip id=\"t\" depart=\"0\"/>", "<trip> lacks the attribute `from`"),
             ("<vehicle id=\"v\" depart=\"0\" route=\"r\"/>", "`r` is not a valid route of <vehicle>"),
             (
                 "<vehicle id=\"v\" depart=\"triggered\"><route edges=\"a\"/></vehicle>",

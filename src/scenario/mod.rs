@@ -13,7 +13,7 @@ mod reader;
 mod schema;
 mod write;
 
-pub use demand::{Demand, DemandRoute, Source, Spacing, Start, VehicleKind, WalkEnds};
+pub use demand::{Demand, DemandRoute, Laid, Source, Spacing, Start, VehicleKind, Way};
 pub use error::Error;
 pub use finding::{Finding, Findings, Severity};
 pub use schema::{Attribute, Element, SCHEMA, describe, markdown};

@@ -9,6 +9,7 @@
 mod error;
 mod path;
 mod tile;
+mod trip;
 mod walk;
 pub(crate) mod xml;
 

@@ -96,6 +96,11 @@ impl Others {
         (self.ttc, self.pet) = (HORIZON, HORIZON);
     }
 
+    /// Whether one is a pedestrian.
+    pub(super) fn walks(&self, guest: usize) -> bool {
+        self.guests[guest].walks
+    }
+
     /// One has left the road: its slot may be another's.
     fn dismiss(&mut self, guest: usize) {
         self.left.push(std::mem::take(&mut self.guests[guest]));

@@ -144,6 +144,16 @@ pub enum NetError {
         /// The route's next edge.
         to: String,
     },
+    /// No way leads from one edge of a trip to another without changing lanes.
+    #[error("{}: no way leads from the edge `{from}` to `{to}` that can be driven without changing lanes", path.display())]
+    NoTrip {
+        /// The net file.
+        path: PathBuf,
+        /// First edge.
+        from: String,
+        /// Last edge.
+        to: String,
+    },
     /// A walk names an edge without a lane for pedestrians.
     #[error("{}: nobody can walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)", path.display())]
     NoSidewalk {

@@ -1,0 +1,91 @@
+//! The fastest way of a car from edge to edge.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+
+use super::{EdgeFunction, Net, NetError, shorten};
+
+/// A lane, and how many of a trip's edges have been reached there.
+type Node = (usize, usize);
+
+impl Net {
+    /// The edges of the fastest way at the speed limits that passes `stages` in their order, beginning on the first and ending on the
+    /// last, and can be driven without changing lanes.
+    ///
+    /// # Errors
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or [`NetError::NoTrip`] where none leads there.
+    pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
+        let edges: Vec<usize> = stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
+        let Some(&first) = edges.first() else { return Err(NetError::EmptyRoute { path: self.path.clone() }) };
+        let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
+        let mut open = BinaryHeap::new();
+        for lane in self.edges[first].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
+            before.insert((lane, 1), (0, (lane, 1)));
+            open.push(Reverse((0, (lane, 1))));
+        }
+        while let Some(Reverse((time, node))) = open.pop() {
+            let (lane, reached) = node;
+            if reached == edges.len() {
+                return Ok(self.edges_of(node, &before));
+            }
+            if before[&node].0 < time {
+                continue;
+            }
+            for connection in self.connections_from(lane).filter(|c| self.lanes[c.to].cars) {
+                let to = &self.lanes[connection.to];
+                let reached = reached + usize::from(to.edge == edges[reached]);
+                // Whole milliseconds, which have an order.
+                let later = time + (1e3 * to.length / to.speed.max(0.1)) as u64 + 1;
+                let next = (connection.to, reached);
+                if before.get(&next).is_none_or(|known| later < known.0) {
+                    before.insert(next, (later, node));
+                    open.push(Reverse((later, next)));
+                }
+            }
+        }
+        let (from, to) = (shorten(&stages[0]), shorten(&stages[stages.len() - 1]));
+        Err(NetError::NoTrip { path: self.path.clone(), from, to })
+    }
+
+    fn road(&self, id: &str) -> Result<usize, NetError> {
+        self.edge_named(id)?;
+        self.edge_index(id).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
+    }
+
+    /// The edges on the way to a lane, in driving order.
+    fn edges_of(&self, last: Node, before: &HashMap<Node, (u64, Node)>) -> Vec<String> {
+        let back = |node: &Node| Some(before[node].1).filter(|earlier| earlier != node);
+        let way = std::iter::successors(Some(last), back).map(|(lane, _)| &self.edges[self.lanes[lane].edge]);
+        let mut edges: Vec<String> =
+            way.filter(|edge| edge.function == EdgeFunction::Normal).map(|edge| edge.id.clone()).collect();
+        edges.reverse();
+        edges
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_fastest_way_passes_all_stages() {
+        let net = Net::load(std::path::Path::new("sumo_nets/intersection_turns/one_lane.net.xml")).expect("the net");
+        let trip = |stages: &[&str]| net.trip(&stages.iter().map(|&id| id.into()).collect::<Vec<_>>());
+        let ids: Vec<&str> = net.roads().map(|edge| edge.id.as_str()).collect();
+        let mut longest = 0;
+        for from in &ids {
+            assert_eq!(trip(&[from]).expect("a way along one edge"), [from.to_owned()]);
+            for to in ids.iter().filter(|to| *to != from) {
+                let Ok(edges) = trip(&[from, to]) else { continue };
+                assert_eq!((edges[0].as_str(), edges[edges.len() - 1].as_str()), (*from, *to));
+                assert!(net.route_path(&edges).is_ok(), "{edges:?}");
+                longest = longest.max(edges.len());
+            }
+        }
+        assert!(longest >= 2);
+        assert!(matches!(trip(&[ids[0], "nowhere"]), Err(NetError::NoEdge { .. })));
+        let out = ids.iter().find(|id| id.ends_with("out")).expect("an edge that leads away");
+        let unreachable = ids.iter().find(|id| trip(&[out, id]).is_err());
+        assert!(unreachable.is_none_or(|id| matches!(trip(&[out, id]), Err(NetError::NoTrip { .. }))));
+    }
+}
