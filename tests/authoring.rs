@@ -17,7 +17,7 @@ use iwol_sumo::scenario::{self, Element, Finding, Scenario, Severity, SpawnRow};
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::{Hosting, Snapshot, VehicleState, find_program};
 
-const SIZES: Sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889 };
+const SIZES: Sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889, steering: false };
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -171,6 +171,19 @@ fn alone(task: &Arc<Task>, speed: f64, episodes: u64) -> Vec<f64> {
         success.extend(world.take_finished().map(|record| record.success));
     }
     success
+}
+
+#[test]
+fn where_vehicles_steer_pursuit_leads_along_every_route_of_every_template() {
+    for template in Template::ALL.into_iter().filter(|template| *template != Template::Parking) {
+        let folder = folder();
+        let file = create(folder.path(), "site", template, &Sizes { steering: true, ..SIZES }).unwrap();
+        let checked = Scenario::check(&file);
+        assert!(checked.list.is_empty(), "{template:?}: {:?}", checked.list);
+        let task = Arc::new(Task::new(&checked.scenario.unwrap(), 1).unwrap());
+        assert_eq!((task.spec.actions, task.spec.agents), (2, 1));
+        assert_eq!(alone(&task, 6.0, 40), [1.0; 40], "{template:?}: at the speed that is imitated");
+    }
 }
 
 #[test]

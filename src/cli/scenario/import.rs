@@ -27,6 +27,9 @@ pub(super) struct Args {
     /// Number of vehicles where the user does not say, if there is room
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     agents: u32,
+    /// Vehicles steer, instead of following their lanes
+    #[arg(long)]
+    steering: bool,
     /// Folder in which scenarios/ and sumo_nets/ are
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
@@ -38,7 +41,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (None, Some(file)) => Map::Net(file),
         (None, None) => unreachable!("one of them is required"),
     };
-    let imported = import(&args.root, &args.out, map, args.junction.as_deref(), args.agents)?;
+    let imported = import(&args.root, &args.out, map, args.junction.as_deref(), args.agents, args.steering)?;
     for warning in imported.warnings.iter().take(LISTED) {
         eprintln!("netconvert: {warning}");
     }

@@ -27,6 +27,9 @@ pub(super) struct Args {
     /// Speed limit and top speed, in m/s
     #[arg(long, value_name = "M/S", default_value_t = 13.889)]
     speed: f64,
+    /// Vehicles steer, instead of following their lanes (in a parking lot always)
+    #[arg(long)]
+    steering: bool,
     /// Folder in which scenarios/ and sumo_nets/ are
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
@@ -37,7 +40,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let names: Vec<&str> = Template::ALL.iter().map(|template| template.name()).collect();
         format!("there is no template `{}`; choose one of {}", args.template, names.join(", "))
     })?;
-    let sizes = Sizes { lanes: args.lanes, arm_length: args.arm_length, agents: args.agents, speed: args.speed };
+    let sizes = Sizes {
+        lanes: args.lanes,
+        arm_length: args.arm_length,
+        agents: args.agents,
+        speed: args.speed,
+        steering: args.steering,
+    };
     super::next(&create(&args.root, &args.name, template, &sizes)?);
     Ok(Verdict::Good)
 }

@@ -131,7 +131,7 @@ impl Layout {
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
         let places: u32 = spawns.iter().map(|row| row.count).sum();
         let interval = 0.1;
-        let pace = if steers { speed.min(CURVES) } else { speed };
+        let pace = if steers == Steers::No { speed } else { speed.min(CURVES) };
         let horizon = (PATIENCE * longest / (pace * interval) / 100.0).ceil() * 100.0;
         let scenario = Scenario {
             name: self.name.clone(),
@@ -174,12 +174,16 @@ impl Layout {
             communication: Communication { range: RADIO },
             traffic: Traffic::default(),
         };
-        if steers { steered(scenario) } else { scenario }
+        match steers {
+            Steers::No => scenario,
+            Steers::Road => on_road(scenario),
+            Steers::Lot => on_lot(scenario),
+        }
     }
 }
 
-/// The same for vehicles that steer, and can reverse: as in `scenarios/parking_lot.xml`.
-fn steered(scenario: Scenario) -> Scenario {
+/// The same for vehicles that steer: as in `scenarios/intersection_turns.xml`, with room for the outer wheels of narrow curves.
+fn on_road(scenario: Scenario) -> Scenario {
     let steering = Steering {
         max_angle: 40.0,
         wheelbase: 2.469,
@@ -188,13 +192,12 @@ fn steered(scenario: Scenario) -> Scenario {
         dead_time: 0.065,
         lag: 0.175,
         max_lateral: 7.2,
-        reverse: true,
+        reverse: false,
     };
-    let accel = scenario.control.accel;
     Scenario {
         // One alone has something to do, too.
         agents: AgentRange { min: 1, ..scenario.agents },
-        control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering: Some(steering), ..scenario.control },
+        control: Control { steering: Some(steering), ..scenario.control },
         observation: Observation {
             groups: ObservationGroups::Nearest,
             conflict_streams: 0,
@@ -202,10 +205,32 @@ fn steered(scenario: Scenario) -> Scenario {
             encounters: 6,
             ..scenario.observation
         },
-        reward: Reward { arrive: 100.0, cooperation: 0.5, ..scenario.reward },
         termination: Termination { border: Border::Kerb, ..scenario.termination },
         ..scenario
     }
+}
+
+/// The same for vehicles that steer and can reverse: as in `scenarios/parking_lot.xml`.
+fn on_lot(scenario: Scenario) -> Scenario {
+    let scenario = on_road(scenario);
+    let (accel, steering) = (scenario.control.accel, scenario.control.steering);
+    let steering = steering.map(|steering| Steering { reverse: true, ..steering });
+    Scenario {
+        control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering, ..scenario.control },
+        reward: Reward { arrive: 100.0, cooperation: 0.5, ..scenario.reward },
+        ..scenario
+    }
+}
+
+/// Whether vehicles steer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Steers {
+    /// They follow their lanes.
+    No,
+    /// They do, forwards.
+    Road,
+    /// They do, and can reverse.
+    Lot,
 }
 
 /// What a scenario is made of beside its usual settings.
@@ -218,8 +243,7 @@ pub(super) struct Site {
     pub(super) agents: u32,
     /// Top speed \[m/s\].
     pub(super) speed: f64,
-    /// Vehicles steer, and can reverse.
-    pub(super) steers: bool,
+    pub(super) steers: Steers,
 }
 
 /// Places on a lane.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::super::Route;
-use super::files::{Layout, Row, Site, meet};
+use super::files::{Layout, Row, Site, Steers, meet};
 use super::{Error, FIRST, SPACING, netconvert};
 use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as Way};
 
@@ -73,11 +73,18 @@ pub struct Imported {
 }
 
 /// Makes a scenario called `name` of a map, below the folder `root`, at the junction of this id or, without one, at that with the most
-/// arms and places; by default for so many agents, where there is room.
+/// arms and places; by default for so many agents, where there is room, which steer or follow their lanes.
 ///
 /// # Errors
 /// [`Error`]; nothing is left behind then.
-pub fn import(root: &Path, name: &str, map: Map, junction: Option<&str>, agents: u32) -> Result<Imported, Error> {
+pub fn import(
+    root: &Path,
+    name: &str,
+    map: Map,
+    junction: Option<&str>,
+    agents: u32,
+    steering: bool,
+) -> Result<Imported, Error> {
     let layout = Layout::new(root, name)?;
     layout.fill(|| {
         let copy = |from: &Path, to: &Path| {
@@ -131,7 +138,7 @@ pub fn import(root: &Path, name: &str, map: Map, junction: Option<&str>, agents:
             rows: proposal.rows,
             agents,
             speed: proposal.speed.clamp(SPEED.0, SPEED.1),
-            steers: false,
+            steers: if steering { Steers::Road } else { Steers::No },
         }))?;
         Ok(Imported { scenario: layout.scenario.clone(), candidates, warnings })
     })

@@ -19,7 +19,7 @@ pub use template::{Sizes, Template};
 use super::Route;
 use crate::record::write_atomic;
 use crate::sumo::net::Net;
-use files::{Layout, Row, Site};
+use files::{Layout, Row, Site, Steers};
 
 /// First place on a lane: half a vehicle and the jitter lie before it \[m\].
 const FIRST: f64 = 4.0;
@@ -67,7 +67,11 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
             ways,
             agents: sizes.agents,
             speed: sizes.speed,
-            steers: plan.steers,
+            steers: match (plan.lot, sizes.steering) {
+                (true, _) => Steers::Lot,
+                (false, true) => Steers::Road,
+                (false, false) => Steers::No,
+            },
         };
         layout.write(&layout.scenario(site))?;
         Ok(layout.scenario.clone())

@@ -24,8 +24,8 @@ pub(super) struct Plan {
     /// Edges with one place only.
     pub(super) single: BTreeSet<String>,
     pub(super) spaces: Vec<Space>,
-    /// Vehicles steer, and can reverse.
-    pub(super) steers: bool,
+    /// Vehicles can only steer there, and reverse.
+    pub(super) lot: bool,
 }
 
 #[derive(Debug)]

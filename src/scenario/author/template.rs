@@ -37,6 +37,8 @@ pub struct Sizes {
     pub agents: u32,
     /// Speed limit and top speed of the vehicles \[m/s\].
     pub speed: f64,
+    /// Vehicles steer, instead of following their lanes; in a parking lot always.
+    pub steering: bool,
 }
 
 /// Where vehicles come from: name, and heading into the site in quarter turns counter-clockwise from east.
@@ -334,7 +336,7 @@ fn parking(spaces: u32, arm: f64) -> Plan {
     let half = LANE_WIDTH / 2.0;
     // From the middle to the lot's ends, and to where spaces begin.
     let (end, mouth) = (CURVE + half * f64::from(spaces - 1), half + CURVE);
-    let mut plan = Plan { steers: true, ..Plan::default() };
+    let mut plan = Plan { lot: true, ..Plan::default() };
     plan.node("lot", [0.0, 0.0], "right_before_left").shape =
         vec![[-end, -mouth], [-end, mouth], [end, mouth], [end, -mouth]];
     let sides = [("west", -1.0), ("east", 1.0)];
