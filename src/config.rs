@@ -290,8 +290,9 @@ impl Config {
     /// annealing goes on from 90 % of success, training stops at 99.7 %, and `ppo.gamma` is 0.998.
     /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
-    /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, in runs
-    /// twice as long, after which batches grow (`train.growth`; not of methods that replay); minibatches and `train.replay_failed` are those of 8.
+    /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
+    /// which batches grow (`train.growth`) and the view gets longer (`ppo.gamma_explored`; neither of methods that replay), in runs four
+    /// times as long; minibatches and `ppo.gamma` are those of 8, `train.replay_failed` and `train.anneal_success` those of fewer.
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
@@ -631,7 +632,10 @@ mod tests {
         assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
         let five = resolve_on("parking_lot", "", &[]).unwrap();
         assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.ppo.minibatch), (0.8, 0, 2048));
-        assert_eq!(five.steps, 2 * resolve("agents = 5", &[]).unwrap().steps);
+        assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
+        let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
+        assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
+        assert_eq!((five.train.replay_failed, five.train.anneal_success), (0.5, 0.9));
     }
 
     #[test]

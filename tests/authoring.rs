@@ -370,7 +370,7 @@ fn a_trial_finds_vehicles_that_begin_in_each_other() {
     fs::write(folder.path().join("x.nod.xml"), nodes).unwrap();
     fs::write(folder.path().join("x.edg.xml"), edges).unwrap();
     run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path()).unwrap();
-    import(folder.path(), "twins", Map::Net(&folder.path().join("x.net.xml")), None, 4).unwrap();
+    import(folder.path(), "twins", Map::Net(&folder.path().join("x.net.xml")), None, 4, false).unwrap();
     let file = folder.path().join("scenarios/twins.xml");
     let scenario = Scenario::load(&file).unwrap();
     let most = scenario.agents.max;
@@ -412,7 +412,7 @@ fn a_map_becomes_a_scenario_that_runs() {
     let folder = folder();
     fs::write(folder.path().join("map.osm"), OSM).unwrap();
     let map = folder.path().join("map.osm");
-    let imported = import(folder.path(), "town", Map::Osm(&map), None, 8).unwrap();
+    let imported = import(folder.path(), "town", Map::Osm(&map), None, 8, false).unwrap();
     let first = &imported.candidates[0];
     assert_eq!((first.junction.as_str(), first.arms, first.routes), ("2", 4, 12), "{:?}", imported.candidates);
     let checked = Scenario::check(&imported.scenario);
@@ -434,7 +434,7 @@ fn generated_nets_are_imported() {
     for (name, arguments) in kinds {
         let file = format!("{name}.net.xml");
         run("netgenerate", &[arguments, &["-o", &file]].concat(), folder.path()).unwrap();
-        let imported = import(folder.path(), name, Map::Net(&folder.path().join(&file)), None, 8).unwrap();
+        let imported = import(folder.path(), name, Map::Net(&folder.path().join(&file)), None, 8, false).unwrap();
         let checked = Scenario::check(&imported.scenario);
         assert!(errors(&checked.list).is_empty(), "{name}: {:?}", checked.list);
         let scenario = checked.scenario.unwrap();
@@ -442,9 +442,9 @@ fn generated_nets_are_imported() {
     }
     // Another junction than the first, and one that is none.
     let net = folder.path().join("grid.net.xml");
-    let other = import(folder.path(), "other", Map::Net(&net), Some("B0"), 8).unwrap();
+    let other = import(folder.path(), "other", Map::Net(&net), Some("B0"), 8, false).unwrap();
     assert_eq!(other.candidates[0].junction, "B0");
-    let error = import(folder.path(), "none", Map::Net(&net), Some("Z9"), 8).unwrap_err();
+    let error = import(folder.path(), "none", Map::Net(&net), Some("Z9"), 8, false).unwrap_err();
     assert!(error.to_string().contains("at the junction `Z9` no cars"), "{error}");
     assert!(!folder.path().join("sumo_nets/none").exists());
 }
@@ -464,23 +464,23 @@ fn maps_without_a_site_are_refused() {
     file("x.nod.xml", nodes);
     file("x.edg.xml", &edges);
     run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path()).unwrap();
-    let error = import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8).unwrap_err();
+    let error = import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("there is no junction"), "{error}");
     let paths = file("paths.osm", &no_road);
-    let error = import(folder.path(), "paths", Map::Osm(&paths), None, 8).unwrap_err();
+    let error = import(folder.path(), "paths", Map::Osm(&paths), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("No edges loaded"), "{error}");
     let single = file(
         "single.osm",
         &OSM.replace("way id=\"11\"><nd ref=\"4\"/>", "way id=\"11\">").replace("<nd ref=\"2\"/><nd ref=\"5\"/>", ""),
     );
-    let error = import(folder.path(), "single", Map::Osm(&single), None, 8).unwrap_err();
+    let error = import(folder.path(), "single", Map::Osm(&single), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("no roads for cars that lead to others"), "{error}");
     let broken = file("broken.osm", "<osm><node id='1'");
-    let error = import(folder.path(), "broken", Map::Osm(&broken), None, 8).unwrap_err();
+    let error = import(folder.path(), "broken", Map::Osm(&broken), None, 8, false).unwrap_err();
     assert!(matches!(error, Error::Netconvert { .. }), "{error}");
-    let error = import(folder.path(), "net", Map::Net(&broken), None, 8).unwrap_err();
+    let error = import(folder.path(), "net", Map::Net(&broken), None, 8, false).unwrap_err();
     assert!(matches!(error, Error::Net(_)), "{error}");
-    let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8).unwrap_err();
+    let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("/nowhere.osm"), "{error}");
     assert_eq!(fs::read_dir(folder.path().join("sumo_nets")).unwrap().count(), 0, "nothing is left behind");
 }

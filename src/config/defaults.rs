@@ -27,13 +27,14 @@ impl Config {
             envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
-            anneal_steps: scaled(train.anneal_steps),
-            // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen.
-            replay_failed: if agents < 8 && !steers { 0.5 } else { train.replay_failed },
+            anneal_steps: if steers { scaled(300_000) } else { scaled(train.anneal_steps) },
+            // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen; so are
+            // meetings of many routes.
+            replay_failed: if agents < 8 || steers { 0.5 } else { train.replay_failed },
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
             stop_success: if agents < 8 { 0.997 } else { train.stop_success },
             // They also wait for ever for a success that only less noise brings.
-            anneal_success: if agents < 8 { 0.9 } else { train.anneal_success },
+            anneal_success: if agents < 8 || steers { 0.9 } else { train.anneal_success },
             // Of 16, every second run finds a way in less than this.
             restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
             ..train
@@ -62,7 +63,10 @@ impl Config {
             },
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
             // in twenty costs.
-            gamma: if agents < 8 { 0.998 } else { ppo.gamma },
+            gamma: if agents < 8 && !steers { 0.998 } else { ppo.gamma },
+            // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
+            // the time it saves.
+            gamma_explored: if steers && on_policy { 0.995 } else { ppo.gamma_explored },
             ..ppo
         };
         let config = Self {
@@ -70,7 +74,7 @@ impl Config {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: scaled(600_000).max(600_000) * if steers { 2 } else { 1 },
+            steps: scaled(600_000).max(600_000) * if steers { 4 } else { 1 },
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train,

@@ -162,6 +162,18 @@ pub enum NetError {
         /// The id.
         edge: String,
     },
+    /// A walk begins or ends beyond the end of its edge.
+    #[error("{}: {position} m is not on the edge `{edge}`, which is {length} m long", path.display())]
+    OffEdge {
+        /// The net file.
+        path: PathBuf,
+        /// The id.
+        edge: String,
+        /// From the edge's beginning \[m\].
+        position: f64,
+        /// \[m\]
+        length: f64,
+    },
     /// No walking areas and crossings lead from an edge of a walk to the next, other than by turning round.
     #[error("{}: no way on foot leads from the edge `{from}` straight to `{to}`: build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections), or name the edges between them", path.display())]
     NotWalkable {

@@ -27,12 +27,18 @@ impl Net {
     /// at goes in the edge's direction.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`] or [`NetError::NotWalkable`].
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`], [`NetError::OffEdge`] or [`NetError::NotWalkable`].
     pub fn walk(&self, edges: &[String], depart: f64, arrival: Option<f64>) -> Result<Walk, NetError> {
         let empty = || NetError::EmptyRoute { path: self.path.clone() };
         let lanes: Vec<usize> = edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
         let (&first, &last) = (lanes.first().ok_or_else(empty)?, lanes.last().ok_or_else(empty)?);
         let length = |lane: usize| self.lanes[lane].length;
+        for (edge, lane, at) in [(edges.first(), first, Some(depart)), (edges.last(), last, arrival)] {
+            if let Some(position) = at.filter(|at| !(0.0..=length(lane)).contains(at)) {
+                let edge = shorten(edge.map_or("", String::as_str));
+                return Err(NetError::OffEdge { path: self.path.clone(), edge, position, length: length(lane) });
+            }
+        }
         let left = |backwards: bool| if backwards { depart } else { length(first) - depart };
         let to_go = |backwards: bool| {
             let forwards = arrival.unwrap_or(if backwards { 0.0 } else { length(last) });
@@ -201,6 +207,9 @@ mod tests {
         assert!(matches!(walk("west_inn", 0.0), Err(NetError::NoEdge { nearest: Some(id), .. }) if id == "west_in"));
         assert!(matches!(walk(":centre_c0", 0.0), Err(NetError::NoSidewalk { .. })));
         assert!(net().walk(&[], 0.0, None).is_err());
+        assert!(matches!(walk("west_in west_out", 42.6), Err(NetError::OffEdge { .. })), "the edge has 42.5 m");
+        let beyond = net().walk(&["west_in".into(), "west_out".into()], 30.0, Some(50.0)).unwrap_err().to_string();
+        assert!(beyond.contains("50 m") && beyond.contains("`west_out`"), "{beyond}");
         let bare = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml")).expect("the shipped net");
         assert!(matches!(
             bare.walk(&["west_in".into(), "west_out".into()], 0.0, None),
