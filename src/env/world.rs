@@ -465,7 +465,7 @@ impl World {
                     self.partners[i].get_or_insert(Partner { route: slots[j].route, same_way, wreck: !moving(j) });
                     self.partners[j].get_or_insert(Partner { route: slots[i].route, same_way, wreck: !moving(i) });
                     // SUMO has other shapes for pedestrians, so that there is nothing to compare.
-                    if j >= agents || i >= agents && self.others.walks(i - agents) {
+                    if j >= agents || self.is_pedestrian(&slots[i]) {
                         continue;
                     }
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);

@@ -285,7 +285,7 @@ impl Fleet {
                     let (named, kind) = (self.named(vehicle), self.kind(vehicle_type)?);
                     match way {
                         Departure::Drive { lane, pos, speed, .. } => {
-                            orders.depart(named, route, kind, [lane, pos, speed])
+                            orders.depart(named, route, kind, [lane, pos, speed]);
                         }
                         Departure::Walk { pos, arrival, .. } => orders.walk(named, route, kind, [*pos, *arrival]),
                     }

@@ -273,7 +273,7 @@ fn damaged_scenarios_are_read_or_refused() {
 #[test]
 fn damaged_scenarios_are_checked() {
     let folder = tempfile::tempdir().unwrap();
-    let sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889 };
+    let sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889, steering: false };
     let made = Template::ALL.map(|template| {
         let file = create(folder.path(), template.name(), template, &sizes).unwrap();
         let text = fs::read_to_string(&file).unwrap();

@@ -42,8 +42,6 @@ struct Guest {
     crashed: bool,
     /// SUMO has been told that it stands.
     stopped: bool,
-    /// It is a pedestrian.
-    walks: bool,
 }
 
 /// When an agent and one of them passed the place where their ways meet, fronts in and rears out \[s\].
@@ -62,8 +60,8 @@ pub(super) struct Others {
     guests: Vec<Guest>,
     /// `[N, others]`.
     passes: Vec<Pass>,
-    /// Sums over those that have left.
-    left: Vec<Guest>,
+    /// The vehicles that have left, and the pedestrians.
+    left: [Vec<Guest>; 2],
     ttc: f64,
     pet: f64,
 }
@@ -74,7 +72,7 @@ impl Others {
             clocks: Vec::with_capacity(task.demand.sources.len()),
             guests: vec![Guest::default(); task.others],
             passes: vec![NOT_YET; task.agents * task.others],
-            left: Vec::with_capacity(4 * task.others),
+            left: [Vec::with_capacity(4 * task.others), Vec::with_capacity(4 * task.others)],
             ttc: HORIZON,
             pet: HORIZON,
         }
@@ -92,18 +90,13 @@ impl Others {
         }
         self.guests.fill(Guest::default());
         self.passes.fill(NOT_YET);
-        self.left.clear();
+        self.left.iter_mut().for_each(Vec::clear);
         (self.ttc, self.pet) = (HORIZON, HORIZON);
     }
 
-    /// Whether one is a pedestrian.
-    pub(super) fn walks(&self, guest: usize) -> bool {
-        self.guests[guest].walks
-    }
-
     /// One has left the road: its slot may be another's.
-    fn dismiss(&mut self, guest: usize) {
-        self.left.push(std::mem::take(&mut self.guests[guest]));
+    fn dismiss(&mut self, guest: usize, walks: bool) {
+        self.left[usize::from(walks)].push(std::mem::take(&mut self.guests[guest]));
         let others = self.guests.len();
         for row in self.passes.chunks_mut(others) {
             row[guest] = NOT_YET;
@@ -174,8 +167,8 @@ impl World {
             }
             let at = i as u32;
             if slot.wreck_steps == 0 {
+                self.others.dismiss(i - first, self.task.routes[slot.route].is_walked());
                 *slot = EMPTY;
-                self.others.dismiss(i - first);
                 commands.push(Command::Remove { world, slot: at });
                 continue;
             }
@@ -203,7 +196,6 @@ impl World {
                 clock.left -= 1;
                 let (vehicle_type, size) = task.demand_type(kind);
                 let route = task.demand_routes[source.route];
-                self.others.guests[i - task.agents].walks = task.demand.types[kind].walks;
                 self.traffic.slots[i] = Slot { route, size, added: true, ..EMPTY };
                 commands.push(Command::Depart { world, slot: i as u32, departure: index as u32, vehicle_type });
             }
@@ -220,8 +212,8 @@ impl World {
             let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten()) else {
                 if slot.departed {
                     // It came to the end of its route.
+                    self.others.dismiss(i - first, task.routes[slot.route].is_walked());
                     *slot = EMPTY;
-                    self.others.dismiss(i - first);
                 }
                 continue;
             };
@@ -281,15 +273,22 @@ impl World {
         }
     }
 
+    /// Whether a slot's vehicle is a pedestrian.
+    pub(super) fn is_pedestrian(&self, slot: &Slot) -> bool {
+        self.task.routes[slot.route].is_walked()
+    }
+
     /// What they met with in the episode; `None` in tasks without any.
     pub(super) fn others_record(&self) -> Option<Record> {
         if self.task.others == 0 {
             return None;
         }
         let here = self.traffic.slots[self.task.agents..].iter().zip(&self.others.guests);
-        let here = here.filter(|(slot, _)| slot.departed).map(|(_, guest)| guest);
-        let all: Vec<&Guest> = self.others.left.iter().chain(here).collect();
-        let (walkers, drivers): (Vec<&Guest>, Vec<&Guest>) = all.into_iter().partition(|guest| guest.walks);
+        let of_kind = |walks: bool| -> Vec<&Guest> {
+            let here = here.clone().filter(|(slot, _)| slot.departed && self.is_pedestrian(slot) == walks);
+            self.others.left[usize::from(walks)].iter().chain(here.map(|(_, guest)| guest)).collect()
+        };
+        let (drivers, walkers) = (of_kind(false), of_kind(true));
         let share = |of: &[&Guest], is: fn(&Guest) -> bool| {
             of.iter().filter(|guest| is(guest)).count() as f64 / of.len().max(1) as f64
         };
