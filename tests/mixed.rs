@@ -204,15 +204,28 @@ fn an_episode_does_not_depend_on_those_before_it() {
 }
 
 #[test]
+fn pedestrians_of_an_episode_do_not_depend_on_those_before_it() {
+    let task = task_of("pedestrians_cross.xml", |scenario| scenario.termination.horizon = 300);
+    let one = records(&task, 1, 6);
+    assert!(one == records(&task, 3, 6), "3 worlds");
+    assert!(one.values().any(|record| record.others.is_some_and(|others| others.pedestrians > 1)));
+}
+
+#[test]
 fn goes_on_from_a_state_as_without_a_break() {
-    let task = task(|_| {});
+    for name in ["mixed_cross.xml", "pedestrians_cross.xml"] {
+        goes_on(&task_of(name, |_| {}));
+    }
+}
+
+fn goes_on(task: &Arc<Task>) {
     let options = options(2, 9, Backend::Traci);
-    let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
+    let mut env = VecEnv::new(task, &options).expect("SUMO runs");
     let mut finished = 0;
     while finished < 3 || env.worlds().any(|world| world.step_count() < 4) {
         finished += step(&mut env, task.agents).len();
     }
-    let mut resumed = VecEnv::restore(&task, &options, &env.states()).expect("SUMO runs");
+    let mut resumed = VecEnv::restore(task, &options, &env.states()).expect("SUMO runs");
     for _ in 0..150 {
         let (a, b) = (step(&mut env, task.agents), step(&mut resumed, task.agents));
         assert!(a == b);

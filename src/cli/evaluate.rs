@@ -308,7 +308,8 @@ fn table(rows: &[Row]) -> String {
             continue;
         }
         if !row.audited {
-            let _ = writeln!(text, "audit of {}: none, as SUMO did not look into junctions (simulation.audit)", row.policy);
+            let _ =
+                writeln!(text, "audit of {}: none, as SUMO did not look into junctions (simulation.audit)", row.policy);
             continue;
         }
         let _ = writeln!(text, "audit of {}: {:>5} pairs collide by both reports", row.policy, audit.agreed);

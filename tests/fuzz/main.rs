@@ -18,7 +18,7 @@ use iwol_sumo::{
     env::{Driver, Task, World},
     rng::{Rng, Seed, below},
     scenario::{
-        Scenario, Severity,
+        Demand, Scenario, Severity,
         author::{Sizes, Template, create},
     },
     sumo::{
@@ -264,6 +264,47 @@ fn damaged_scenarios_are_read_or_refused() {
             let task = Task::new(&scenario, agents).unwrap();
             if agents <= 16 {
                 drive(task, &mut rng);
+            }
+        }
+    });
+}
+
+/// Vehicles and pedestrians of damaged route files on damaged nets.
+#[test]
+fn damaged_route_files_are_read_or_refused() {
+    let nets = root().join("sumo_nets");
+    let read = |name: &str| fs::read_to_string(nets.join(name)).unwrap();
+    let trips = "<routes><trip id=\"t\" depart=\"0:01\" from=\"west_in\" to=\"east_out\" via=\"west_in\"/>\n\
+                 <flow id=\"f\" end=\"9\" number=\"3\" from=\"south_in\" to=\"north_out\"/></routes>";
+    let texts = [read("mixed_cross/humans.rou.xml"), read("pedestrians_cross/people.rou.xml"), trips.to_owned()];
+    let net = read("pedestrians_cross/pedestrians_cross.net.xml");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("people.rou.xml");
+    cases::run(1500, move |number| {
+        let mut rng = Seed::new(number).child("routes").rng();
+        let text = mutate::damaged(&mut rng, &texts[below(&mut rng, texts.len())], &texts[0]);
+        let net = match below(&mut rng, 4) {
+            0 => mutate::damaged(&mut rng, &net, NET),
+            _ => net.clone().into_bytes(),
+        };
+        fs::write(&path, &text).unwrap();
+        let demand = match bounded(text.len(), || Demand::load(&[&path])) {
+            Ok(demand) => demand,
+            Err(error) => return assert_short(&error, &path),
+        };
+        let Ok(net) = std::str::from_utf8(&net).map_err(drop).and_then(|net| Net::parse(net, &path).map_err(drop))
+        else {
+            return;
+        };
+        assert!(demand.sources.iter().all(|source| source.route < demand.routes.len()));
+        for route in &demand.routes {
+            match route.lay(&net) {
+                Ok(laid) => {
+                    assert!(laid.path.points.len() >= 2 && !laid.edges.is_empty());
+                    assert_finite(laid.path.points.as_flattened());
+                    assert_finite(&laid.walk.unwrap_or_default());
+                }
+                Err(error) => assert_short(&error, &path),
             }
         }
     });
