@@ -282,7 +282,8 @@ fn damaged_route_files_are_read_or_refused() {
     let path = folder.path().join("people.rou.xml");
     cases::run(1500, move |number| {
         let mut rng = Seed::new(number).child("routes").rng();
-        let text = mutate::damaged(&mut rng, &texts[below(&mut rng, texts.len())], &texts[0]);
+        let text = &texts[below(&mut rng, texts.len())];
+        let text = mutate::damaged(&mut rng, text, &texts[0]);
         let net = match below(&mut rng, 4) {
             0 => mutate::damaged(&mut rng, &net, NET),
             _ => net.clone().into_bytes(),
