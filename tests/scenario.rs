@@ -5,16 +5,28 @@ use std::{
     error::Error as _,
     fs,
     path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use iwol_sumo::{
+    algo::{self, Channel},
+    env::{EpisodeRecord, Task},
+    evaluate::{Onlooker, Policy, evaluate},
+    rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
-        Route, Scenario, SpawnRow, Termination, Traffic, Vehicle,
+        Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
     },
-    sumo::net::{self, EdgeFunction},
+    sumo::{
+        Hosting,
+        net::{self, EdgeFunction},
+    },
 };
 use proptest::prelude::*;
+use tch::Device;
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -173,6 +185,30 @@ fn every_shipped_scenario_survives_its_xml() {
     for path in all_shipped() {
         let scenario = Scenario::load(&path).unwrap();
         assert_eq!(Scenario::parse(&scenario.to_xml(), &path).unwrap(), scenario);
+    }
+}
+
+/// Whatever lies in `scenarios` is sound, and every method drives there for some steps.
+#[test]
+fn every_shipped_scenario_is_for_every_method() {
+    for path in all_shipped() {
+        let checked = Scenario::check(&path);
+        assert!(checked.list.iter().all(|finding| finding.severity != Severity::Error), "{:?}", checked.list);
+        let mut scenario = checked.scenario.unwrap();
+        scenario.termination.horizon = 5;
+        let task = Arc::new(Task::new(&scenario, scenario.agents.min.max(2)).unwrap());
+        for name in algo::NAMES {
+            let settings = algo::Settings::default();
+            let learner = algo::build(name, &task.spec, &settings, Seed::new(0), Device::Cpu).unwrap();
+            let policy = Policy::Learned(&*learner, Channel::default());
+            // One episode is enough; a whole window would take hundreds.
+            let stop = AtomicBool::new(false);
+            let onlooker =
+                Onlooker { stop: &stop, report: &mut |_| stop.store(true, Ordering::Relaxed), recorder: None };
+            let played = evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+            let driven = |record: &EpisodeRecord| record.episode_length > 0 && record.reward.is_finite();
+            assert!(!played.episodes.is_empty() && played.episodes.iter().all(driven), "{name} on {path:?}");
+        }
     }
 }
 
