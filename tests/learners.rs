@@ -420,38 +420,47 @@ fn a_teacher_is_imitated() {
 /// notice no channel at all.
 #[test]
 fn channels_stand_between_agents_and_nowhere_else() {
+    // In one round each agent needs less of what the others make of it, which takes another way.
     each(|name, encoder| {
-        let learner = loud(name, &spec(5), &small(encoder));
-        let (x, comm) = (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
-        let chance = || Tensor::full([2, 5, 5], 0.5, (Kind::Float, Device::Cpu));
-        let width = learner.message_width() as i64;
-        let through = |channel: &Channel| {
-            let mut input = observation(&*learner, x.copy(), comm.copy());
-            let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
-            input.memory = Tensor::cat(&[&input.memory, &past], -1);
-            let noise =
-                ChannelNoise { lost: chance(), falsified: chance(), content: noise(9, &[2, 5, 5, width.max(1)]) };
-            learner.act_through(&input, channel, &noise).action
-        };
-        let plain = |comm: &Tensor| {
-            let input = observation(&*learner, x.copy(), comm.copy());
-            learner.act(&input, &ActMode::Deterministic).action
-        };
-        let apart = |a: &Tensor, b: &Tensor| (a - b).abs().max().double_value(&[]);
-        let together = plain(&comm);
-        assert!(apart(&through(&Channel::default()), &together) < 1e-4, "{name} {encoder:?}");
-        let alone = Tensor::eye(5, (Kind::Float, Device::Cpu)).expand([2, 5, 5], false);
-        let silence = through(&Channel { loss: 1.0, ..Channel::default() });
-        let expected = if width > 0 { plain(&alone) } else { together.shallow_clone() };
-        assert!(apart(&silence, &expected) < 1e-4, "{name} {encoder:?}");
-        let bad = [
-            Channel { bits: 2, ..Channel::default() },
-            Channel { falsified: 1.0, ..Channel::default() },
-            Channel { delay: 3, ..Channel::default() },
-        ];
-        for channel in bad {
-            assert_eq!(apart(&through(&channel), &together) > 1e-4, width > 0, "{name} {encoder:?} {channel:?}");
-        }
+        [1, 2].into_iter().for_each(|rounds| {
+            let mut settings = small(encoder);
+            settings.iwol.rounds = rounds;
+            let learner = loud(name, &spec(5), &settings);
+            let (x, comm) = (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
+            let chance = || Tensor::full([2, 5, 5], 0.5, (Kind::Float, Device::Cpu));
+            let width = learner.message_width() as i64;
+            let through = |channel: &Channel| {
+                let mut input = observation(&*learner, x.copy(), comm.copy());
+                let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
+                input.memory = Tensor::cat(&[&input.memory, &past], -1);
+                let content = noise(9, &[2, 5, 5, width.max(1)]);
+                let noise = ChannelNoise { lost: noise(8, &[2, 5, 5]).sigmoid(), falsified: chance(), content };
+                learner.act_through(&input, channel, &noise).action
+            };
+            let plain = |comm: &Tensor| {
+                let input = observation(&*learner, x.copy(), comm.copy());
+                learner.act(&input, &ActMode::Deterministic).action
+            };
+            let apart = |a: &Tensor, b: &Tensor| (a - b).abs().max().double_value(&[]);
+            let together = plain(&comm);
+            assert!(apart(&through(&Channel::default()), &together) < 1e-4, "{name} {encoder:?}");
+            let alone = Tensor::eye(5, (Kind::Float, Device::Cpu)).expand([2, 5, 5], false);
+            let silence = through(&Channel { loss: 1.0, ..Channel::default() });
+            let expected = if width > 0 { plain(&alone) } else { together.shallow_clone() };
+            assert!(apart(&silence, &expected) < 1e-4, "{name} {encoder:?}");
+            // With so many bits as good as with all of them, but each receiver works out by itself what it heard.
+            let [some, each] = [32, 31].map(|bits| through(&Channel { loss: 0.6, bits, ..Channel::default() }));
+            assert!(apart(&some, &each) < 1e-4, "{name} {encoder:?}");
+            assert_eq!(apart(&some, &together) > 1e-4, width > 0, "{name} {encoder:?}");
+            let bad = [
+                Channel { bits: 2, ..Channel::default() },
+                Channel { falsified: 1.0, ..Channel::default() },
+                Channel { delay: 3, ..Channel::default() },
+            ];
+            for channel in bad {
+                assert_eq!(apart(&through(&channel), &together) > 1e-4, width > 0, "{name} {encoder:?} {channel:?}");
+            }
+        })
     });
 }
 

@@ -38,6 +38,11 @@ impl Channel {
         *self == Self::default()
     }
 
+    /// Whether those whom a message reaches all get what was sent.
+    pub(super) fn only_loses(&self) -> bool {
+        *self == Self { loss: self.loss, ..Self::default() }
+    }
+
     /// Numbers that an agent remembers for messages of this width.
     pub fn memory(&self, width: usize) -> usize {
         if self.delay == 0 { 0 } else { 1 + self.delay as usize * width }
@@ -64,9 +69,8 @@ struct Heard {
 }
 
 /// One decision where embeddings pass through a channel. Each agent works out by itself what it makes of what it heard: `read`
-/// gets a row of agents for each receiver, `known [E · N, N, H]`, and who arrived there, `[E · N, 1, N]`, and gives what each
-/// of the row would make of it, `[E · N, N, D]`. Gives the receivers' own, `[E, N, D]`, embeddings `[E, N, H]`, and the memory of
-/// encoder and channel.
+/// gets a row of agents for each receiver, `known [E · N, N, H]`, and who arrived there, `[E · N, 1, N]`, and gives what the
+/// receiver makes of it, `[E · N, D]`. Gives that as `[E, N, D]`, embeddings `[E, N, H]`, and the memory of encoder and channel.
 pub(super) fn exchange(
     encoder: &Encoder,
     input: &Observation,
@@ -82,9 +86,16 @@ pub(super) fn exchange(
     let (Heard { embedding, arrived }, past) = channel.send(&f, &input.keep(), &past, noise);
     // Those whom a receiver did not hear reach it by no way.
     let made = read(&embedding.flatten(0, 1), &arrived.reshape([envs * agents, 1, agents]));
-    let made = made.view([envs, agents, agents, -1]).diagonal(0, 1, 2).transpose(1, 2).contiguous();
+    let made = made.view([envs, agents, -1]);
     let memory = after.map_or(memory, |after| after.view([envs, agents, own]));
     (made, f, Tensor::cat(&[&memory, &past], -1))
+}
+
+/// Of rows of agents, one for each receiver, `[E · N, N, D]`, the receivers' own, `[E · N, D]`.
+pub(super) fn of_receivers(rows: &Tensor) -> Tensor {
+    let (count, agents, width) = rows.size3().expect("rows are [E · N, N, D]");
+    let own = rows.view([count / agents, agents, agents, width]).diagonal(0, 1, 2);
+    own.transpose(1, 2).reshape([count, width])
 }
 
 impl Channel {
@@ -105,8 +116,16 @@ impl Channel {
         }
         let own = Tensor::eye(agents, (Kind::Bool, f.device()));
         let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
-        let cut = noise.lost.lt(self.loss).logical_or(&silent).logical_and(&own.logical_not());
-        (Heard { embedding, arrived: cut.logical_not().to_kind(Kind::Float) }, past)
+        (
+            Heard { embedding, arrived: self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0) },
+            past,
+        )
+    }
+
+    /// What is not lost, 1 or 0, `[E, N, N]`; one's own never is.
+    pub(super) fn arrived(&self, noise: &ChannelNoise) -> Tensor {
+        let own = Tensor::eye(noise.lost.size()[1], (Kind::Bool, noise.lost.device()));
+        noise.lost.ge(self.loss).logical_or(&own).to_kind(Kind::Float)
     }
 
     fn rounded(&self, f: &Tensor) -> Tensor {

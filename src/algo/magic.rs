@@ -17,7 +17,7 @@
 use tch::Tensor;
 
 use super::batch::{Batch, Shard};
-use super::channel::exchange;
+use super::channel::{exchange, of_receivers};
 use super::core::{Loss, Networks};
 use super::critic::PrivilegedCritic;
 use super::decoder::WorldDecoder;
@@ -142,7 +142,7 @@ impl Networks for Magic {
         let (message, f, memory) = exchange(&self.encoder, input, channel, noise, |known, edges| {
             let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
             let packing = Packing::full(rows, agents);
-            packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, edges, None).0)
+            of_receivers(&packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, edges, None).0))
         });
         let (action, log_prob) = self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
         Decision { action, log_prob, memory }

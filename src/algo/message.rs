@@ -1,11 +1,11 @@
 //! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and rounds of attention over it
 //! (paper: "Graph-attention Communication Protocol"; DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
 
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use super::Observation;
 use super::batch::{Batch, Shard};
-use super::channel::{Channel, ChannelNoise, exchange};
+use super::channel::{Channel, ChannelNoise, exchange, of_receivers};
 use super::encoder::Encoder;
 use super::scene::Scene;
 use super::settings::{Iwol, Network};
@@ -70,13 +70,28 @@ impl MessageTrunk {
         channel: &Channel,
         noise: &ChannelNoise,
     ) -> (Tensor, Tensor, Tensor) {
+        // In one round nobody passes on what it heard.
+        let one = self.transformer.rounds() == 1;
+        if one && channel.only_loses() && self.physical_mask {
+            // Who heard what is but a mask on everyone's graph.
+            let scene = Scene::of(input, None);
+            let heard = self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
+            let memory = heard.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view_as(&input.memory));
+            return (heard.packing.unpack(&heard.message), heard.packing.unpack(&heard.embedding), memory);
+        }
         exchange(&self.encoder, input, channel, noise, |known, arrived| {
             let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
+            if one {
+                let own = Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
+                let comm = input.comm.view([rows, 1, agents]);
+                let edges = if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
+                return self.transformer.forward_one(known, &own, &self.graph.forward_one(known, &own, &edges));
+            }
             let comm = input.comm.unsqueeze(1).expand([-1, agents, -1, -1], false).reshape([rows, agents, agents]);
             let edges = if self.physical_mask { comm * arrived } else { arrived.expand([-1, agents, -1], false) };
             let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
             let graph = self.graph.forward(&all, &packing, &edges, None);
-            packing.unpack(&self.transformer.forward(&all, &packing, &graph))
+            of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))
         })
     }
 

@@ -35,18 +35,38 @@ impl SelfAttention {
 
     /// Tokens `x: [P, width]` of the rows of a packing to the same shape. What stands in empty places must be masked.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
-        let ((batch, tokens), width) = (packing.size(), x.size()[1]);
-        let head = width / self.heads;
-        let qkv = packing.unpack(&self.qkv.forward(x));
-        let qkv = qkv.view([batch, tokens, 3, self.heads, head]).permute([2, 0, 3, 1, 4]).unbind(0);
-        let scaled = &qkv[0] * (1.0 / (head as f64).sqrt());
-        let logits = scaled.matmul(&qkv[1].transpose(-2, -1));
+        let (batch, tokens) = packing.size();
+        let [queries, keys, values] = self.project(&packing.unpack(&self.qkv.forward(x)));
+        let mixed = self.mix(&queries, &keys, &values, mask);
+        self.out.forward(&packing.pack(&mixed.view([batch, tokens, -1])))
+    }
+
+    /// As [`SelfAttention::forward`] where every place is filled, for one token of each row alone: `x: [B, T, width]`, of which
+    /// `place: [B]` asks, to `[B, width]`; the mask has one row, `[B, 1, 1, T]`.
+    pub fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
+        let (batch, tokens, _) = x.size3().expect("tokens are [B, T, width]");
+        let [queries, keys, values] = self.project(&self.qkv.forward(&x.flatten(0, 1)).view([batch, tokens, -1]));
+        let asks = place.view([batch, 1, 1, 1]).expand([batch, self.heads, 1, queries.size()[3]], false);
+        let mixed = self.mix(&queries.gather(2, &asks, false), &keys, &values, mask);
+        self.out.forward(&mixed.squeeze_dim(1))
+    }
+
+    /// Queries, keys and values, each `[B, heads, T, d]`, of `[B, T, 3 · width]`.
+    fn project(&self, qkv: &Tensor) -> [Tensor; 3] {
+        let (batch, tokens, width) = qkv.size3().expect("queries, keys and values are [B, T, 3 · width]");
+        let split = qkv.view([batch, tokens, 3, self.heads, width / (3 * self.heads)]).permute([2, 0, 3, 1, 4]);
+        [split.get(0), split.get(1), split.get(2)]
+    }
+
+    /// What `queries: [B, heads, Q, d]` read, `[B, Q, width]`.
+    fn mix(&self, queries: &Tensor, keys: &Tensor, values: &Tensor, mask: Mask<'_>) -> Tensor {
+        let (batch, heads, count, head) = queries.size4().expect("queries are [B, heads, Q, d]");
+        let logits = (queries * (1.0 / (head as f64).sqrt())).matmul(&keys.transpose(-2, -1));
         let logits = match mask {
             Mask::Add(bias) => logits + bias,
             Mask::Multiply(factor) => logits * factor,
         };
-        let mixed = softmax(&logits).matmul(&qkv[2]);
-        self.out.forward(&packing.pack(&mixed.transpose(1, 2).reshape([batch, tokens, width])))
+        softmax(&logits).matmul(values).transpose(1, 2).reshape([batch, count, heads * head])
     }
 }
 

@@ -36,10 +36,17 @@ impl CommGraph {
     /// Scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a packing; `e[b, i, j]` speaks for `i` listening to `j`, and the
     /// probability of that edge is `sigmoid(e)`.
     pub fn scores(&self, f: &Tensor, packing: &Packing) -> Tensor {
-        let halves = self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>);
-        let halves = packing.unpack(&halves);
-        let sum = halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2);
-        &sum * self.slope + sum.relu() * (1.0 - self.slope) + self.bias
+        let halves = packing.unpack(&self.halves(f));
+        self.leaky(&(halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2)))
+    }
+
+    /// What agents `[P, H]` bring to a score as receiver and as sender, `[P, 2]`.
+    fn halves(&self, f: &Tensor) -> Tensor {
+        self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>)
+    }
+
+    fn leaky(&self, sum: &Tensor) -> Tensor {
+        sum * self.slope + sum.relu() * (1.0 - self.slope) + self.bias
     }
 
     /// The graph `G: [B, N, N]` for features `f: [P, H]`, with values exactly 0 or 1 and the gradient of the
@@ -50,6 +57,17 @@ impl CommGraph {
     /// probability exceeds one half.
     pub fn forward(&self, f: &Tensor, packing: &Packing, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
         sample_edges(&self.scores(f, packing), physical, noise, self.temperature)
+    }
+
+    /// One row of [`CommGraph::forward`], without noise, where everyone is there: whom the agent `place: [B]` listens to, `[B, 1, N]`,
+    /// among features `f: [B, N, H]`, where `physical: [B, 1, N]` allows it.
+    pub fn forward_one(&self, f: &Tensor, place: &Tensor, physical: &Tensor) -> Tensor {
+        let (rows, agents, _) = f.size3().expect("features are [B, N, H]");
+        let halves = self.halves(&f.flatten(0, 1)).view([rows, agents, 2]);
+        let (receivers, senders) = (halves.select(2, 0), halves.select(2, 1));
+        let own = place.view([rows, 1]);
+        let heard = self.leaky(&(receivers.gather(1, &own, false) + senders)).gt(0.0).to_kind(Kind::Float);
+        (heard * physical.squeeze_dim(1)).scatter_value(1, &own, 1.0).unsqueeze(1)
     }
 }
 

@@ -50,7 +50,20 @@ impl Block {
 
     /// Tokens `x: [P, width]` of the rows of a packing to the same shape.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
-        let x = self.attention_norm.forward(&(x + self.attention.forward(x, packing, mask)));
+        self.think(&(x + self.attention.forward(x, packing, mask)))
+    }
+
+    /// As [`Block::forward`] where every place is filled, for one token of each row: [`SelfAttention::forward_one`].
+    fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
+        let (batch, _, width) = x.size3().expect("tokens are [B, T, width]");
+        let asks = place.view([batch, 1, 1]).expand([batch, 1, width], false);
+        let own = x.gather(1, &asks, false).squeeze_dim(1);
+        self.think(&(own + self.attention.forward_one(x, place, mask)))
+    }
+
+    /// What comes after the attention and what it is added to, `[P, width]`.
+    fn think(&self, x: &Tensor) -> Tensor {
+        let x = self.attention_norm.forward(x);
         let change = self.down.forward(&self.up.forward(&x).gelu("none"));
         self.mlp_norm.forward(&(x + change))
     }
@@ -97,20 +110,50 @@ impl GraphTransformer {
     /// Features `f: [P, H]` of the agents in the `B` rows of a packing, and graph `G: [B, N, N]` (0 or 1, row = listener),
     /// to messages `[P, D]`. Every agent must listen to somebody, usually itself, and none to an empty place.
     pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
-        let x = self.input.forward(&self.in_norm.forward(f)).gelu("none");
-        let mut x = self.embed_norm.forward(&x);
-        let mask = match self.mask {
+        let mut x = self.embed(f);
+        let mask = self.mask_of(graph);
+        for block in &self.blocks {
+            x = block.forward(&x, packing, self.masked(&mask));
+        }
+        self.speak(&x)
+    }
+
+    /// As [`GraphTransformer::forward`] where everyone is there and there is one round, for one agent of each row alone: features
+    /// `f: [B, N, H]`, whom the agent `place: [B]` listens to, `[B, 1, N]`, to its message `[B, D]`.
+    ///
+    /// # Panics
+    /// If there are more rounds or none, in which others matter as well.
+    pub fn forward_one(&self, f: &Tensor, place: &Tensor, graph: &Tensor) -> Tensor {
+        let [block] = &self.blocks[..] else { panic!("{} rounds, and not one", self.blocks.len()) };
+        let x = self.embed(&f.flatten(0, 1)).view([f.size()[0], f.size()[1], -1]);
+        self.speak(&block.forward_one(&x, place, self.masked(&self.mask_of(graph))))
+    }
+
+    /// Rounds L.
+    pub fn rounds(&self) -> usize {
+        self.blocks.len()
+    }
+
+    fn embed(&self, f: &Tensor) -> Tensor {
+        self.embed_norm.forward(&self.input.forward(&self.in_norm.forward(f)).gelu("none"))
+    }
+
+    fn speak(&self, x: &Tensor) -> Tensor {
+        self.out.forward(&self.head_norm.forward(&self.head.forward(x).gelu("none")))
+    }
+
+    fn mask_of(&self, graph: &Tensor) -> Tensor {
+        match self.mask {
             MaskMode::Hard => hard_bias(graph),
             MaskMode::LogitMul => graph.unsqueeze(1),
-        };
-        for block in &self.blocks {
-            let mask = match self.mask {
-                MaskMode::Hard => Mask::Add(&mask),
-                MaskMode::LogitMul => Mask::Multiply(&mask),
-            };
-            x = block.forward(&x, packing, mask);
         }
-        self.out.forward(&self.head_norm.forward(&self.head.forward(&x).gelu("none")))
+    }
+
+    fn masked<'a>(&self, mask: &'a Tensor) -> Mask<'a> {
+        match self.mask {
+            MaskMode::Hard => Mask::Add(mask),
+            MaskMode::LogitMul => Mask::Multiply(mask),
+        }
     }
 }
 
@@ -200,6 +243,32 @@ mod tests {
             let network = transformer(mask);
             let difference = messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
             assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3, "{mask:?}");
+        }
+    }
+
+    /// One agent of each row alone, in one round, as all of them at once.
+    #[test]
+    fn one_agent_reads_as_it_does_among_all() {
+        for mask in [MaskMode::Hard, MaskMode::LogitMul] {
+            let mut params = Params::new(Device::Cpu);
+            let mut path = params.root(&mut Seed::new(1).rng());
+            let scheduler = CommGraph::new(path.sub("graph"), WIDTH, WIDTH, 0.2, 0.0, 1.0);
+            let network = GraphTransformer::new(path.sub("transformer"), WIDTH, WIDTH, 1, 2, mask);
+            let (f, physical) = (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
+            let (flat, packing) = (f.flatten(0, 1), Packing::full(3, AGENTS));
+            let graph = scheduler.forward(&flat, &packing, &physical, None);
+            let all = packing.unpack(&network.forward(&flat, &packing, &graph));
+            let places = [4_i64, 0, 2];
+            let place = Tensor::from_slice(&places);
+            let of = |x: &Tensor| {
+                let rows: Vec<_> = (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
+                Tensor::stack(&rows, 0)
+            };
+            let heard = scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
+            assert!(heard.squeeze_dim(1).equal(&of(&graph)), "{mask:?}");
+            assert!(heard.sum(Kind::Float).double_value(&[]) > 3.0, "somebody listens to another");
+            let one = network.forward_one(&f, &place, &heard);
+            assert!((one - of(&all)).abs().max().double_value(&[]) < 1e-6, "{mask:?}");
         }
     }
 

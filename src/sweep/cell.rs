@@ -158,6 +158,8 @@ impl Cell {
             table.remove("device");
             let mut flat = std::collections::BTreeMap::new();
             super::flatten(&table, "", &mut flat);
+            // As with devices, rounding is all that differs.
+            flat.remove("ppo.shards");
             flat
         };
         let (mut was, is) = (table(&text), table(&self.config.to_toml()));
@@ -212,9 +214,9 @@ impl Cell {
             path: evaluated.clone(),
             source,
         })?;
-        // A run that goes on reads it, too: what changes no result may have changed.
-        write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
         if self.trained().is_none() {
+            // A run that goes on reads it, too: what changes no result may have changed.
+            write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
             let resumed = self.run().last().exists();
             let mut arguments = vec!["train".to_owned(), "--out".to_owned(), folder.clone()];
             if resumed {
