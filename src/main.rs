@@ -2,6 +2,10 @@
 
 mod cli;
 
+/// For libtorch as well: it overrides that of the C library.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> std::process::ExitCode {
     cli::main()
 }

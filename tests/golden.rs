@@ -4,13 +4,16 @@
 //! here the same weights go into our layers. Tolerances are a few rounding errors of `f32`: absolute and relative 2e-5
 //! for outputs of networks and for gradients, tighter where stated.
 
-use iwol_sumo::algo::ppo;
+use iwol_sumo::algo::settings::{EncoderKind, Settings};
+use iwol_sumo::algo::{self, Pace, ppo};
+use iwol_sumo::env::{EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
     Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init, MaskMode, Mixer, Mlp,
     Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, ValueNorm, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
+use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
 const TOLERANCE: f64 = 2e-5;
@@ -220,6 +223,64 @@ fn mixer_of_those_who_are_there() {
     let out = mixer.forward(&values, &state, &case.get("present"));
     case.check("out", &out);
     case.check_gradients(&out, &[("grad_values", &values), ("grad_state", &state)]);
+}
+
+/// One whole update of MADDPG: targets, both losses, clipping, Adam, and the networks that follow. The third agent is gone
+/// before, the second one after the step.
+#[test]
+fn maddpg() {
+    let case = Case::new("maddpg");
+    let features = |count: usize| {
+        let feature = |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
+        Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
+    };
+    let spec = EnvSpec { agents: 3, actions: 1, observation: features(4), state: features(3) };
+    let mut settings = Settings::default();
+    (settings.network.encoder, settings.network.hidden) = (EncoderKind::Mlp, 6);
+    (settings.ppo.max_grad_norm, settings.ppo.value_norm_beta, settings.ppo.average) = (0.5, 0.9, 0.0);
+    (settings.maddpg.updates, settings.maddpg.target_rate, settings.maddpg.action_penalty) = (1, 0.1, 0.05);
+    let mut learner = algo::build("maddpg", &spec, &settings, Seed::new(1), Device::Cpu).expect("a learner");
+    let mut state = learner.state();
+    let mut given = 0;
+    for (name, tensor) in &mut state {
+        let key = format!("param/{}", name.replace("_target/", "/"));
+        if case.arrays.iter().any(|(k, _)| *k == key) {
+            (*tensor, given) = (case.get(&key), given + 1);
+        } else if name == "value_norm/statistics" {
+            *tensor = Tensor::from_slice(&[0.3_f64, 2.0, 0.6]);
+        }
+    }
+    let params = case.arrays.iter().filter(|(k, _)| k.starts_with("param/")).count();
+    assert_eq!(given, 2 * params, "networks and those that follow them");
+    learner.load(&state).expect("its own state with other values");
+
+    // Of one step, all that are drawn are the same.
+    let (steps, envs, agents) = (1, 1, 3);
+    let sizes = Sizes { steps, envs, agents, observation: 4, state: 3, actions: 1, memory: 0, graphs: 0 };
+    let numbers = |key: &str| Vec::<f32>::try_from(case.get(key).reshape([-1])).expect("numbers");
+    let mut rollout = Rollout::new(sizes);
+    (rollout.observation, rollout.state) = (numbers("observation"), numbers("state"));
+    (rollout.action, rollout.reward, rollout.terminated) = (numbers("action"), numbers("reward"), numbers("ended"));
+    rollout.active[..agents].copy_from_slice(&numbers("active"));
+    for (place, there) in numbers("there").into_iter().enumerate() {
+        rollout.comm[place * agents + place % agents] = there;
+    }
+    let pace = Pace { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, imitation: 0.0, growth: 1 };
+    let losses = learner.update(&rollout, &pace, Seed::new(2)).expect("finite");
+    let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
+    let found = names.map(|name| losses.iter().find(|(n, _)| *n == name).expect("reported").1 as f32);
+    case.check("losses", &Tensor::from_slice(&found));
+    let state = learner.state();
+    for (key, _) in &case.arrays {
+        let name = key.strip_prefix("after/").map(str::to_owned);
+        let followed = || key.strip_prefix("following/").map(|name| name.replacen('/', "_target/", 1));
+        if let Some(name) = name.or_else(followed) {
+            let (_, found) = state.iter().find(|(n, _)| *n == name).unwrap_or_else(|| panic!("no {name}"));
+            case.check(key, found);
+        }
+    }
+    let (_, statistics) = state.iter().find(|(name, _)| name == "value_norm/statistics").expect("kept");
+    case.check("statistics", statistics);
 }
 
 #[test]

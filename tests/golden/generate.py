@@ -464,6 +464,96 @@ def ppo():
     put("ppo", grad_value=torch.autograd.grad(loss, value)[0])
 
 
+def maddpg():
+    """One update on one step of three agents: the second one's last, the third is gone already."""
+    agents, width, gamma, rate, tau, penalty, limit, beta = 3, 6, 0.97, 0.01, 0.1, 0.05, 0.5, 0.9
+    actor, head = mlp_modules(4, width), linear(width, 1)
+    eyes, attention = mlp_modules(4 + 3, width), attention_layers(width, False)
+    parts = {"join": linear(width + 1, width), "join_norm": norm(width), "deep": linear(2 * width, width)}
+    parts |= {"deep_norm": norm(width), "value": linear(width, 1)}
+    observation, state = torch.randn(2, agents, 4), torch.randn(2, agents, 3)
+    there = torch.tensor([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    # the second one's is beyond what the environment takes
+    sampled = torch.tensor([0.4, -1.7, 0.0]).unsqueeze(-1)
+    action = sampled.clamp(-1, 1)
+    reward, active, ended = torch.tensor([[1.5, -4.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    mean_before, square_before, weight_before = 0.3, 2.0, 0.6
+
+    def unbounded(t):
+        return head(mlp_forward(actor, observation[t]))
+
+    def look(t):
+        return mlp_forward(eyes, torch.cat([observation[t], state[t]], -1))
+
+    def q(seen, own, done, present):
+        """Of each agent's `own` action, where the others do what is `done`; the first key is nobody's."""
+        mine, others = (parts["join_norm"](F.relu(parts["join"](torch.cat([seen, a], -1)))) for a in (own, done))
+        keys = torch.cat([torch.zeros(1, width), others])
+        reached = torch.cat([torch.ones(agents, 1), present * (1 - torch.eye(agents))], 1)
+        scores = attention["query"](mine) @ attention["key"](keys).T / math.sqrt(width)
+        weights = scores.masked_fill(reached == 0, -torch.inf).softmax(-1)
+        told = attention["out"](weights @ attention["value"](keys))
+        return parts["value"](parts["deep_norm"](F.relu(parts["deep"](torch.cat([mine, told], -1))))).squeeze(-1)
+
+    def mean(values):
+        return (values * active).sum() / active.sum()
+
+    def moments(m, s, w):
+        return m / w, (s / w - (m / w) ** 2) ** 0.5
+
+    # fused as our layers are, so that norms and moments can be told apart by name
+    def named():
+        policy = {f"encoder.mlp.{k}": v for k, v in actor.items()} | {"head.mean": head}
+        value = {f"encoder.mlp.{k}": v for k, v in eyes.items()} | parts | attention_params("others", attention)
+        flat = {}
+        for owner, modules in (("actor", policy), ("critic", value)):
+            for path, module in modules.items():
+                own = {"": module} if isinstance(module, torch.Tensor) else {f".{n}": p for n, p in module.named_parameters()}
+                flat |= {f"{owner}/{path}{n}": p.detach().clone() for n, p in own.items()}
+        return flat
+
+    before = named()
+    put("maddpg", **{f"param/{k}": v for k, v in before.items()})
+    with torch.no_grad():
+        centre, spread = moments(mean_before, square_before, weight_before)
+        future = unbounded(1).tanh()
+        target = reward + gamma * (1 - ended) * (q(look(1), future, future, there[1]) * spread + centre)
+        seen_by_some = target[active > 0].double()
+        update = lambda old, new: beta * old + (1 - beta) * new
+        statistics = [
+            update(mean_before, seen_by_some.mean().item()),
+            update(square_before, seen_by_some.square().mean().item()),
+            update(weight_before, 1.0),
+        ]
+        centre, spread = moments(*statistics)
+        target = (target - centre) / spread
+
+    def step(modules, loss):
+        parameters = [p for module in modules for p in module.parameters()]
+        optimiser = torch.optim.Adam(parameters, lr=rate, eps=1e-5, foreach=False)
+        optimiser.zero_grad()
+        loss.backward(inputs=parameters)
+        total = nn.utils.clip_grad_norm_(parameters, limit, foreach=False)
+        optimiser.step()
+        return total
+
+    value_modules = [*eyes.values(), *parts.values(), *attention.values()]
+    seen = look(0)
+    value_loss = mean((q(seen, action, action, there[0]) - target).square())
+    value_norm_of_gradient = step(value_modules, value_loss)
+    # the policy is judged by the value's new weights, on what its old ones saw
+    own = unbounded(0)
+    policy_loss = -mean(q(seen.detach(), own.tanh(), action, there[0]))
+    policy_norm_of_gradient = step([*actor.values(), head], policy_loss + penalty * mean(own.square().mean(-1)))
+    assert max(value_norm_of_gradient, policy_norm_of_gradient) > limit
+    after = named()
+    put("maddpg", **{f"after/{k}": v for k, v in after.items()})
+    put("maddpg", **{f"following/{k}": before[k] + tau * (after[k] - before[k]) for k in after})
+    put("maddpg", observation=observation, state=state, there=there, action=sampled, reward=reward, active=active, ended=ended)
+    losses = torch.stack([value_loss, policy_loss, value_norm_of_gradient, policy_norm_of_gradient])
+    put("maddpg", losses=losses, statistics=torch.tensor(statistics, dtype=torch.float64))
+
+
 def write(path):
     kinds = {torch.float32: "F32", torch.float64: "F64"}
     header, data = {}, b""
@@ -478,6 +568,6 @@ def write(path):
     print(f"{path}: {len(ARRAYS)} arrays, {8 + len(text) + len(data)} bytes")
 
 
-for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer):
+for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer, maddpg):
     case()
 write(pathlib.Path(__file__).parent / "golden.safetensors")
