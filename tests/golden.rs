@@ -187,7 +187,7 @@ fn commformer() {
     let links = best * case.get("physical");
     let graph = with_self_loops(&links);
     let reach = Reach::over(&graph, &links.gt(0.5).to_kind(Kind::Float));
-    let known = block.forward(&x, &reach, &relations);
+    let known = block.forward(&x, &reach, &relations, None);
     case.check("block", &known);
     case.check_gradients(&known, &[("grad_block_edges", &edges)]);
     let out = decoder.forward(&case.get("previous"), &known, &reach.causal(), &mut Decoded::default());

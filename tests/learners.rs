@@ -464,6 +464,26 @@ fn channels_stand_between_agents_and_nowhere_else() {
     });
 }
 
+/// CommFormer's dropout, of the released code: in updates alone, and the same for the same seed.
+#[test]
+fn dropout_changes_updates_and_no_decision() {
+    let learner = |dropout: f64| {
+        let mut settings = small(EncoderKind::Mlp);
+        settings.commformer.dropout = dropout;
+        loud("commformer", &spec(4), &settings)
+    };
+    let (x, comm) = (noise(1, &[1, 4, 4]), Tensor::ones([1, 4, 4], (Kind::Float, Device::Cpu)));
+    assert_eq!(act(&*learner(0.0), &x, &comm), act(&*learner(0.3), &x, &comm));
+    let updated = |dropout: f64, seed: u64| {
+        let mut learner = learner(dropout);
+        let rollout = random_rollout(&*learner, 4, 3);
+        learner.update(&rollout, &PACE, Seed::new(seed)).expect("finite");
+        act(&*learner, &x, &comm)
+    };
+    assert_eq!(updated(0.3, 1), updated(0.3, 1));
+    assert_ne!(updated(0.3, 1), updated(0.0, 1));
+}
+
 #[test]
 fn averaged_weights_follow_and_can_be_exchanged() {
     each(|name, encoder| {

@@ -174,6 +174,8 @@ pub(super) struct Shard {
     agents: i64,
     /// Share of the minibatch's active samples that are here.
     pub(super) weight: f64,
+    /// Of what a loss draws at random.
+    pub(super) seed: Seed,
 }
 
 /// Shuffled minibatches of one epoch that hold about `size` samples each, every one in up to `shards` parts. Parts without
@@ -193,7 +195,7 @@ pub(super) fn minibatches(
     let per_batch = chunks.len().div_ceil(count).max(1);
     let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
     let shard = |chunks: &[(usize, usize)]| {
-        let rows = rollout.rows(chunks, length);
+        let (rows, (t, e)) = (rollout.rows(chunks, length), chunks[0]);
         let samples: Vec<i64> = (0..rows.len() * agents)
             .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
             .map(|i| i as i64)
@@ -205,6 +207,8 @@ pub(super) fn minibatches(
             rows: indices(&rows),
             weight: samples.len() as f64,
             samples: indices(&samples),
+            // No two begin with the same chunk.
+            seed: seed.child("shard").index(t as u64).index(e as u64),
         }
     };
     let minibatch = |chunks: &[(usize, usize)]| {

@@ -308,11 +308,16 @@ pub struct CommFormer {
     pub graph_rate: f64,
     /// Weight of the loss of a world decoder on the representations, as Ex-IWoL has one (paper, RQ3); 0: no decoder.
     pub lambda_world: f64,
+    /// Share of what encoder blocks bring that is dropped in updates, and in updates alone, so that ratios compare different
+    /// networks (reference: 0.1).
+    pub dropout: f64,
+    /// Whether a link counts as none for the relations where rounding leaves a little less than 1 of it, as in the reference.
+    pub truncated: bool,
 }
 
 impl Default for CommFormer {
     fn default() -> Self {
-        Self { sparsity: 0.4, graph_every: 5, graph_rate: 0.2, lambda_world: 0.0 }
+        Self { sparsity: 0.4, graph_every: 5, graph_rate: 0.2, lambda_world: 0.0, dropout: 0.0, truncated: false }
     }
 }
 

@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 98] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 99] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -118,6 +118,7 @@ impl Config {
             ),
             (&["commformer.graph_rate"], finite_range(former.graph_rate), "0 or more"),
             (&["commformer.lambda_world"], finite_range(former.lambda_world), "0 or more"),
+            (&["commformer.dropout"], (0.0..1.0).contains(&former.dropout), "0 to below 1"),
             (&["icp.symbols"], (2..=4096).contains(&self.icp.symbols), "2 to 4096"),
             (&["icp.lambda_message"], finite_range(self.icp.lambda_message), "0 or more"),
             (&["maddpg.replay"], (1..=10_000).contains(&self.maddpg.replay), "1 to 10000"),

@@ -2,12 +2,15 @@
 //! lets each agent read what those before it do (MAT, Wen et al. 2022, PKU-MARL/Multi-Agent-Transformer,
 //! `ma_transformer.py`). With relations, it is CommFormer's (Hu et al. 2024, charleshsc/CommFormer, `cformer.py`).
 
+use std::cell::RefCell;
 use std::f64::consts::SQRT_2;
 
+use rand::RngExt as _;
 use tch::{Kind, Tensor};
 
 use super::attention::softmax;
 use super::{Init, LayerNorm, Linear, Path};
+use crate::rng::Rng;
 
 /// Who attends to whom, among N agents of B environments.
 #[derive(Debug)]
@@ -239,8 +242,29 @@ impl Decoder {
     }
 }
 
+/// Sets elements to zero at random, and scales up the others; its draws follow from its generator alone.
+#[derive(Debug)]
+pub struct Dropout {
+    rate: f64,
+    rng: RefCell<Rng>,
+}
+
+impl Dropout {
+    /// Drops this share of the elements.
+    pub fn new(rate: f64, rng: Rng) -> Self {
+        Self { rate, rng: RefCell::new(rng) }
+    }
+
+    fn forward(&self, x: &Tensor) -> Tensor {
+        let mut rng = self.rng.borrow_mut();
+        let kept = |_| if rng.random::<f64>() < self.rate { 0.0 } else { (1.0 / (1.0 - self.rate)) as f32 };
+        let kept: Vec<f32> = (0..x.numel()).map(kept).collect();
+        x * Tensor::from_slice(&kept).view_as(x).to_device(x.device())
+    }
+}
+
 /// A block of CommFormer's encoder: attention with relations over the graph, then a perceptron with a rectifier, both post-norm,
-/// weights normal of deviation 0.02. Without the reference's dropout, which changes the ratio of an update.
+/// weights normal of deviation 0.02.
 #[derive(Debug)]
 pub struct RelationBlock {
     attention: Attention,
@@ -266,11 +290,14 @@ impl RelationBlock {
         }
     }
 
-    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation.
-    pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor) -> Tensor {
+    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation. What the attention and both layers
+    /// of the perceptron bring may be dropped.
+    pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor, dropout: Option<&Dropout>) -> Tensor {
+        let dropped = |x: Tensor| dropout.map_or_else(|| x.shallow_clone(), |dropout| dropout.forward(&x));
         let heard = self.attention.forward(x, &self.attention.keys_values(x), reach, Some(relations));
-        let x = self.attention_norm.forward(&(x + heard));
-        self.mlp_norm.forward(&(&x + self.down.forward(&self.up.forward(&x).relu())))
+        let x = self.attention_norm.forward(&(x + dropped(heard)));
+        let inner = dropped(self.up.forward(&x).relu());
+        self.mlp_norm.forward(&(&x + dropped(self.down.forward(&inner))))
     }
 }
 
@@ -321,5 +348,15 @@ mod tests {
             assert!(other.narrow(1, 0, 3).equal(&all.narrow(1, 0, 3)));
             assert!(!other.select(1, 3).equal(&all.select(1, 3)));
         }
+    }
+
+    #[test]
+    fn dropout_keeps_the_mean_and_follows_from_its_seed() {
+        let x = Tensor::ones([100, 100], (Kind::Float, Device::Cpu));
+        let drop = |seed: u64| Dropout::new(0.1, Seed::new(seed).rng()).forward(&x);
+        let y = drop(1);
+        let gone = y.eq(0.0).to_kind(Kind::Float).mean(Kind::Float).double_value(&[]);
+        assert!((gone - 0.1).abs() < 0.02 && (y.mean(Kind::Float).double_value(&[]) - 1.0).abs() < 0.02, "{gone}");
+        assert!(drop(1).equal(&y) && !drop(2).equal(&y));
     }
 }

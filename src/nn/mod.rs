@@ -27,7 +27,7 @@ pub mod transformer;
 pub mod value_norm;
 
 pub use attention::{Mask, SelfAttention};
-pub use decoder::{Attention, Decoded, Decoder, Reach, RelationBlock};
+pub use decoder::{Attention, Decoded, Decoder, Dropout, Reach, RelationBlock};
 pub use distributions::{gaussian_entropy, gaussian_log_prob};
 pub use entity::{Entity, TokenGroup};
 pub use error::{Error, ensure_finite};

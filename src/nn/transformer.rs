@@ -251,7 +251,8 @@ mod tests {
     fn one_agent_reads_as_it_does_among_all() {
         for mask in [MaskMode::Hard, MaskMode::LogitMul] {
             let mut params = Params::new(Device::Cpu);
-            let mut path = params.root(&mut Seed::new(1).rng());
+            let mut rng = Seed::new(1).rng();
+            let mut path = params.root(&mut rng);
             let scheduler = CommGraph::new(path.sub("graph"), WIDTH, WIDTH, 0.2, 0.0, 1.0);
             let network = GraphTransformer::new(path.sub("transformer"), WIDTH, WIDTH, 1, 2, mask);
             let (f, physical) = (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));

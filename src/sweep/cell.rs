@@ -180,6 +180,8 @@ impl Cell {
             ("env.penetration", Value::Float(1.0)),
             ("train.restart_steps", Value::Integer(0)),
             ("train.growth", Value::Integer(1)),
+            ("commformer.dropout", Value::Float(0.0)),
+            ("commformer.truncated", Value::Boolean(false)),
         ] {
             was.entry(key.to_owned()).or_insert(neutral);
         }
