@@ -267,6 +267,48 @@ impl Document {
         let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
         Ok(Self { name: path.display().to_string(), text })
     }
+
+    /// Reads the configuration that a run was made with, which may be older than some settings.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn read_run(path: &Path) -> Result<Self, Error> {
+        let mut document = Self::read(path)?;
+        // One that cannot be parsed is refused where it is resolved.
+        if let Ok(mut table) = toml::from_str::<Table>(&document.text) {
+            complete_older(&mut table);
+            document.text = table.to_string();
+        }
+        Ok(document)
+    }
+}
+
+/// Gives a configuration that is older than a setting the value which says what was done before there was one.
+pub fn complete_older(table: &mut Table) {
+    for (key, neutral) in [
+        ("ppo.bounds", Value::Float(0.0)),
+        ("ppo.gamma_explored", Value::Float(0.0)),
+        ("exploration.correlation", Value::Float(0.0)),
+        ("exploration.correlation_steps", Value::Integer(0)),
+        ("exploration.steering", Value::Float(-1.0)),
+        ("iwol.graph_bias", Value::Float(0.0)),
+        ("train.fewest_agents", Value::Integer(0)),
+        ("train.growth", Value::Integer(1)),
+        ("train.imitate_speed", Value::Float(6.0)),
+        ("train.imitate_steps", Value::Integer(0)),
+        ("train.replay_failed", Value::Float(0.0)),
+        ("train.restart_steps", Value::Integer(0)),
+        ("env.encounters", Value::Integer(0)),
+        ("env.lidar_beams", Value::Integer(0)),
+        ("env.lidar_range", Value::Float(50.0)),
+        ("env.penetration", Value::Float(1.0)),
+        ("commformer.dropout", Value::Float(0.0)),
+    ] {
+        let (group, setting) = key.split_once('.').expect("a group and a setting");
+        if let Some(group) = table.get_mut(group).and_then(Value::as_table_mut) {
+            group.entry(setting).or_insert(neutral);
+        }
+    }
 }
 
 /// Where settings come from, in rising priority.
@@ -582,6 +624,24 @@ mod tests {
             resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
         assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
         assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
+    }
+
+    #[test]
+    fn a_run_that_is_older_than_a_setting_goes_on_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("config.toml");
+        let now = resolve_on("parking_lot", "", &[]).unwrap();
+        let mut table: Table = toml::from_str(&now.to_toml()).unwrap();
+        for (group, setting) in [("ppo", "gamma_explored"), ("train", "growth"), ("train", "imitate_steps")] {
+            table[group].as_table_mut().unwrap().remove(setting).unwrap();
+        }
+        std::fs::write(&file, table.to_string()).unwrap();
+        let of = |document: Document| Config::resolve(&Layers { document, ..Layers::default() }).unwrap().0;
+        let resumed = of(Document::read_run(&file).unwrap());
+        assert_eq!((resumed.ppo.gamma_explored, resumed.train.growth, resumed.train.imitate_steps), (0.0, 1, 0));
+        // Otherwise it would change at a resume.
+        assert!(now.ppo.gamma_explored > 0.0 && now.train.growth > 1 && now.train.imitate_steps > 0);
+        assert_eq!(of(Document::read(&file).unwrap()), now);
     }
 
     #[test]

@@ -455,7 +455,7 @@ impl<'a> PolicyDriver<'a> {
                 let decision = if channel.is_perfect() {
                     learner.act(&observation, &ActMode::Deterministic)
                 } else {
-                    let noise = channel_noise(channel, &sources, self.task.agents, learner.message_width());
+                    let noise = channel_noise(channel, &sources, &self.comm, self.task.agents, learner.message_width());
                     learner.act_through(&observation, channel, &noise)
                 };
                 // What a latent knows, and who listens to whom, is told of undisturbed messages alone.
@@ -490,27 +490,31 @@ fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
     Thoughts { value: numbers(&insight.value), graph: numbers(&insight.graph) }
 }
 
-/// Randomness of a channel that depends on each world's episode and step alone.
-fn channel_noise(channel: &Channel, sources: &[Seed], agents: usize, width: usize) -> ChannelNoise {
+/// Randomness of a channel that depends on each world's episode and step alone. False messages have a content where somebody is
+/// within range to hear them, `comm [E, N, N]`, and zeros elsewhere.
+fn channel_noise(channel: &Channel, sources: &[Seed], comm: &[f32], agents: usize, width: usize) -> ChannelNoise {
     let (e, n) = (sources.len() as i64, agents as i64);
-    // Most channels falsify nothing, and some methods send nothing: no content is needed to do it with.
-    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
-    let uniform = |what: &str| {
+    let uniform = |what: &str| -> Vec<f32> {
         let draws = sources.iter().flat_map(|seed| {
             let mut rng = seed.child(what).rng();
             std::iter::repeat_with(move || rng.random::<f32>()).take(agents * agents)
         });
-        Tensor::from_slice(&draws.collect::<Vec<_>>()).view([e, n, n])
+        draws.collect()
     };
-    let mut content = vec![0.0; sources.len() * agents * agents * width];
-    for (seed, content) in sources.iter().zip(content.chunks_mut(agents * agents * width)) {
-        rng::fill_normal(&mut seed.child("content").rng(), content);
+    let (lost, falsified) = (uniform("lost"), uniform("falsified"));
+    // Most channels falsify nothing, and some methods send nothing: no content is needed to do it with.
+    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
+    let mut content = vec![0.0; falsified.len() * width];
+    for (k, content) in content.chunks_mut(width).enumerate() {
+        let (world, pair) = (k / (agents * agents), k % (agents * agents));
+        let told = pair / agents != pair % agents && comm[k] > 0.0;
+        if told && f64::from(falsified[k]) < channel.falsified {
+            rng::fill_normal(&mut sources[world].child("content").index(pair as u64).rng(), content);
+        }
     }
-    ChannelNoise {
-        lost: uniform("lost"),
-        falsified: uniform("falsified"),
-        content: Tensor::from_slice(&content).view([e, n, n, -1]),
-    }
+    let view = |values: &[f32]| Tensor::from_slice(values).view([e, n, n, -1]);
+    let flat = |values: &[f32]| view(values).squeeze_dim(-1);
+    ChannelNoise { lost: flat(&lost), falsified: flat(&falsified), content: view(&content) }
 }
 
 #[cfg(test)]

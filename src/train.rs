@@ -14,14 +14,15 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt as _;
 use serde::Serialize;
+use serde_json::Value;
 use tch::Tensor;
 
 use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
 use crate::checkpoint::{self, Checkpoint, Progress};
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
 use crate::evaluate::{Evaluation, Onlooker, Policy, evaluate};
-use crate::record::{self, JsonLines, TensorBoard};
+use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
@@ -375,7 +376,7 @@ impl Trainer {
     /// # Errors
     /// [`Error`]; the last checkpoint stays usable, and is one from before the rollout if it was the simulation that failed.
     pub fn run(&mut self, dir: &RunDir, stop: &AtomicBool, report: &mut dyn FnMut(&Report)) -> Result<Outcome, Error> {
-        let mut files = Files::open(dir, &self.config, self.progress.step)?;
+        let mut files = Files::open(dir, &self.config, self.progress.step, self.progress.validated)?;
         let mut validation_success = None;
         let outcome = loop {
             if stop.load(Ordering::Relaxed) {
@@ -418,6 +419,7 @@ impl Trainer {
             let (step, restarts) = (self.progress.step, self.progress.restarts);
             report(&Report { step, steps_per_second, training_success, validation_success, restarts });
         };
+        files.sync()?;
         self.checkpoint().save(&dir.last())?;
         if !dir.best().exists() {
             self.checkpoint().save(&dir.best())?;
@@ -433,6 +435,7 @@ impl Trainer {
         let success = mean(|r| r.success);
         let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(&self.progress, evaluation, success, mean(|r| r.safety), window)?;
+        files.sync()?;
         schedule::validated(&self.config, &mut self.progress, success);
         if self.progress.best.is_none_or(|best| (success, window) > best) {
             self.progress.best = Some((success, window));
@@ -472,25 +475,35 @@ struct EpisodeLine<'a> {
 }
 
 impl Files {
-    /// Opens or creates them; lines beyond `step` are from a future that is played again.
-    fn open(dir: &RunDir, config: &Config, step: u64) -> Result<Self, Error> {
+    /// Opens or creates them; lines beyond `step`, and validations beyond the step of the last one that counts, are from a future
+    /// that is played again.
+    fn open(dir: &RunDir, config: &Config, step: u64, validated: u64) -> Result<Self, Error> {
         std::fs::create_dir_all(dir.path().join("checkpoints"))
             .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
         let resumed = step > 0;
-        let open = |path: PathBuf| -> Result<JsonLines, record::Error> {
+        let open = |path: PathBuf, future: &dyn Fn(&JsonObject) -> bool| -> Result<JsonLines, record::Error> {
             if !resumed {
                 return JsonLines::create(&path);
             }
             let mut lines = JsonLines::resume(&path)?;
-            lines.truncate_after(step)?;
+            lines.remove_where(future)?;
             Ok(lines)
         };
+        let beyond =
+            |line: &JsonObject, step: u64| line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step);
+        let validation = |line: &JsonObject| line.contains_key("validation/success");
         Ok(Self {
-            metrics: open(dir.metrics())?,
-            episodes: open(dir.episodes())?,
+            metrics: open(dir.metrics(), &|line| beyond(line, if validation(line) { validated } else { step }))?,
+            episodes: open(dir.episodes(), &|line| beyond(line, validated))?,
             board: TensorBoard::create(dir.path(), resumed.then_some(step))?,
         })
+    }
+
+    /// Forces all lines to disk, before a checkpoint that presumes them.
+    fn sync(&self) -> Result<(), Error> {
+        self.metrics.sync()?;
+        Ok(self.episodes.sync()?)
     }
 
     fn write(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), Error> {
@@ -570,7 +583,11 @@ impl Files {
 
 /// Refuses to resume a run whose worlds would not be brought back to where they stood.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
-    let table = |text: &str| toml::from_str::<toml::Table>(text).unwrap_or_default();
+    let table = |text: &str| {
+        let mut table = toml::from_str::<toml::Table>(text).unwrap_or_default();
+        config::complete_older(&mut table);
+        table
+    };
     let (now, then) = (table(&config.to_toml()), table(&stored.config));
     for key in ["algorithm", "agents", "seed", "env"] {
         if now.get(key) != then.get(key) {
@@ -578,9 +595,8 @@ fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
         }
     }
     let train = |table: &toml::Table, key: &str| table.get("train").and_then(|t| t.get(key)).cloned();
-    // A checkpoint may be older than a setting.
-    for (key, default) in [("envs", None), ("segment", None), ("fewest_agents", Some(toml::Value::Integer(0)))] {
-        if train(&now, key) != train(&then, key).or(default) {
+    for key in ["envs", "segment", "fewest_agents"] {
+        if train(&now, key) != train(&then, key) {
             return Err(Error::OtherRun { key: format!("train.{key}") });
         }
     }

@@ -422,7 +422,7 @@ fn a_teacher_is_imitated() {
 fn channels_stand_between_agents_and_nowhere_else() {
     // In one round each agent needs less of what the others make of it, which takes another way.
     each(|name, encoder| {
-        [1, 2].into_iter().for_each(|rounds| {
+        for rounds in [1, 2] {
             let mut settings = small(encoder);
             settings.iwol.rounds = rounds;
             let learner = loud(name, &spec(5), &settings);
@@ -460,7 +460,7 @@ fn channels_stand_between_agents_and_nowhere_else() {
             for channel in bad {
                 assert_eq!(apart(&through(&channel), &together) > 1e-4, width > 0, "{name} {encoder:?} {channel:?}");
             }
-        })
+        }
     });
 }
 

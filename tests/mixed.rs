@@ -101,6 +101,33 @@ fn pedestrians_walk_along_their_ways() {
     assert!(most > 3 && crossed > 50, "at most {most} at a time, {crossed} steps on the road");
 }
 
+/// Files that list every person by himself have as many walks; the same way is one stream, whoever takes it.
+#[test]
+fn who_walks_the_same_way_is_one_stream() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let person = |id: u32, edges: &str| {
+        format!(
+            "<person id=\"{id}\" depart=\"{id}\" departPos=\"{}\"><walk edges=\"{edges}\" arrivalPos=\"{}\"/></person>",
+            30 + id,
+            10 + id
+        )
+    };
+    let south = (0..4).map(|id| person(id, "south_in south_out"));
+    let all: String = south.chain([person(4, "south_out south_in"), person(5, "north_in north_out")]).collect();
+    let file = folder.path().join("people.rou.xml");
+    fs::write(&file, format!("<routes>{all}</routes>")).expect("written");
+    let task = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files = vec![file]);
+    let own = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear()).routes.len();
+    assert_eq!(task.routes.len(), own + 3);
+    let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
+    let mut most = 0;
+    for _ in 0..120 {
+        env.step(&[-1.0; 8]).expect("a step");
+        most = most.max(env.worlds().next().expect("one world").others().count());
+    }
+    assert_eq!(most, 6, "they all walk");
+}
+
 #[test]
 fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait() {
     let task = task_of("pedestrians_cross.xml", |_| {});

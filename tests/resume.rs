@@ -154,6 +154,23 @@ fn a_stopped_run_goes_on_in_its_folder() {
         assert_eq!(bits(&a), bits(&b));
         assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
     }
+
+    // Killed when the last validation was recorded, but no checkpoint knew of it yet: it is made again, and recorded once.
+    let recorded = |file: std::path::PathBuf| -> Vec<(u64, bool)> {
+        let text = std::fs::read_to_string(file).expect("lines");
+        let line = |line| serde_json::from_str::<serde_json::Value>(line).expect("whole lines");
+        let lines = text.lines().map(line);
+        lines.map(|l| (l["step"].as_u64().expect("a step"), l["validation/success"].is_number())).collect()
+    };
+    let before = (recorded(dir.metrics()), recorded(dir.episodes()));
+    assert!(before.0.contains(&(360, true)) && before.1.contains(&(360, false)), "{before:?}");
+    let mut stored = Checkpoint::load(&dir.last()).expect("a checkpoint");
+    assert_eq!(stored.progress.validated, 360);
+    stored.progress.validated = 240;
+    let (config, scenario) = self::config("im-iwol", "mlp", 360);
+    let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
+    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
+    assert_eq!((recorded(dir.metrics()), recorded(dir.episodes())), before);
 }
 
 #[test]

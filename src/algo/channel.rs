@@ -115,11 +115,13 @@ impl Channel {
             arriving = (&noise.content * spread + mean).where_self(&false_ones, &arriving);
         }
         let own = Tensor::eye(agents, (Kind::Bool, f.device()));
-        let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
-        (
-            Heard { embedding, arrived: self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0) },
-            past,
-        )
+        let mut embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
+        let arrived = self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0);
+        if self.loss > 0.0 || self.delay > 0 {
+            // Where cut edges leak, too, there is nothing to leak.
+            embedding *= arrived.unsqueeze(-1);
+        }
+        (Heard { embedding, arrived }, past)
     }
 
     /// What is not lost, 1 or 0, `[E, N, N]`; one's own never is.

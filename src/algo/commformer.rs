@@ -15,9 +15,9 @@
 //! It differs on purpose: a graph is sampled for each decision, by the noise that all methods with graphs get (logistic), and an update sees
 //! the graph that acted (reference: exact in acting, new Gumbel noise in every update, so that ratios compare different graphs;
 //! `iwol.graph_noise = "resampled"` does likewise); no ten updates with the complete graph first, as noise tries all links; a
-//! link has weight 1, to itself, too (reference: 2 where that is chosen as well); an edge is one above ½ (reference: relations are cut to an
-//! integer, which loses edges of 0.9999999: `commformer.truncated`); no dropout, which changes the ratio (`commformer.dropout`); one action
-//! head for all (reference: one for each agent).
+//! link has weight 1, to itself, too (reference: 2 where that is chosen as well); relations are those of edges above ½ (reference: cut to an
+//! integer, which after the warm-up is the same: (1 − s) + s is 1 for every s of 32 bits from 0 to 1); no dropout, which changes the ratio
+//! (`commformer.dropout`); one action head for all (reference: one for each agent).
 //! Edges beyond the radio range do not exist, and an agent reads the action before its own only from someone it
 //! listens to. For encoder, value, noise and agents who are gone see [`mat`](super::mat). `commformer.lambda_world` adds
 //! IWoL's world decoder.
@@ -55,7 +55,6 @@ pub(super) struct CommFormer {
     value: ValueHead,
     sequence: Sequence,
     world: Option<WorldDecoder>,
-    truncated: bool,
 }
 
 /// What comes of a scene.
@@ -80,8 +79,7 @@ impl CommFormer {
         let scores = scene.noise.as_ref().map_or_else(|| scores.shallow_clone(), |noise| &scores + noise);
         let links = sample_best(&scores, self.links, 1.0) * &scene.comm;
         let graph = with_self_loops(&links);
-        let related = links.gt(0.5).to_kind(Kind::Float);
-        let reach = Reach::over(&graph, &if self.truncated { related * uncut(&links, &scores) } else { related });
+        let reach = Reach::over(&graph, &links.gt(0.5).to_kind(Kind::Float));
         let representation = self.blocks.iter().fold(x, |x, block| block.forward(&x, &reach, &self.relations, dropout));
         let order = Order::new(&scene.present(), &graph, &reach);
         Represented { representation, order, graph, memory }
@@ -91,13 +89,6 @@ impl CommFormer {
     fn world_loss(&self, batch: &Batch, shard: &Shard, representation: &Tensor) -> Option<Tensor> {
         self.world.as_ref().map(|world| world.loss(batch, shard, &shard.pick(representation)))
     }
-}
-
-/// 1 where a link is still one when a softmax of the scores has been taken from it, added again, and the sum cut to an integer, as in
-/// the straight-through estimator of the reference; else 0.
-fn uncut(links: &Tensor, scores: &Tensor) -> Tensor {
-    let soft = scores.softmax(-1, Kind::Float).detach();
-    (links.detach() - &soft + soft).trunc()
 }
 
 impl Networks for CommFormer {
@@ -129,7 +120,6 @@ impl Networks for CommFormer {
                 actions,
             },
             world: (settings.commformer.lambda_world > 0.0).then(|| world(places)),
-            truncated: settings.commformer.truncated,
         }
     }
 
@@ -201,22 +191,5 @@ impl Networks for CommFormer {
             world.reconstruct(&self.represent(&Scene::of(input, None)).representation, input, state)
         };
         self.world.as_ref().map(reconstruct).into_iter().collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::nn::Init;
-    use crate::rng::Seed;
-
-    #[test]
-    fn cutting_a_sum_to_an_integer_loses_some_links_and_makes_none() {
-        let scores = Tensor::from_slice(&Init::Normal(1.0).sample(&[400, 8], &mut Seed::new(1).rng())).view([400, 8]);
-        let links = sample_best(&scores, 3, 1.0);
-        let left = &links * uncut(&links, &scores);
-        let count = |x: &Tensor| x.gt(0.5).to_kind(Kind::Float).sum(Kind::Float).double_value(&[]);
-        assert_eq!(count(&links), 1200.0);
-        assert!(count(&left) < 1200.0 && count(&left) > 600.0, "{}", count(&left));
     }
 }

@@ -72,7 +72,7 @@ impl MessageTrunk {
     ) -> (Tensor, Tensor, Tensor) {
         // In one round nobody passes on what it heard.
         let one = self.transformer.rounds() == 1;
-        if one && channel.only_loses() && self.physical_mask {
+        if one && channel.only_loses() && !self.leaks {
             // Who heard what is but a mask on everyone's graph.
             let scene = Scene::of(input, None);
             let heard = self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
@@ -83,7 +83,7 @@ impl MessageTrunk {
             let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
             if one {
                 let own = Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
-                let comm = input.comm.view([rows, 1, agents]);
+                let comm = input.comm.reshape([rows, 1, agents]);
                 let edges = if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
                 return self.transformer.forward_one(known, &own, &self.graph.forward_one(known, &own, &edges));
             }

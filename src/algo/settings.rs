@@ -311,13 +311,11 @@ pub struct CommFormer {
     /// Share of what encoder blocks bring that is dropped in updates, and in updates alone, so that ratios compare different
     /// networks (reference: 0.1).
     pub dropout: f64,
-    /// Whether a link counts as none for the relations where rounding leaves a little less than 1 of it, as in the reference.
-    pub truncated: bool,
 }
 
 impl Default for CommFormer {
     fn default() -> Self {
-        Self { sparsity: 0.4, graph_every: 5, graph_rate: 0.2, lambda_world: 0.0, dropout: 0.0, truncated: false }
+        Self { sparsity: 0.4, graph_every: 5, graph_rate: 0.2, lambda_world: 0.0, dropout: 0.0 }
     }
 }
 

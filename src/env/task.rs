@@ -106,8 +106,12 @@ impl Task {
         let mut walk_ends = Vec::with_capacity(demand.routes.len());
         for route in &demand.routes {
             let Laid { path, edges, walk } = route.lay(&net)?;
+            // Walks have no lanes, but edges and sides of them.
+            let same = |(other, at): (&Path, &Vec<String>)| {
+                other.lanes == path.lanes && (walk.is_none() || *at == edges && other.points == path.points)
+            };
+            let known = paths.iter().zip(&route_edges).position(same);
             walk_ends.push(walk);
-            let known = paths.iter().position(|other: &Path| walk.is_none() && other.lanes == path.lanes);
             demand_routes.push(known.unwrap_or(paths.len()));
             if known.is_none() {
                 paths.push(path);

@@ -37,7 +37,7 @@ impl SelfAttention {
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
         let (batch, tokens) = packing.size();
         let [queries, keys, values] = self.project(&packing.unpack(&self.qkv.forward(x)));
-        let mixed = self.mix(&queries, &keys, &values, mask);
+        let mixed = Self::mix(&queries, &keys, &values, mask);
         self.out.forward(&packing.pack(&mixed.view([batch, tokens, -1])))
     }
 
@@ -47,7 +47,7 @@ impl SelfAttention {
         let (batch, tokens, _) = x.size3().expect("tokens are [B, T, width]");
         let [queries, keys, values] = self.project(&self.qkv.forward(&x.flatten(0, 1)).view([batch, tokens, -1]));
         let asks = place.view([batch, 1, 1, 1]).expand([batch, self.heads, 1, queries.size()[3]], false);
-        let mixed = self.mix(&queries.gather(2, &asks, false), &keys, &values, mask);
+        let mixed = Self::mix(&queries.gather(2, &asks, false), &keys, &values, mask);
         self.out.forward(&mixed.squeeze_dim(1))
     }
 
@@ -59,7 +59,7 @@ impl SelfAttention {
     }
 
     /// What `queries: [B, heads, Q, d]` read, `[B, Q, width]`.
-    fn mix(&self, queries: &Tensor, keys: &Tensor, values: &Tensor, mask: Mask<'_>) -> Tensor {
+    fn mix(queries: &Tensor, keys: &Tensor, values: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, heads, count, head) = queries.size4().expect("queries are [B, heads, Q, d]");
         let logits = (queries * (1.0 / (head as f64).sqrt())).matmul(&keys.transpose(-2, -1));
         let logits = match mask {

@@ -107,6 +107,11 @@ impl Attention {
     /// What `queries: [B, Q, W]` make of a sequence, `[B, Q, W]`; `relations: [2, W]` are the embeddings of both kinds of
     /// relation, which attention without relations does not read.
     pub fn forward(&self, queries: &Tensor, among: &KeysValues, reach: &Reach, relations: Option<&Tensor>) -> Tensor {
+        self.out.forward(&self.mix(queries, among, reach, relations))
+    }
+
+    /// The heads' results side by side, before the output layer.
+    fn mix(&self, queries: &Tensor, among: &KeysValues, reach: &Reach, relations: Option<&Tensor>) -> Tensor {
         let KeysValues(keys, values) = among;
         let query = self.split(&self.query.forward(queries));
         let scale = 1.0 / (query.size()[3] as f64).sqrt();
@@ -129,7 +134,7 @@ impl Attention {
         }
         let mixed = weights.matmul(values).transpose(1, 2);
         let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");
-        self.out.forward(&mixed.reshape([batch, count, heads * head]))
+        mixed.reshape([batch, count, heads * head])
     }
 }
 
@@ -290,12 +295,12 @@ impl RelationBlock {
         }
     }
 
-    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation. What the attention and both layers
-    /// of the perceptron bring may be dropped.
+    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation. What the heads, the attention and both
+    /// layers of the perceptron bring may be dropped.
     pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor, dropout: Option<&Dropout>) -> Tensor {
         let dropped = |x: Tensor| dropout.map_or_else(|| x.shallow_clone(), |dropout| dropout.forward(&x));
-        let heard = self.attention.forward(x, &self.attention.keys_values(x), reach, Some(relations));
-        let x = self.attention_norm.forward(&(x + dropped(heard)));
+        let mixed = dropped(self.attention.mix(x, &self.attention.keys_values(x), reach, Some(relations)));
+        let x = self.attention_norm.forward(&(x + dropped(self.attention.out.forward(&mixed))));
         let inner = dropped(self.up.forward(&x).relu());
         self.mlp_norm.forward(&(&x + dropped(self.down.forward(&inner))))
     }

@@ -8,6 +8,9 @@ use serde::de::{DeserializeOwned, IgnoredAny};
 
 use super::{Appender, Error, write_atomic};
 
+/// A line that is read.
+pub type JsonObject = serde_json::Map<String, serde_json::Value>;
+
 /// Appends values to a JSON-lines file, one line each.
 ///
 /// Every line is handed to the operating system when [`append`](Self::append) returns. Numbers that JSON does not know
@@ -51,20 +54,22 @@ impl JsonLines {
         Ok(Self { appender, line: Vec::new() })
     }
 
-    /// Removes every line whose number `step` is greater than `step`, so that a run resumed from a checkpoint made at
-    /// `step` does not record the steps after it twice. Lines without a number `step` stay.
+    /// Removes the lines of which `gone` is true, so that a run resumed from a checkpoint does not record twice what came after it.
     ///
     /// # Errors
     /// [`Error::Line`] if a line is not a JSON object, [`Error::Io`] if the file cannot be rewritten; the file is then
     /// unchanged.
-    pub fn truncate_after(&mut self, step: u64) -> Result<(), Error> {
+    pub fn remove_where(&mut self, gone: impl Fn(&JsonObject) -> bool) -> Result<(), Error> {
         let path = self.appender.path.clone();
         let text = fs::read(&path).map_err(Error::io("read", &path))?;
         let mut kept = Vec::with_capacity(text.len());
         for (index, line) in text.split_inclusive(|&b| b == b'\n').enumerate() {
-            let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(line)
-                .map_err(|source| Error::Line { path: path.clone(), line: index + 1, source })?;
-            if object.get("step").and_then(serde_json::Value::as_f64).is_none_or(|s| s <= step as f64) {
+            let object: JsonObject = serde_json::from_slice(line).map_err(|source| Error::Line {
+                path: path.clone(),
+                line: index + 1,
+                source,
+            })?;
+            if !gone(&object) {
                 kept.extend_from_slice(line);
             }
         }
@@ -187,8 +192,12 @@ mod tests {
         assert_eq!(steps(&path), [1]);
     }
 
+    fn after(line: &JsonObject, step: u64) -> bool {
+        line.get("step").and_then(serde_json::Value::as_u64).is_some_and(|own| own > step)
+    }
+
     #[test]
-    fn truncate_after_drops_later_steps_and_nothing_else() {
+    fn later_steps_are_removed_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");
         let mut lines = JsonLines::create(&path).unwrap();
@@ -197,12 +206,12 @@ mod tests {
             lines.append(&row(step)).unwrap();
             lines.append(&serde_json::json!({"step": step, "loss": 1.0, "eval": true})).unwrap();
         }
-        lines.truncate_after(200).unwrap();
+        lines.remove_where(|line| after(line, 200)).unwrap();
         lines.append(&row(250)).unwrap();
         let values: Vec<serde_json::Value> = read_json_lines(&path).unwrap();
         let kept: Vec<_> = values.iter().map(|v| v["step"].as_u64()).collect();
         assert_eq!(kept, [None, Some(100), Some(100), Some(200), Some(200), Some(250)]);
-        lines.truncate_after(0).unwrap();
+        lines.remove_where(|line| after(line, 0)).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "{\"note\":\"no step\"}\n");
     }
 
@@ -212,7 +221,7 @@ mod tests {
         let path = folder.path().join("metrics.jsonl");
         let damaged = "{\"step\":1,\"loss\":0.5}\n{\"step\":\n{\"step\":3,\"loss\":0.5}\n";
         fs::write(&path, damaged).unwrap();
-        let error = JsonLines::resume(&path).unwrap().truncate_after(1).unwrap_err();
+        let error = JsonLines::resume(&path).unwrap().remove_where(|line| after(line, 1)).unwrap_err();
         assert!(matches!(error, Error::Line { line: 2, .. }), "{error}");
         assert!(matches!(read_json_lines::<Row>(&path), Err(Error::Line { line: 2, .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), damaged);

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
-pub use json_lines::{JsonLines, read_json_lines};
+pub use json_lines::{JsonLines, JsonObject, read_json_lines};
 pub use tensor_board::TensorBoard;
 
 /// Why a run file could not be written or read. Every message names the file.

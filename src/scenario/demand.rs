@@ -310,7 +310,10 @@ impl Demand {
     /// What a walk of a person gives.
     fn walk(&mut self, reader: &Reader, person: Node, walk: Node, id: &str) -> Result<usize, Error> {
         let edges = if walk.has_attribute("from") {
-            ["from", "to"].into_iter().map(|key| reader.text(walk, key).map(Into::into)).collect::<Result<_, _>>()?
+            let ends = ["from", "to"].into_iter().map(|key| reader.text(walk, key).map(Into::into));
+            let mut ends: Vec<String> = ends.collect::<Result<_, _>>()?;
+            ends.dedup();
+            ends
         } else {
             reader.text(walk, "edges")?.split_whitespace().map(Into::into).collect()
         };

@@ -59,7 +59,7 @@ pub fn markdown() -> String {
     let mut page = String::from(
         "# Scenario files\n\n\
          Made from `scenarios/scenario.xsd` by `iwol scenario reference`; edit the schema, not this page. `iwol scenario new` \
-         writes a file with all of it, `iwol scenario check` says what is wrong with one.\n\n\
+         writes a file with all but `<traffic>`, `iwol scenario check` says what is wrong with one.\n\n\
          Lengths are in metres, times in seconds; positions on lanes are those of the vehicle's centre.\n",
     );
     for element in describe().all() {
@@ -98,7 +98,7 @@ impl Element {
             let default = match &attribute.default {
                 Some(default) => format!("`{default}`"),
                 None if attribute.required => "required".to_owned(),
-                None => "none".to_owned(),
+                None => "optional".to_owned(),
             };
             let (name, allowed, text) = (&attribute.name, &attribute.allowed, &attribute.text);
             writeln!(page, "| `{name}` | {unit} | {} | {default} | {} |", cell(allowed), cell(text))?;

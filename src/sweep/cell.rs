@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{Error, Evaluate, label, plain, value_of};
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
 
@@ -154,37 +154,18 @@ impl Cell {
         }
         let table = |text: &str| {
             let mut table: Table = toml::from_str(text).unwrap_or_default();
+            config::complete_older(&mut table);
             table.remove("simulation");
             table.remove("device");
             let mut flat = std::collections::BTreeMap::new();
             super::flatten(&table, "", &mut flat);
-            // As with devices, rounding is all that differs.
-            flat.remove("ppo.shards");
+            // Of a run that is over it does not matter; one that goes on would teach its decoders other samples.
+            if self.trained().is_some() {
+                flat.remove("ppo.shards");
+            }
             flat
         };
         let (mut was, is) = (table(&text), table(&self.config.to_toml()));
-        // A run may be older than a setting: what it did is what these say.
-        for (key, neutral) in [
-            ("ppo.bounds", Value::Float(0.0)),
-            ("ppo.gamma_explored", Value::Float(0.0)),
-            ("exploration.correlation", Value::Float(0.0)),
-            ("exploration.correlation_steps", Value::Integer(0)),
-            ("iwol.graph_bias", Value::Float(0.0)),
-            ("train.replay_failed", Value::Float(0.0)),
-            ("train.imitate_steps", Value::Integer(0)),
-            ("train.imitate_speed", Value::Float(6.0)),
-            ("exploration.steering", Value::Float(-1.0)),
-            ("env.encounters", Value::Integer(0)),
-            ("env.lidar_beams", Value::Integer(0)),
-            ("env.lidar_range", Value::Float(50.0)),
-            ("env.penetration", Value::Float(1.0)),
-            ("train.restart_steps", Value::Integer(0)),
-            ("train.growth", Value::Integer(1)),
-            ("commformer.dropout", Value::Float(0.0)),
-            ("commformer.truncated", Value::Boolean(false)),
-        ] {
-            was.entry(key.to_owned()).or_insert(neutral);
-        }
         // Where the other cell's folder is does not matter.
         if let (Some(after), Some(Value::String(path))) = (&self.after, was.get("init_from"))
             && Path::new(path).ends_with(after)

@@ -111,7 +111,7 @@ fn gap(spacing: Spacing, rng: &mut Rng) -> f64 {
         Spacing::Poisson(rate) => -(1.0 - rng.random::<f64>()).ln() / rate,
         // Tries, one a second, until the first that succeeds.
         Spacing::Chance(p) if p >= 1.0 => 1.0,
-        Spacing::Chance(p) => ((1.0 - rng.random::<f64>()).ln() / (1.0 - p).ln()).ceil().max(1.0),
+        Spacing::Chance(p) => ((1.0 - rng.random::<f64>()).ln() / (-p).ln_1p()).ceil().max(1.0),
     }
 }
 

@@ -15,7 +15,8 @@ impl Net {
     /// # Errors
     /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or [`NetError::NoTrip`] where none leads there.
     pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
-        let edges: Vec<usize> = stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
+        let mut edges: Vec<usize> = stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
+        edges.dedup();
         let Some(&first) = edges.first() else { return Err(NetError::EmptyRoute { path: self.path.clone() }) };
         let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
         let mut open = BinaryHeap::new();
@@ -83,6 +84,7 @@ mod tests {
             }
         }
         assert!(longest >= 2);
+        assert_eq!(trip(&[ids[0], ids[0]]).expect("there already"), [ids[0].to_owned()]);
         assert!(matches!(trip(&[ids[0], "nowhere"]), Err(NetError::NoEdge { .. })));
         // Without turns, nothing leads round a corner.
         let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml")).expect("the net");

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use super::{EdgeFunction, Net, NetError, Path, nearest, shorten};
+use super::{EdgeFunction, MAX_POINTS, Net, NetError, Path, nearest, shorten};
 
 /// A walk through a net.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,8 +17,14 @@ pub struct Walk {
 /// A lane as it is walked: its index, and whether against the direction of its shape.
 type Step = (usize, bool);
 
-/// A way of walking edges so far: its length \[m\], the directions of the edges, and what lies between them.
-type Way = (f64, Vec<bool>, Vec<Vec<usize>>);
+/// The shortest way that ends with an edge in this direction.
+struct Way {
+    /// Its length \[m\].
+    metres: f64,
+    backwards: bool,
+    /// Which of the ways to the edge before it goes on from, and what lies between.
+    before: Option<(usize, Vec<usize>)>,
+}
 
 impl Net {
     /// The shortest way on foot along `edges`, whose sidewalks may be walked in both directions, from each to the next over walking
@@ -27,7 +33,8 @@ impl Net {
     /// at goes in the edge's direction.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`], [`NetError::OffEdge`] or [`NetError::NotWalkable`].
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`], [`NetError::OffEdge`], [`NetError::NotWalkable`] or
+    /// [`NetError::LongRoute`].
     pub fn walk(&self, edges: &[String], depart: f64, arrival: Option<f64>) -> Result<Walk, NetError> {
         let empty = || NetError::EmptyRoute { path: self.path.clone() };
         let lanes: Vec<usize> = edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
@@ -50,27 +57,34 @@ impl Net {
             return Ok(Walk { path, end: arrival.unwrap_or(length(last)) });
         }
         let links = self.links_on_foot();
-        let mut ways: Vec<Way> = [false, true].map(|backwards| (left(backwards), vec![backwards], Vec::new())).into();
+        let mut ways: Vec<Way> =
+            [false, true].map(|backwards| Way { metres: left(backwards), backwards, before: None }).into();
+        let mut junctions: Vec<Vec<Way>> = Vec::with_capacity(lanes.len());
         for (i, pair) in lanes.windows(2).enumerate() {
             let mut onward: Vec<Way> = Vec::new();
             for backwards in [false, true] {
-                let joined = ways.iter().filter_map(|(so_far, directions, between)| {
-                    let from = (pair[0], directions[i]);
-                    let (metres, areas) = self.over_junction(from, (pair[1], backwards), &links)?;
+                let joined = ways.iter().enumerate().filter_map(|(k, way)| {
+                    let (metres, areas) = self.over_junction((pair[0], way.backwards), (pair[1], backwards), &links)?;
                     let more = if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
-                    let directions = directions.iter().copied().chain([backwards]).collect();
-                    Some((so_far + metres + more, directions, between.iter().cloned().chain([areas]).collect()))
+                    Some(Way { metres: way.metres + metres + more, backwards, before: Some((k, areas)) })
                 });
-                onward.extend(joined.min_by(|a: &Way, b: &Way| a.0.total_cmp(&b.0)));
+                onward.extend(joined.min_by(|a, b| a.metres.total_cmp(&b.metres)));
             }
             if onward.is_empty() {
                 let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
                 return Err(NetError::NotWalkable { path: self.path.clone(), from, to });
             }
-            ways = onward;
+            junctions.push(std::mem::replace(&mut ways, onward));
         }
-        let shortest = ways.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-        let (_, directions, between) = shortest.ok_or_else(empty)?;
+        let mut way = ways.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
+        let (mut directions, mut between) = (vec![way.backwards], Vec::new());
+        while let (Some((k, areas)), Some(mut earlier)) = (way.before, junctions.pop()) {
+            way = earlier.swap_remove(k);
+            directions.push(way.backwards);
+            between.push(areas);
+        }
+        directions.reverse();
+        between.reverse();
         let mut steps: Vec<Step> = Vec::new();
         for (i, (&lane, &backwards)) in lanes.iter().zip(&directions).enumerate() {
             steps.push((lane, backwards));
@@ -80,6 +94,10 @@ impl Net {
                     steps.push((pair[1], self.connections_from(pair[1]).any(|c| c.to == pair[0])));
                 }
             }
+        }
+        let points = steps.iter().map(|&(lane, _)| self.lanes[lane].shape.len()).sum();
+        if points > MAX_POINTS {
+            return Err(NetError::LongRoute { path: self.path.clone(), points, limit: MAX_POINTS });
         }
         let path = Path::on_foot(self, &steps).ok_or_else(empty)?;
         let far = if directions.last().is_some_and(|backwards| *backwards) { 0.0 } else { length(last) };
