@@ -4,7 +4,10 @@
 //! the run, and is itself a valid `--config`. Every mistake names the file, line and column, and the nearest valid key.
 
 mod defaults;
+mod older;
 mod rules;
+
+pub use older::complete_older;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -276,38 +279,12 @@ impl Document {
         let mut document = Self::read(path)?;
         // One that cannot be parsed is refused where it is resolved.
         if let Ok(mut table) = toml::from_str::<Table>(&document.text) {
-            complete_older(&mut table);
-            document.text = table.to_string();
+            // Otherwise the text stays as it is, so that mistakes in it are told with their lines.
+            if complete_older(&mut table) {
+                document.text = table.to_string();
+            }
         }
         Ok(document)
-    }
-}
-
-/// Gives a configuration that is older than a setting the value which says what was done before there was one.
-pub fn complete_older(table: &mut Table) {
-    for (key, neutral) in [
-        ("ppo.bounds", Value::Float(0.0)),
-        ("ppo.gamma_explored", Value::Float(0.0)),
-        ("exploration.correlation", Value::Float(0.0)),
-        ("exploration.correlation_steps", Value::Integer(0)),
-        ("exploration.steering", Value::Float(-1.0)),
-        ("iwol.graph_bias", Value::Float(0.0)),
-        ("train.fewest_agents", Value::Integer(0)),
-        ("train.growth", Value::Integer(1)),
-        ("train.imitate_speed", Value::Float(6.0)),
-        ("train.imitate_steps", Value::Integer(0)),
-        ("train.replay_failed", Value::Float(0.0)),
-        ("train.restart_steps", Value::Integer(0)),
-        ("env.encounters", Value::Integer(0)),
-        ("env.lidar_beams", Value::Integer(0)),
-        ("env.lidar_range", Value::Float(50.0)),
-        ("env.penetration", Value::Float(1.0)),
-        ("commformer.dropout", Value::Float(0.0)),
-    ] {
-        let (group, setting) = key.split_once('.').expect("a group and a setting");
-        if let Some(group) = table.get_mut(group).and_then(Value::as_table_mut) {
-            group.entry(setting).or_insert(neutral);
-        }
     }
 }
 
@@ -642,6 +619,10 @@ mod tests {
         // Otherwise it would change at a resume.
         assert!(now.ppo.gamma_explored > 0.0 && now.train.growth > 1 && now.train.imitate_steps > 0);
         assert_eq!(of(Document::read(&file).unwrap()), now);
+        // What lacks nothing stays as somebody wrote it, lines and all.
+        let text = format!("# mine\n\n{}", now.to_toml());
+        std::fs::write(&file, &text).unwrap();
+        assert_eq!(Document::read_run(&file).unwrap().text, text);
     }
 
     #[test]
