@@ -107,7 +107,7 @@ pub struct Train {
     /// Annealing (of noise, then of the learning rate) goes on while this share of agents succeeds in validations, waits while
     /// it does not, and goes on in any case when the run would otherwise end before it is over; 0: only then. Training episodes
     /// would tell too early: agents that only succeed thanks to their noise do not yet know how. A run that is not good
-    /// enough to stop when annealing is over explores again.
+    /// enough to stop when annealing is over learns on with as little noise, and explores again if it falls below this.
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
@@ -304,14 +304,15 @@ impl Config {
     ///
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
-    /// `exploration.explore_steps` up only; `train.envs` is 128/N below 8, 16 from 8 to 16, 256/N above, at least 8;
-    /// `ppo.minibatch` is at most 32 N², but not below 512; below 8, failed episodes are played again (`train.replay_failed`),
-    /// annealing goes on from 90 % of success, training stops at 99.7 %, and `ppo.gamma` is 0.998.
-    /// Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again (`train.restart_steps`).
+    /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Below 8, failed episodes are
+    /// played again (`train.replay_failed`), annealing goes on from 97 % of success, training stops at 99.7 %, and `ppo.gamma` is
+    /// 0.998. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
+    /// (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
     /// which batches grow (`train.growth`) and the view gets longer (`ppo.gamma_explored`; neither of methods that replay), in runs four
-    /// times as long; minibatches and `ppo.gamma` are those of 8, `train.replay_failed` and `train.anneal_success` those of fewer.
+    /// times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8, `train.replay_failed` that of fewer, and
+    /// `train.anneal_success` 0.9.
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
@@ -637,7 +638,8 @@ mod tests {
         let samples = |c: &Config| c.train.envs * c.agents as usize;
         let (four, eight, most) = (at(4), at(8), at(48));
         assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
-        assert_eq!((samples(&four), four.steps, four.ppo.minibatch), (samples(&eight), 2 * eight.steps, 512));
+        assert_eq!((samples(&four), four.steps), (2 * samples(&eight), 2 * eight.steps));
+        assert!([&four, &most].iter().all(|c| c.ppo.minibatch == eight.ppo.minibatch));
         assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
@@ -655,9 +657,11 @@ mod tests {
         let own = settings::Exploration::default().spread;
         assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
         let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
-        let (few, more) = ((0.5, 0.9, 0.997, 0.998), (0.0, 0.95, 0.99, 0.99));
+        let (few, more) = ((0.5, 0.97, 0.997, 0.998), (0.0, 0.95, 0.99, 0.99));
         assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
         assert_eq!(four.train.validation_episodes, 128);
+        let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
+        assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.35, 0.35, 0.0, 0.0]);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 
@@ -672,7 +676,7 @@ mod tests {
             resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"]).expect_err("replays");
         assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
         let five = resolve_on("parking_lot", "", &[]).unwrap();
-        assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.ppo.minibatch), (0.8, 0, 2048));
+        assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.train.envs), (0.8, 0, 25));
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));

@@ -268,6 +268,9 @@ impl Trainer {
                 }
                 let cell = self.rollout.at(t, s.agents * s.graphs);
                 let graph = if s.graphs > 0 {
+                    if self.learner.graph_lasts() {
+                        rng = seed.child("graph").rng();
+                    }
                     rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
                     // Quiet worlds are as close to the most likely graph as to the mean action.
                     for (e, late) in late.iter().enumerate() {

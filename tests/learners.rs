@@ -448,6 +448,18 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let silence = through(&Channel { loss: 1.0, ..Channel::default() });
             let expected = if width > 0 { plain(&alone) } else { together.shallow_clone() };
             assert!(apart(&silence, &expected) < 1e-4, "{name} {encoder:?}");
+            // Who is out of reach stays so.
+            let (pairs, bits) = (pairs().repeat([2, 1, 1]), Channel { bits: 31, ..Channel::default() });
+            let reached = |comm: &Tensor| {
+                let mut input = observation(&*learner, x.copy(), comm.copy());
+                let past = Tensor::zeros([2, 5, bits.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
+                input.memory = Tensor::cat(&[&input.memory, &past], -1);
+                let content = noise(9, &[2, 5, 5, width.max(1)]);
+                let noise = ChannelNoise { lost: chance(), falsified: chance(), content };
+                learner.act_through(&input, &bits, &noise).action
+            };
+            let those_there = |actions: &Tensor| actions.narrow(1, 0, 4);
+            assert!(apart(&those_there(&reached(&pairs)), &those_there(&plain(&pairs))) < 1e-4, "{name} {encoder:?}");
             // With so many bits as good as with all of them, but each receiver works out by itself what it heard.
             let [some, each] = [32, 31].map(|bits| through(&Channel { loss: 0.6, bits, ..Channel::default() }));
             assert!(apart(&some, &each) < 1e-4, "{name} {encoder:?}");

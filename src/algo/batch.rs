@@ -258,11 +258,19 @@ impl Shard {
     }
 }
 
-/// Logistic noise of this scale for G graphs in each row, `[(T + 1) · E, N, G · N]`.
-pub(super) fn graph_noise(rollout: &Rollout, graphs: usize, scale: f64, device: Device, seed: Seed) -> Tensor {
+/// Logistic noise of this scale for G graphs in each row, `[(T + 1) · E, N, G · N]`; `lasts`: the same at each step.
+pub(super) fn graph_noise(
+    rollout: &Rollout,
+    graphs: usize,
+    lasts: bool,
+    scale: f64,
+    device: Device,
+    seed: Seed,
+) -> Tensor {
     let s = rollout.sizes;
-    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents * graphs];
+    let (drawn, times) = if lasts { (1, s.steps + 1) } else { (s.steps + 1, 1) };
+    let mut noise = vec![0.0; drawn * s.envs * s.agents * s.agents * graphs];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
-    let shape = [((s.steps + 1) * s.envs) as i64, s.agents as i64, (s.agents * graphs) as i64];
-    (Tensor::from_slice(&noise).view(shape) * scale).to_device(device)
+    let noise = Tensor::from_slice(&noise).view([(drawn * s.envs) as i64, s.agents as i64, (s.agents * graphs) as i64]);
+    (noise.repeat([times as i64, 1, 1]) * scale).to_device(device)
 }

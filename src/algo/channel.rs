@@ -91,6 +91,13 @@ pub(super) fn exchange(
     (made, f, Tensor::cat(&[&memory, &past], -1))
 }
 
+/// What is physically possible `[E, N, N]`, once for each receiver, where it `arrived [E · N, 1, N]` there: `[E · N, N, N]`.
+pub(super) fn of_everyone(comm: &Tensor, arrived: &Tensor) -> Tensor {
+    let (envs, agents, _) = comm.size3().expect("the physical mask is [E, N, N]");
+    let each = comm.unsqueeze(1).expand([-1, agents, -1, -1], false);
+    each.reshape([envs * agents, agents, agents]) * arrived
+}
+
 /// Of rows of agents, one for each receiver, `[E · N, N, D]`, the receivers' own, `[E · N, D]`.
 pub(super) fn of_receivers(rows: &Tensor) -> Tensor {
     let (count, agents, width) = rows.size3().expect("rows are [E · N, N, D]");

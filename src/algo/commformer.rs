@@ -2,8 +2,8 @@
 //! from graph modeling perspective"; charleshsc/CommFormer, `cformer.py`, `transformer_policy.py`, `mat_trainer.py`, with
 //! `--dec_actor`).
 //!
-//! 1. each agent listens to the `sparsity · N` others (at least one) with the best of its row of scores, which begin at 1
-//!    (`edges`, `edge_return`)
+//! 1. each agent listens to the `sparsity · N` agents (at least one) with the best of its row of scores, which begin at 1; itself may
+//!    be among them, though it always listens to itself (`edges`, `edge_return`)
 //! 2. relations: being linked or not has an embedding, from which each attention makes a vector for queries and one for keys;
 //!    scores are scaled twice (`RelationMultiheadAttention`)
 //! 3. who is not linked has no weight, and what is left is multiplied by the graph, through which the scores get the gradient of
@@ -12,8 +12,8 @@
 //!    optimisation)
 //! 5. encoder blocks with a rectifier, decoder blocks as MAT's; one ratio for each dimension of the action
 //!
-//! It differs on purpose: a graph is sampled for each decision, by the noise that all methods with graphs get (logistic), and an update sees
-//! the graph that acted (reference: exact in acting, new Gumbel noise in every update, so that ratios compare different graphs;
+//! It differs on purpose: each world samples a graph for a whole rollout, by the noise that all methods with graphs get (logistic), and an
+//! update sees the graph that acted (reference: exact in acting, new Gumbel noise in every update, so that ratios compare different graphs;
 //! `iwol.graph_noise = "resampled"` does likewise); no ten updates with the complete graph first, as noise tries all links; a
 //! link has weight 1, to itself, too (reference: 2 where that is chosen as well); relations are those of edges above ½ (reference: cut to an
 //! integer, which after the warm-up is the same: (1 − s) + s is 1 for every s of 32 bits from 0 to 1); no dropout, which changes the ratio
@@ -22,7 +22,8 @@
 //! listens to. For encoder, value, noise and agents who are gone see [`mat`](super::mat). `commformer.lambda_world` adds
 //! IWoL's world decoder.
 //!
-//! The graph is one of N slots: a policy is for as many agents as it was trained with, though some may be gone.
+//! The graph is one of N slots: a policy is for as many agents as it was trained with, though some may be gone. Where slots are dealt
+//! anew in each episode, as on the intersection, no link is better than another, so that there is nothing for the graph to learn.
 
 use tch::{Kind, Tensor};
 
@@ -46,7 +47,7 @@ const GRAPH: Set =
 pub(super) struct CommFormer {
     /// Scores of the links, `[N, N]`, row = listener.
     edges: Tensor,
-    /// Others that each agent listens to.
+    /// Agents that each agent listens to.
     links: i64,
     /// Embeddings of both relations, `[2, H]`.
     relations: Tensor,
@@ -95,6 +96,7 @@ impl Networks for CommFormer {
     const NAME: &'static str = "commformer";
     const HEARS: Hears = Hears::InRange;
     const GRAPHS: usize = 1;
+    const GRAPH_LASTS: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];
     const PER_AGENT: Option<&'static str> = Some("graph/edges");
 

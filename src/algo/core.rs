@@ -31,6 +31,8 @@ pub(super) trait Networks: Sized + Send {
     const LATENT: &'static [&'static str] = &[];
     /// Communication graphs that the policy samples at each decision.
     const GRAPHS: usize = 0;
+    /// Whether a world keeps its graph's noise for a whole rollout, as the graph is the same at each decision.
+    const GRAPH_LASTS: bool = false;
     /// Whether the value samples one.
     const VALUE_SAMPLES_GRAPH: bool = false;
     /// Parts of the actor that a deployed policy does not need.
@@ -247,6 +249,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         N::GRAPHS
     }
 
+    fn graph_lasts(&self) -> bool {
+        N::GRAPH_LASTS
+    }
+
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         act_on(self.device, input, mode, |input, mode| self.copies[0].act(input, mode))
     }
@@ -292,7 +298,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, 1, scale, self.device, seed.child("graph"));
+            batch.value_graph = graph_noise(rollout, 1, false, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, [pace.gamma, ppo.gae_lambda], N::TEAM);
@@ -301,7 +307,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
                 let noise = |of: &str, graphs: usize| {
-                    graph_noise(rollout, graphs, scale, self.device, seed.child(of).index(epoch as u64))
+                    graph_noise(rollout, graphs, N::GRAPH_LASTS, scale, self.device, seed.child(of).index(epoch as u64))
                 };
                 if N::VALUE_SAMPLES_GRAPH {
                     batch.value_graph = noise("resampled", 1);

@@ -27,6 +27,7 @@ use super::message::MessageTrunk;
 use super::parameters::{ACTOR, CRITIC, Places, Weights, load_value_norm, part, value_norm_entry};
 use super::replay::{Replay, Transitions, View};
 use super::scene::Scene;
+use super::settings::NoiseMode;
 use super::{
     ActMode, Algorithm, Capabilities, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Method,
     Observation, Pace, Reconstruction, Settings, ppo,
@@ -51,8 +52,14 @@ const fn method(
     latent: &'static [&'static str],
     build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
 ) -> Method {
-    let capabilities =
-        Capabilities { hears: Hears::Nobody, any_number: true, recurrent: false, on_policy: false, latent };
+    let capabilities = Capabilities {
+        hears: Hears::Nobody,
+        any_number: true,
+        team: false,
+        recurrent: false,
+        on_policy: false,
+        latent,
+    };
     Method { name, capabilities, build }
 }
 
@@ -242,10 +249,13 @@ impl Maddpg {
     /// What the networks lose and learn on some steps; gives what to report.
     fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, ended } = steps;
+        // Graphs are sampled ever more quietly, as those of all methods.
+        let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
+        let quiet = if imposed { pace.log_std.exp() } else { 1.0 };
         let noise = |of: &str| {
             let mut noise = vec![0.0; before.comm.numel()];
             rng::fill_logistic(&mut seed.child(of).rng(), &mut noise);
-            Some(Tensor::from_slice(&noise).view_as(&before.comm).to_device(self.device))
+            Some((Tensor::from_slice(&noise).view_as(&before.comm) * quiet).to_device(self.device))
         };
         let target = no_grad(|| {
             let next = self.targets.actor.mean(&after.observation);

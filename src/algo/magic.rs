@@ -3,21 +3,23 @@
 //!
 //! 1. a scheduler for each round decides on the edges between the agents' embeddings by a hard Gumbel-softmax
 //!    (`sub_scheduler_mlp1`, `sub_scheduler_mlp2`)
-//! 2. first round: attention with four heads, side by side, ELU; second round: one head (`sub_processor1`, `sub_processor2`)
-//! 3. attention weights are normalised over the edges, and agents always listen to themselves (its football script; the
-//!    traffic junction scripts take complete graphs instead)
+//! 2. first round: attention with four heads, side by side (traffic junction's and predator-prey's scripts; football's has one),
+//!    ELU; second round: one head (`sub_processor1`, `sub_processor2`)
+//! 3. attention weights are normalised over the edges (`GATLayer`)
 //! 4. the policy reads [f; m] (`action_head`)
 //!
 //! It differs on purpose: the observation encoder, proximal policy optimisation and the Gaussian head that all methods share
 //! (reference: LSTM, REINFORCE, discrete actions); a value of its own that is told the privileged state, as every method's is
-//! (reference: from hidden state and message); edges beyond the radio range do not exist; the noise of the graphs is kept
+//! (reference: from hidden state and message); agents always listen to themselves (reference: with complete graphs they do; where graphs are learned, as learned); schedulers
+//! read the embeddings themselves, and messages go as they are (football's script: another attention before the schedulers, and layers
+//! that encode and decode messages); edges beyond the radio range do not exist; the noise of the graphs is kept
 //! with the rollout, and there is none in evaluation (reference: always new noise). `magic.lambda_world` adds IWoL's world decoder.
 //! `experiments/magic_reinforce.toml` learns as the reference does, by REINFORCE with the value as baseline.
 
 use tch::Tensor;
 
 use super::batch::{Batch, Shard};
-use super::channel::{exchange, of_receivers};
+use super::channel::{exchange, of_everyone, of_receivers};
 use super::core::{Loss, Networks};
 use super::critic::PrivilegedCritic;
 use super::decoder::WorldDecoder;
@@ -139,10 +141,11 @@ impl Networks for Magic {
     }
 
     fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
-        let (message, f, memory) = exchange(&self.encoder, input, channel, noise, |known, edges| {
+        let (message, f, memory) = exchange(&self.encoder, input, channel, noise, |known, arrived| {
             let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
             let packing = Packing::full(rows, agents);
-            of_receivers(&packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, edges, None).0))
+            let edges = of_everyone(&input.comm, arrived);
+            of_receivers(&packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, &edges, None).0))
         });
         let (action, log_prob) = self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
         Decision { action, log_prob, memory }

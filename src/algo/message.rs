@@ -5,7 +5,7 @@ use tch::{Kind, Tensor};
 
 use super::Observation;
 use super::batch::{Batch, Shard};
-use super::channel::{Channel, ChannelNoise, exchange, of_receivers};
+use super::channel::{Channel, ChannelNoise, exchange, of_everyone, of_receivers};
 use super::encoder::Encoder;
 use super::scene::Scene;
 use super::settings::{Iwol, Network};
@@ -87,8 +87,8 @@ impl MessageTrunk {
                 let edges = if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
                 return self.transformer.forward_one(known, &own, &self.graph.forward_one(known, &own, &edges));
             }
-            let comm = input.comm.unsqueeze(1).expand([-1, agents, -1, -1], false).reshape([rows, agents, agents]);
-            let edges = if self.physical_mask { comm * arrived } else { arrived.expand([-1, agents, -1], false) };
+            let anyone = || arrived.expand([-1, agents, -1], false);
+            let edges = if self.physical_mask { of_everyone(&input.comm, arrived) } else { anyone() };
             let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
             let graph = self.graph.forward(&all, &packing, &edges, None);
             of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))

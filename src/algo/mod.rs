@@ -78,6 +78,7 @@ impl Method {
         let capabilities = Capabilities {
             hears: N::HEARS,
             any_number: N::PER_AGENT.is_none(),
+            team: N::TEAM,
             recurrent: true,
             on_policy: true,
             latent: N::LATENT,
@@ -102,6 +103,8 @@ pub struct Capabilities {
     pub hears: Hears,
     /// Whether one policy serves any number of agents.
     pub any_number: bool,
+    /// Whether agents learn from the return of their team, and not each from its own.
+    pub team: bool,
     /// Whether the encoder may have a memory (`network.encoder = "gru"`).
     pub recurrent: bool,
     /// Whether it learns from the last rollout alone, by the probabilities of its actions (proximal policy optimisation).
@@ -115,7 +118,7 @@ pub struct Capabilities {
 pub enum Hears {
     /// Nobody's: no radio is needed.
     Nobody,
-    /// Of those within range: messages.
+    /// Of those within range: messages. In several rounds, or along a sequence, also of those within range of these.
     InRange,
     /// Of those within range, a step later: what they do shows it.
     InRangeLater,
@@ -241,6 +244,11 @@ pub trait Algorithm {
 
     /// Memory of the policy per agent, M.
     fn memory(&self) -> usize;
+
+    /// Whether a world keeps the noise of its graphs for a whole rollout.
+    fn graph_lasts(&self) -> bool {
+        false
+    }
 
     /// Communication graphs G that the policy samples at each decision.
     fn graphs(&self) -> usize {

@@ -20,11 +20,13 @@ impl Config {
         let envs = train.envs as u64;
         // To stay on the road is imitated; what a vehicle that steers must find out is when to wait.
         let steers = scenario.control.steering.is_some();
+        // Few who go straight start in one of many ways: in rollouts half as large a policy settled too early on a careful one.
+        let few = agents < 8 && !steers;
         let on_policy = algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
         let imitates = steers && !trained && on_policy;
         let train = Train {
             growth: if steers && on_policy { 4 } else { train.growth },
-            envs: scaled(envs).max(envs.min(2 * scaled(envs))).max(8) as usize,
+            envs: if few { 2 * scaled(envs) } else { scaled(envs).max(envs.min(2 * scaled(envs))).max(8) } as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
             anneal_steps: if steers { scaled(300_000) } else { scaled(train.anneal_steps) },
@@ -33,8 +35,13 @@ impl Config {
             replay_failed: if agents < 8 || steers { 0.5 } else { train.replay_failed },
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
             stop_success: if agents < 8 { 0.997 } else { train.stop_success },
-            // They also wait for ever for a success that only less noise brings.
-            anneal_success: if agents < 8 || steers { 0.9 } else { train.anneal_success },
+            // What is found at 90 % is kept when noise falls: too early for few. Who steers waits for ever for more, which only less
+            // noise brings.
+            anneal_success: match (steers, few) {
+                (true, _) => 0.9,
+                (_, true) => 0.97,
+                _ => train.anneal_success,
+            },
             // Of 16, every second run finds a way in less than this.
             restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
             ..train
@@ -54,21 +61,17 @@ impl Config {
             log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
             ..exploration
         };
-        // More gradient steps for these many ways; 256 samples were too few.
         let ppo = settings::Ppo {
-            minibatch: if steers {
-                ppo.minibatch
-            } else {
-                ppo.minibatch.min(32 * agents.clamp(4, 1024).pow(2) as usize)
-            },
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
             // in twenty costs.
-            gamma: if agents < 8 && !steers { 0.998 } else { ppo.gamma },
+            gamma: if few { 0.998 } else { ppo.gamma },
             // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
             // the time it saves.
             gamma_explored: if steers && on_policy { 0.995 } else { ppo.gamma_explored },
             ..ppo
         };
+        // A team's return is the sum of its agents' own rewards; shares of those who are gone would be lost.
+        let (team, env) = (algo::capabilities(algorithm).is_ok_and(|c| c.team), Env::of(scenario, agents));
         let config = Self {
             scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),
@@ -89,7 +92,7 @@ impl Config {
             icp,
             maddpg,
             channel: algo::Channel::default(),
-            env: Env::of(scenario, agents),
+            env: if team { Env { cooperation: 0.0, ..env } } else { env },
         };
         Table::try_from(config).expect("a configuration is plain data")
     }

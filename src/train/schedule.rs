@@ -72,9 +72,10 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
     progress.found |= progress.annealing;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
-        // Not good enough, or lost on the way: back to exploring, as far as the time that is left allows.
-        let left = config.steps.saturating_sub(progress.step);
-        (progress.annealing, progress.annealed) = (false, anneal_steps(config).saturating_sub(left));
+        // Close: it learns on without more noise. Lost on the way: back to exploring. Both as far as the time that is left allows.
+        let (whole, left) = (anneal_steps(config), config.steps.saturating_sub(progress.step));
+        let back = if progress.annealing { (2 * whole).div_ceil(3) } else { 0 };
+        progress.annealed = back.max(whole.saturating_sub(left));
     }
     progress.validated = progress.step;
     // The next multiple of the interval.
@@ -229,22 +230,31 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_loses_its_way_explores_again() {
+    fn a_run_that_is_close_learns_on_without_more_noise() {
         let config = config();
         // Good enough to anneal, not to stop.
-        let mut least = u64::MAX;
-        let mut see = |progress: &Progress| {
-            if progress.step > 400 {
-                least = least.min(progress.annealed);
-            }
-        };
-        let end = play(&config, |_| 0.92, |progress, _| see(progress));
-        assert_eq!(least, 0);
+        let mut paces = Vec::new();
+        let end = play(&config, |_| 0.92, |progress, pace| paces.push((progress.step, pace)));
         assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
-        // Annealed at 850 only, and failing: it takes back no more than there is time for.
+        let quiet = paces.iter().position(|(_, pace)| pace.log_std <= -2.0).expect("it anneals");
+        assert!(paces[quiet..].iter().all(|(_, pace)| pace.log_std <= -2.0));
+        let slowest = paces.iter().position(|(_, pace)| pace.learning_rate < 2e-4 * (-2.0_f64).exp()).expect("anneals");
+        assert!(paces[slowest..].iter().any(|(_, pace)| pace.learning_rate > 8e-4 * (-2.0_f64).exp()), "learns again");
+    }
+
+    #[test]
+    fn a_run_that_loses_its_way_explores_again() {
+        let config = config();
+        let mut lost = Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
+        validated(&config, &mut lost, 0.5);
+        assert_eq!((lost.annealing, lost.annealed), (false, 0));
+        // It takes back no more than there is time for.
         let mut late = Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut late, 0.5);
         assert_eq!(late.annealed, 50);
+        let mut close = Progress { step: 990, annealed: 200, annealing: true, ..Progress::default() };
+        validated(&config, &mut close, 0.92);
+        assert_eq!(close.annealed, 190);
     }
 
     #[test]
@@ -252,11 +262,11 @@ mod tests {
         let mut config = config();
         config.exploration.correlation = 0.5;
         let mut seen = Vec::new();
-        // Found at 300, lost at 350, and good enough to anneal, but not to stop, from 400 on.
+        // Found at 300, lost at 350, good enough to anneal from 400 on, and lost once annealed.
         let success = |progress: &Progress| match progress.step {
             300 => 1.0,
-            0..=350 => 0.0,
-            _ => 0.92,
+            400..550 => 0.92,
+            _ => 0.0,
         };
         play(&config, success, |progress, _| seen.push((progress.step, correlation(&config, progress))));
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
