@@ -35,12 +35,13 @@ const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-pub(super) const ENCOUNTER: [(&str, &str, f32, f32); 9] = [
+pub(super) const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
+    ("ahead", "flag: on the agent's way, own_* is the gap", 0.0, 1.0),
     ("own_far", "50 m", -1.0, 1.0),
     ("own_near", "15 m", -1.0, 1.0),
     ("other_far", "50 m", -1.0, 1.0),
     ("other_near", "15 m", -1.0, 1.0),
-    ("speed", "22.2 m/s", 0.0, 1.0),
+    ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("heading_cos", "1, to the agent's", -1.0, 1.0),
     ("heading_sin", "1, left of the agent's", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
@@ -73,6 +74,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
                 ("heading_error_sin", "1, heading left of the route's", -1.0, 1.0),
                 ("heading_error_cos", "1", -1.0, 1.0),
                 ("yaw_rate", "1 rad/s", -1.0, 1.0),
+                ("wheel", "largest angle, positive left", -1.0, 1.0),
                 ("reverse_speed", "5 m/s, backwards", 0.0, 1.0),
                 ("lateral_far", "10 m, positive left", -1.0, 1.0),
             ],
@@ -160,13 +162,14 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         (route.arrival - own.s) / 100.0,
         own.lateral / 1.75,
     ]);
-    if scenario.control.steering.is_some() {
-        let error = own.pose.heading - route.path.at(own.s).1;
+    if let Some(steering) = scenario.control.steering {
+        let error = own.pose.heading - route.path.smooth_heading(own.s);
         w.put([
             own.steer,
             error.sin(),
             error.cos(),
             own.motion.yaw_rate,
+            own.motion.wheel() / steering.max_angle.to_radians(),
             (-own.speed).max(0.0) / 5.0,
             own.lateral / 10.0,
         ]);
@@ -291,7 +294,7 @@ impl View<'_> {
 }
 
 /// The `count` vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
-/// meet: at the end of the gap between them.
+/// meet: at the end of the gap between them, and a flag says so.
 pub(super) fn put_encounters(
     w: &mut Writer,
     routes: &[RouteGeometry],
@@ -301,7 +304,7 @@ pub(super) fn put_encounters(
     seen: impl Fn(usize) -> bool,
 ) {
     let own = &traffic.slots[slot];
-    let mut soonest = [(f64::INFINITY, 0.0, 0.0, usize::MAX); 16];
+    let mut soonest = [(f64::INFINITY, 0.0, 0.0, false, usize::MAX); 16];
     let count = count.min(soonest.len());
     for (j, other) in traffic.slots.iter().enumerate().filter(|_| count > 0) {
         if j == slot || other.status == Status::Empty || !seen(j) {
@@ -316,25 +319,26 @@ pub(super) fn put_encounters(
         if own_way < -CLEARED || other_way < -CLEARED {
             continue;
         }
-        let entry = (own_way.max(other_way), own_way, other_way, j);
+        let entry = (own_way.max(other_way), own_way, other_way, ahead.is_some(), j);
         if entry.0 < soonest[count - 1].0 {
             let at = soonest[..count].partition_point(|other| other.0 <= entry.0);
             soonest[at..count].rotate_right(1);
             soonest[at] = entry;
         }
     }
-    for &(_, own_way, other_way, j) in &soonest[..count] {
+    for &(_, own_way, other_way, ahead, j) in &soonest[..count] {
         let Some(other) = traffic.slots.get(j) else {
             w.skip(ENCOUNTER.len());
             continue;
         };
         let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
         w.put([
+            f64::from(u8::from(ahead)),
             own_way / FAR,
             own_way / NEAR,
             other_way / FAR,
             other_way / NEAR,
-            other.speed.max(0.0) / SPEED,
+            other.speed / SPEED,
             cos,
             sin,
             moving(other.status),

@@ -1,5 +1,6 @@
 //! The routes' centre lines and how they meet: shared lanes, crossings and merges.
 
+use super::geometry::{Pose, Size, boxes_overlap};
 use crate::sumo::net::Path;
 
 /// A route's centre line and its relation to the others. All positions are arc lengths from the route's start \[m\].
@@ -11,6 +12,8 @@ pub struct RouteGeometry {
     pub first_lane: u32,
     /// An agent whose centre is here or further has arrived.
     pub arrival: f64,
+    /// Lateral offsets between which an agent that steers arrives, right and left: any lane of the last edge \[m\].
+    pub finish: [f64; 2],
     /// Routes that cross or merge with this one, in the order in which this one meets them.
     pub conflicts: Vec<Conflict>,
     /// Routes that never meet this one.
@@ -64,8 +67,8 @@ impl RouteGeometry {
     }
 }
 
-/// Route number `a` of `paths`, on whose last edge `arrival_pos` is the finish.
-pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeometry {
+/// Route number `a` of `paths`, on whose last edge `arrival_pos` is the finish, for vehicles of this size.
+pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64, size: Size) -> RouteGeometry {
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
@@ -73,7 +76,8 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeome
     let mut conflicts = Vec::new();
     let mut apart = Vec::new();
     for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
-        match first_meeting(path, other, &shared[b]) {
+        let met = first_meeting(path, other, &shared[b]);
+        match met.or_else(|| near_miss(path, other, &shared[b])) {
             Some((own, on_other)) => conflicts.push(Conflict { route: b, own, other: on_other }),
             None => apart.push(b),
         }
@@ -83,28 +87,83 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64) -> RouteGeome
     for (i, conflict) in conflicts.iter().enumerate() {
         meetings[conflict.route] = Some(i);
     }
-    let shared = shared.into_iter().zip(paths).map(|(stretches, other)| beyond_forks(path, other, stretches)).collect();
-    RouteGeometry { path: path.clone(), first_lane: 0, arrival, conflicts, apart, meetings, shared }
+    let ways = shared.into_iter().zip(paths).zip(&meetings);
+    let shared = ways.map(|((mut stretches, other), meeting)| {
+        let met = meeting.map(|i: usize| conflicts[i]);
+        stretches.extend(met.and_then(|met| one_way(path, other, met)));
+        extended(path, other, stretches, size)
+    });
+    let shared = shared.collect();
+    let half = path.widths.last().copied().unwrap_or_default() / 2.0;
+    RouteGeometry {
+        path: path.clone(),
+        first_lane: 0,
+        arrival,
+        finish: [-half, half],
+        conflicts,
+        apart,
+        meetings,
+        shared,
+    }
 }
 
-/// The stretches, each as far as the ways behind it are not yet apart: who waits there is in the way of both.
-fn beyond_forks(own: &Path, other: &Path, stretches: Vec<Shared>) -> Vec<Shared> {
+/// The beginning of a stretch on which both centre lines lie on each other, although on different lanes, if that is how they meet.
+fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
+    let together = |way: f64| {
+        let ([x, y], [u, v]) = (other.at(met.other + way).0, own.at(met.own + way).0);
+        (x - u).hypot(y - v) < 0.1
+    };
+    let stretch = Shared { from: met.other, to: met.other + 1.0, shift: met.own - met.other };
+    [0.0, 0.5, 1.0].into_iter().all(together).then_some(stretch)
+}
+
+/// Where the centre lines of two ways that share nothing are nearest, if they are so close that vehicles in a curve would touch.
+fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
     /// Vehicles on ways this far apart pass each other \[m\].
     const APART: f64 = 2.5;
+    let driven = !own.lanes.is_empty() && !other.lanes.is_empty() && shared.is_empty();
+    // Lines that do not cross are nearest at a point of either.
+    let beside = |line: &Path, points: &Path| {
+        let near = |(point, &at): (&[f64; 2], &f64)| {
+            let (s, lateral, _) = line.nearest(*point);
+            ((0.0..=line.length()).contains(&s) && lateral.abs() < APART).then_some((lateral.abs(), s, at))
+        };
+        points.points.iter().zip(&points.cumulative).filter_map(near).min_by(|x, y| x.0.total_cmp(&y.0))
+    };
+    let both = || beside(own, other).into_iter().chain(beside(other, own).map(|(gap, s, at)| (gap, at, s)));
+    if driven { both().min_by(|x, y| x.0.total_cmp(&y.0)).map(|(_, s, at)| (s, at)) } else { None }
+}
+
+/// The stretches, each as far as a vehicle there is in the way of one that goes the own way: behind a fork, until its tail is out of it;
+/// before a merge, where both centre lines already lie on each other.
+fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec<Shared> {
     /// \[m\]
     const STEP: f64 = 0.25;
-    let apart = |s: f64, shift: f64| {
-        let ([x, y], [u, v]) = (other.at(s).0, own.at(s + shift).0);
-        (x - u).hypot(y - v) >= APART
+    /// Centre lines this close are one \[m\].
+    const CLOSE: f64 = 0.3;
+    /// A vehicle on the other way counts as so much longer and wider, as nobody keeps to the centre line \[m\].
+    const MARGIN: f64 = 0.3;
+    let pose = |path: &Path, s: f64| {
+        let ([x, y], heading) = path.at(s);
+        Pose { x, y, heading }
     };
+    let in_the_way = |s: f64, shift: f64| {
+        let (there, grown) = (pose(other, s), size.map(|x| x + MARGIN));
+        let reach = (2.0 * size[0] / STEP) as i32;
+        (-reach..=reach).any(|k| boxes_overlap((&pose(own, s + shift + f64::from(k) * STEP), size), (&there, grown)))
+    };
+    let one = |s: f64, shift: f64| pose(other, s).distance(&pose(own, s + shift)) < CLOSE;
     let (end, own_end) = (other.length(), own.length());
-    let beyond = |mut stretch: Shared| {
-        while stretch.to < end && stretch.to + stretch.shift < own_end && !apart(stretch.to, stretch.shift) {
+    let extend = |mut stretch: Shared| {
+        while stretch.to < end && stretch.to + stretch.shift < own_end && in_the_way(stretch.to, stretch.shift) {
             stretch.to += STEP;
+        }
+        while stretch.from > 0.0 && stretch.from + stretch.shift > 0.0 && one(stretch.from, stretch.shift) {
+            stretch.from -= STEP;
         }
         stretch
     };
-    stretches.into_iter().map(beyond).collect()
+    stretches.into_iter().map(extend).collect()
 }
 
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {

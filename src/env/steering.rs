@@ -29,6 +29,11 @@ impl Motion {
         Self { pose, speed: 0.0, yaw_rate: 0.0, wheel: 0.0, command: 0.0 }
     }
 
+    /// Angle of the front wheels, to the left \[rad\].
+    pub fn wheel(&self) -> f64 {
+        self.wheel
+    }
+
     /// The motion after one decision interval under the actions `steer` (to the left) and `throttle` (clipped to -1..=1; NaN
     /// counts as 0).
     #[must_use]

@@ -1,5 +1,7 @@
 //! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
 
+use std::ops::Range;
+
 use super::geometry::Size;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
@@ -123,9 +125,17 @@ impl Task {
             .map(|a| {
                 // Vehicles of route files arrive where SUMO takes them off the road: at the end.
                 let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
-                let mut route = geometry(&paths, a, arrival.unwrap_or(-1.0));
+                let mut route =
+                    geometry(&paths, a, arrival.unwrap_or(-1.0), [scenario.vehicle.length, scenario.vehicle.width]);
                 if arrival.is_none() {
                     route.arrival = paths[a].length();
+                }
+                if let Some(&last) = paths[a].lanes.last() {
+                    let lanes = net.carriageway(&net.edges[net.lanes[last].edge]);
+                    let beside = |lanes: Range<usize>| lanes.map(|lane| net.lanes[lane].width).sum::<f64>();
+                    // Lanes are counted from the right.
+                    route.finish[0] -= beside(lanes.start..last);
+                    route.finish[1] += beside(last + 1..lanes.end);
                 }
                 route.first_lane = paths[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
                 route

@@ -385,7 +385,8 @@ impl World {
             let lane = route.path.widths[slot.segment];
             let steers = scenario.control.steering.is_some() && self.driver == Driver::Agents;
             let fate = Fate {
-                arrived: slot.s >= route.arrival && (!steers || slot.lateral.abs() <= lane / 2.0),
+                arrived: slot.s >= route.arrival
+                    && (!steers || (route.finish[0]..=route.finish[1]).contains(&slot.lateral)),
                 out_of_road: if steers {
                     slot.track == Track::Lost || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
                 } else {

@@ -185,6 +185,21 @@ impl Path {
         (point, self.headings[segment])
     }
 
+    /// Heading at `s` as of a curve through the points: that of a segment in its middle, and in between by how far it is from one middle to
+    /// the next \[rad\].
+    pub fn smooth_heading(&self, s: f64) -> f64 {
+        let (_, segment) = self.locate(s);
+        let middle = |i: usize| f64::midpoint(self.cumulative[i], self.cumulative[i + 1]);
+        let other =
+            if s < middle(segment) { segment.saturating_sub(1) } else { (segment + 1).min(self.last_segment()) };
+        if other == segment {
+            return self.headings[segment];
+        }
+        let share = ((s - middle(segment)) / (middle(other) - middle(segment))).clamp(0.0, 1.0);
+        let turn = self.headings[other] - self.headings[segment];
+        self.headings[segment] + turn.sin().atan2(turn.cos()) * share
+    }
+
     /// `s`, lateral offset (positive to the left) and segment of the place on the path next to a point.
     ///
     /// The search starts at the segment `hint` and goes on to neighbouring segments as long as they are nearer: give
