@@ -392,6 +392,23 @@ fn who_is_in_the_way_is_an_encounter() {
     }
 }
 
+/// Any lane of the last edge will do, not its shoulder or the lanes of the other direction.
+#[test]
+fn an_agent_that_steers_arrives_on_any_lane() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns.xml");
+    let scenario = Scenario::load(&path).expect("a scenario");
+    let task = Task::new(&scenario, 8).expect("a task");
+    let mut ends = HashSet::new();
+    for route in &task.routes {
+        let [right, left] = route.finish;
+        let width = route.path.widths.last().expect("a path has segments");
+        // Two lanes: its own, and one beside it.
+        assert!((left - right - 2.0 * width).abs() < 1e-9, "{right} {left}");
+        ends.insert(if left > -right { "right lane" } else { "left lane" });
+    }
+    assert_eq!(ends.len(), 2);
+}
+
 #[test]
 fn failures_say_how_a_crash_came_about() {
     // The second of a lane runs into the first, which stands, and the third into the wreck; the fourth stays.

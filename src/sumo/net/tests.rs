@@ -258,6 +258,20 @@ proptest! {
     }
 
     #[test]
+    fn a_smooth_heading_turns_from_one_segment_to_the_next(path in polyline(), at in 0.0..1.0_f64) {
+        let turned = |from: f64, to: f64| ((to - from).sin()).atan2((to - from).cos()).abs();
+        let middles: Vec<f64> = path.cumulative.windows(2).map(|ends| f64::midpoint(ends[0], ends[1])).collect();
+        for pair in middles.windows(2) {
+            let [first, last] = [pair[0], pair[1]].map(|s| path.at(s).1);
+            let [there, then] = [pair[0], pair[1]].map(|s| path.smooth_heading(s));
+            prop_assert!(turned(there, first) < 1e-9 && turned(then, last) < 1e-9);
+            // It turns the short way round, and evenly.
+            let between = path.smooth_heading(pair[0] + at * (pair[1] - pair[0]));
+            prop_assert!((turned(first, between) - at * turned(first, last)).abs() < 1e-6);
+        }
+    }
+
+    #[test]
     fn any_text_is_read_or_refused(text in ".{0,200}") {
         prop_assert!(parse(&text).is_err());
     }
