@@ -98,6 +98,7 @@ impl Method {
 
 /// What a method can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::struct_excessive_bools, reason = "any of them may be without the others")]
 pub struct Capabilities {
     /// Whose observations can change an agent's action at run time.
     pub hears: Hears,
