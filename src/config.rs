@@ -306,7 +306,7 @@ impl Config {
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Below 8, failed episodes are
     /// played again (`train.replay_failed`), annealing goes on from 97 % of success, training stops at 99.7 %, and `ppo.gamma` is
-    /// 0.995. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
+    /// 0.997. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
     /// (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
@@ -657,7 +657,7 @@ mod tests {
         let own = settings::Exploration::default().spread;
         assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
         let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
-        let (few, more) = ((0.5, 0.97, 0.997, 0.995), (0.0, 0.95, 0.99, 0.99));
+        let (few, more) = ((0.5, 0.97, 0.997, 0.997), (0.0, 0.95, 0.99, 0.99));
         assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
         assert_eq!(four.train.validation_episodes, 128);
         let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;

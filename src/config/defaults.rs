@@ -63,8 +63,8 @@ impl Config {
         };
         let ppo = settings::Ppo {
             // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
-            // in twenty costs. At 0.998 time is worth so little that they creep.
-            gamma: if few { 0.995 } else { ppo.gamma },
+            // in twenty costs. At 0.998 time is worth so little that some creep, and at 0.995 some still crash.
+            gamma: if few { 0.997 } else { ppo.gamma },
             // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
             // the time it saves.
             gamma_explored: if steers && on_policy { 0.995 } else { ppo.gamma_explored },
