@@ -5,7 +5,7 @@
 //! for outputs of networks and for gradients, tighter where stated.
 
 use iwol_sumo::algo::settings::{EncoderKind, Settings};
-use iwol_sumo::algo::{self, Pace, ppo};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, ppo};
 use iwol_sumo::env::{EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
@@ -55,6 +55,24 @@ impl Case {
         (params, network)
     }
 
+    /// A learner with the reference's weights, each of which it has `times` times, and with returns seen.
+    fn learner(&self, method: &str, spec: &EnvSpec, settings: &Settings, times: usize) -> Box<dyn Algorithm> {
+        let mut learner = algo::build(method, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
+        let (mut state, mut given) = (learner.state(), 0);
+        for (name, tensor) in &mut state {
+            let key = format!("param/{}", name.replace("_target/", "/"));
+            if self.arrays.iter().any(|(k, _)| *k == key) {
+                (*tensor, given) = (self.get(&key), given + 1);
+            } else if name == "value_norm/statistics" {
+                *tensor = Tensor::from_slice(&[0.3_f64, 2.0, 0.6]);
+            }
+        }
+        let params = self.arrays.iter().filter(|(k, _)| k.starts_with("param/")).count();
+        assert_eq!(given, times * params, "{method} has all weights");
+        learner.load(&state).expect("its own state with other values");
+        learner
+    }
+
     fn check(&self, key: &str, found: &Tensor) {
         self.check_within(key, found, TOLERANCE);
     }
@@ -77,6 +95,20 @@ impl Case {
             self.check(key, gradient);
         }
     }
+}
+
+fn features(count: usize) -> Features {
+    let feature = |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
+    Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
+}
+
+/// Settings of the smallest networks.
+fn small() -> Settings {
+    let mut settings = Settings::default();
+    (settings.network.encoder, settings.network.hidden) = (EncoderKind::Mlp, 6);
+    (settings.iwol.latent, settings.iwol.message, settings.iwol.heads) = (3, 4, 1);
+    settings.icp.symbols = 3;
+    settings
 }
 
 fn parameter(params: &Params, name: &str) -> Tensor {
@@ -230,29 +262,11 @@ fn mixer_of_those_who_are_there() {
 #[test]
 fn maddpg() {
     let case = Case::new("maddpg");
-    let features = |count: usize| {
-        let feature = |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
-        Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
-    };
     let spec = EnvSpec { agents: 3, actions: 1, observation: features(4), state: features(3) };
-    let mut settings = Settings::default();
-    (settings.network.encoder, settings.network.hidden) = (EncoderKind::Mlp, 6);
+    let mut settings = small();
     (settings.ppo.max_grad_norm, settings.ppo.value_norm_beta, settings.ppo.average) = (0.5, 0.9, 0.0);
     (settings.maddpg.updates, settings.maddpg.target_rate, settings.maddpg.action_penalty) = (1, 0.1, 0.05);
-    let mut learner = algo::build("maddpg", &spec, &settings, Seed::new(1), Device::Cpu).expect("a learner");
-    let mut state = learner.state();
-    let mut given = 0;
-    for (name, tensor) in &mut state {
-        let key = format!("param/{}", name.replace("_target/", "/"));
-        if case.arrays.iter().any(|(k, _)| *k == key) {
-            (*tensor, given) = (case.get(&key), given + 1);
-        } else if name == "value_norm/statistics" {
-            *tensor = Tensor::from_slice(&[0.3_f64, 2.0, 0.6]);
-        }
-    }
-    let params = case.arrays.iter().filter(|(k, _)| k.starts_with("param/")).count();
-    assert_eq!(given, 2 * params, "networks and those that follow them");
-    learner.load(&state).expect("its own state with other values");
+    let mut learner = case.learner("maddpg", &spec, &settings, 2);
 
     // Of one step, all that are drawn are the same.
     let (steps, envs, agents) = (1, 1, 3);
@@ -281,6 +295,47 @@ fn maddpg() {
     }
     let (_, statistics) = state.iter().find(|(name, _)| name == "value_norm/statistics").expect("kept");
     case.check("statistics", statistics);
+}
+
+/// Whole learners on a crew with someone out of range and someone gone, one environment of which has just begun: what they do, and
+/// what they think it worth.
+#[test]
+fn decisions_and_values() {
+    let of_icp = ["dec", "sum", "monotonic"].map(|kind| ("icp", format!("icp-{kind}"), format!("value_{kind}")));
+    let others = ["magic_crew", "im_iwol", "ex_iwol", "maddpg_iwol"];
+    let others = others.map(|case| (case, case.trim_end_matches("_crew").replace('_', "-"), "value".to_owned()));
+    for (name, method, value) in of_icp.into_iter().chain(others) {
+        let mut case = Case::new(name);
+        let actions = case.get("action").size()[2] as usize;
+        let spec = EnvSpec { agents: 3, actions, observation: features(4), state: features(3) };
+        let mut settings = small();
+        settings.network.hidden = if name == "magic_crew" { 8 } else { 6 };
+        if method != "icp-monotonic" {
+            case.arrays.retain(|(key, _)| !key.starts_with("param/critic/mixer."));
+        }
+        let learner = case.learner(&method, &spec, &settings, if method == "maddpg-iwol" { 2 } else { 1 });
+        let nothing = || Tensor::zeros([3, 3, 0], (Kind::Float, Device::Cpu));
+        let remembers = learner.memory() > 0;
+        let input = Observation {
+            observation: case.get("observation"),
+            comm: case.get("comm"),
+            start: case.get("start"),
+            memory: if remembers { case.get("memory") } else { nothing() },
+        };
+        let present = case.get("present");
+        let check = |key: &str, found: &Tensor| {
+            let there = if found.dim() == 3 { present.unsqueeze(-1) } else { present.shallow_clone() };
+            let difference = (found - case.get(key)) * there;
+            let worst = difference.abs().max().double_value(&[]);
+            assert!(worst < TOLERANCE, "{method}: {key} is off by {worst}");
+        };
+        let decision = learner.act(&input, &ActMode::Deterministic);
+        check("action", &decision.action);
+        if remembers {
+            check("memory_after", &decision.memory);
+        }
+        check(&value, &learner.inspect(&input, &case.get("state")).value.expect("without a memory of its own"));
+    }
 }
 
 #[test]

@@ -554,6 +554,210 @@ def maddpg():
     put("maddpg", losses=losses, statistics=torch.tensor(statistics, dtype=torch.float64))
 
 
+def crew():
+    """Three agents in three environments: some out of range, some gone, and one environment that has just begun."""
+    present = torch.tensor([[1.0, 1, 1], [1, 0, 1], [1, 1, 0]])
+    comm = torch.tensor([[[1.0, 1, 0], [1, 1, 1], [0, 1, 1]], [[1, 0, 1], [0, 0, 0], [1, 0, 1]], [[1, 1, 0], [1, 1, 0], [0, 0, 0]]])
+    observation, state = torch.randn(3, 3, 4), torch.randn(3, 3, 3)
+    return present, comm, observation, state, torch.tensor([0.0, 1.0, 0.0])
+
+
+# running mean, mean square and weight of returns
+STATISTICS = (0.3, 2.0, 0.6)
+
+
+def in_units_of_reward(values):
+    mean, square, weight = STATISTICS
+    return values * math.sqrt(square / weight - (mean / weight) ** 2) + mean / weight
+
+
+def of_a_crew(case, crew, actor, critic, **outputs):
+    """A whole learner's weights, and what it answers; those who are gone do not count."""
+    present, comm, observation, state, start = crew
+    put_params(case, {f"actor/{k}": v for k, v in actor.items()} | {f"critic/{k}": v for k, v in critic.items()})
+    put(case, present=present, comm=comm, observation=observation, state=state, start=start)
+    put(case, **outputs)
+
+
+def under(path, modules):
+    return {f"{path}.{name}": module for name, module in modules.items()}
+
+
+def icp():
+    """What is read of the symbols of the last step, and the three ways from agents' values to the one that is learned."""
+    people = present, comm, observation, state, start = crew()
+    hidden, actions, symbols, agents = 6, 2, 3, 3
+    encoder, head, symbol = mlp_modules(4 + hidden + actions, hidden), linear(hidden, actions), linear(hidden, symbols)
+    tells = [linear(symbols, hidden), linear(hidden, hidden), linear(hidden, hidden + actions)]
+    eyes, value = mlp_modules(4, hidden), linear(hidden, 1)
+    shown = F.one_hot(torch.tensor([[0, 2, 1], [1, 1, 0], [2, 0, 1]]), symbols).float()
+    heard = torch.zeros(3, agents, hidden + actions)
+    for e in range(3):
+        for i in range(agents):
+            others = [j for j in range(agents) if j != i and comm[e, i, j] > 0]
+            for j in others:
+                # a symbol of before the start of an episode is forgotten: none is shown
+                before = shown[e, j] * (1 - start[e])
+                # each symbol is decoded by itself, and none says nothing
+                said = sum(before[k] * tells[2](F.relu(tells[1](F.relu(tells[0](torch.eye(symbols)[k]))))) for k in range(symbols))
+                heard[e, i] += said / len(others)
+    f = mlp_forward(encoder, torch.cat([observation, heard], -1))
+    scores = symbol(f)
+    best = scores.topk(2, -1).values
+    assert (best[..., 0] - best[..., 1]).min() > 1e-3
+    own = value(mlp_forward(eyes, observation)).squeeze(-1)
+    m = {
+        f"{name}.{i}": linear(*sizes[i])
+        for name, sizes in (("weights", ((3, 64), (64, 32))), ("out_weights", ((3, 64), (64, 32))), ("offset", ((3, 64), (64, 1))))
+        for i in (0, 1)
+    } | {"shift": linear(3, 32)}
+    mixed = torch.zeros(3)
+    for e in range(3):
+        there = present[e] > 0
+        q, s = own[e, there], state[e, there]
+        hyper = lambda name: m[f"{name}.1"](F.relu(m[f"{name}.0"](s)))
+        hidden_values = F.elu(q @ hyper("weights").abs() + m["shift"](s).mean(0))
+        mixed[e] = hidden_values @ hyper("out_weights").mean(0).abs() + hyper("offset").mean()
+    actor = under("encoder.mlp", encoder) | {"head.mean": head, "symbol": symbol} | under("decoder", dict(zip("012", tells)))
+    critic = under("encoder.mlp", eyes) | {"value": value} | under("mixer", m)
+    of_a_crew(
+        "icp", people, actor, critic, memory=shown, action=head(f), memory_after=F.one_hot(scores.argmax(-1), symbols).float(),
+        value_dec=in_units_of_reward(own),
+        value_sum=in_units_of_reward((own * present).sum(-1, keepdim=True).expand(3, agents)),
+        value_monotonic=in_units_of_reward(mixed.unsqueeze(-1).expand(3, agents)),
+    )
+
+
+def magic_crew():
+    """Both rounds of MAGIC, each over a graph of its own, of those who are there and within range."""
+    people = present, comm, observation, state, start = crew()
+    width, heads = 8, 4
+    encoder, head = mlp_modules(4, width), linear(2 * width, 1)
+    schedulers = [(linear(2 * width, width // 2), linear(width // 2, 1), linear(1, 2)) for _ in "ab"]
+    with torch.no_grad():
+        for first, second, third in schedulers:
+            # neither all edges nor none
+            first.weight.mul_(4)
+            second.weight.copy_(second.weight.abs())
+            third.weight.copy_(torch.tensor([[-1.0], [1.0]]))
+            third.bias.copy_(torch.tensor([0.5, -0.5]))
+    rounds = []
+    for inputs, count, out, joined in ((width, heads, width // heads, True), (width, 1, width, False)):
+        layer = torch.randn(count * out, inputs), torch.randn(count, out), torch.randn(count, out)
+        rounds.append((*layer, torch.randn(count * out if joined else out), joined))
+    f = mlp_forward(encoder, observation)
+    edges, told = 0, torch.zeros(3, 3, width)
+    for e in range(3):
+        there = present[e] > 0
+        x = own = f[e, there]
+        agents = len(x)
+        allowed = comm[e][there][:, there]
+        for (first, second, third), (weight, a_i, a_j, bias, joined) in zip(schedulers, rounds):
+            pairs = torch.cat([own.unsqueeze(1).expand(-1, agents, -1), own.unsqueeze(0).expand(agents, -1, -1)], -1)
+            logits = third(F.relu(second(F.relu(first(pairs)))))
+            assert (logits[..., 1] - logits[..., 0]).abs().min() > 1e-3
+            g = (logits.argmax(-1).float() * allowed).maximum(torch.eye(agents))
+            edges += g.sum() - agents
+            h = (x @ weight.T).view(agents, len(a_i), -1)
+            outs = []
+            for k in range(len(a_i)):
+                hk = h[:, k]
+                score = F.leaky_relu((hk @ a_i[k]).unsqueeze(1) + (hk @ a_j[k]).unsqueeze(0), negative_slope=0.2)
+                att = score.masked_fill(g == 0, -torch.inf).softmax(-1)
+                outs.append(att @ hk)
+            x = (torch.cat(outs, -1) if joined else torch.stack(outs).mean(0)) + bias
+            x = F.elu(x) if joined else x
+        told[e, there] = x
+    assert 0 < edges < 2 * (4 + 2 + 2), edges
+    eyes, value = mlp_modules(4 + 3, width), linear(width, 1)
+    actor = under("encoder.mlp", encoder) | {"head.mean": head}
+    for i in (0, 1):
+        actor |= under(f"scheduler.{i}", dict(zip(("first", "second", "third"), schedulers[i])))
+        actor |= under(f"round.{i}", dict(zip(("weight", "listener", "speaker", "bias"), rounds[i])))
+    critic = under("encoder.mlp", eyes) | {"value": value}
+    own_value = value(mlp_forward(eyes, torch.cat([observation, state], -1))).squeeze(-1)
+    of_a_crew(
+        "magic_crew", people, actor, critic,
+        action=head(torch.cat([f, told], -1)), value=in_units_of_reward(own_value),
+    )
+
+
+def trunk(people, hidden, width):
+    """IWoL's message path with one round of one head: its modules, messages and embeddings, zeros for those who are gone."""
+    present, comm, observation, state, start = people
+    encoder, base = mlp_modules(4, hidden), mlp_modules(hidden, width)
+    a_i, a_j = torch.randn(1, width), torch.randn(1, width)
+    names = {"in_norm": norm(hidden), "input": linear(hidden, width), "embed_norm": norm(width)}
+    attention, layers = multihead(width, 1), [norm(width), linear(width, width), linear(width, width), norm(width)]
+    end = {"head": linear(width, width), "head_norm": norm(width), "out": linear(width, width)}
+    f = mlp_forward(encoder, observation)
+    message, edges = torch.zeros(3, 3, width), 0
+    for e in range(3):
+        there = present[e] > 0
+        own = f[e, there]
+        h = mlp_forward(base, own)
+        score = F.leaky_relu(h @ a_i.T + (h @ a_j.T).T, negative_slope=0.2)
+        assert score.abs().min() > 1e-3
+        g = ((score > 0).float() * comm[e][there][:, there]).maximum(torch.eye(len(own)))
+        edges += (g * (1 - torch.eye(len(g)))).sum()
+        x = names["embed_norm"](F.gelu(names["input"](names["in_norm"](own))))
+        x = layers[0](x + attention(x, x, x, attn_mask=g < 0.5, need_weights=False)[0])
+        x = layers[3](x + layers[2](F.gelu(layers[1](x))))
+        message[e, there] = end["out"](end["head_norm"](F.gelu(end["head"](x))))
+    block = dict(zip(("attention_norm", "up", "down", "mlp_norm"), layers)) | multihead_params("attention", attention)
+    modules = under("encoder.mlp", encoder) | under("graph.base", base) | {"graph.receiver": a_i, "graph.sender": a_j}
+    modules |= under("transformer", names | end) | under("transformer.rounds.0", block)
+    return under("trunk", modules), message, f * present.unsqueeze(-1), edges
+
+
+def iwol_crew():
+    """Im-IWoL and Ex-IWoL: the policy on latent or message, the value on a message path of its own."""
+    hidden, width, latent = 6, 4, 3
+    for case in ("im_iwol", "ex_iwol"):
+        people = present, comm, observation, state, start = crew()
+        paths = [trunk(people, hidden, width) for _ in "ab"]
+        (critic, message, f, edges), value = paths[0], linear(width + hidden, 1)
+        assert 0 < edges + paths[1][3] < 2 * (6 + 2 + 2), edges
+        values = value(torch.cat([message, f], -1)).squeeze(-1)
+        if case == "im_iwol":
+            encoder, z = mlp_modules(4, hidden), [linear(hidden, hidden // 2), linear(hidden // 2, latent)]
+            head, own = linear(latent + hidden, 1), mlp_forward(encoder, observation)
+            action = head(torch.cat([z[1](F.relu(z[0](own))), own], -1))
+            actor = under("encoder.mlp", encoder) | under("latent", dict(zip("01", z)))
+        else:
+            (actor, told, own, _), head = paths[1], linear(width + hidden, 1)
+            action = head(torch.cat([told, own], -1))
+        actor |= {"head.mean": head}
+        critic |= {"value": value}
+        of_a_crew(case, people, actor, critic, action=action, value=in_units_of_reward(values))
+
+
+def maddpg_iwol():
+    """MADDPG's critic on messages and embeddings: the value of what the policy, on its latent, does."""
+    people = present, comm, observation, state, start = crew()
+    hidden, width, latent, agents = 6, 4, 3, 3
+    encoder, z = mlp_modules(4, hidden), [linear(hidden, hidden // 2), linear(hidden // 2, latent)]
+    head, own = linear(latent + hidden, 1), mlp_forward(encoder, observation)
+    action = head(torch.cat([z[1](F.relu(z[0](own))), own], -1)).tanh()
+    critic, message, f, edges = trunk(people, hidden, width)
+    parts = {"join": linear(width + hidden + 1, hidden), "join_norm": norm(hidden), "deep": linear(2 * hidden, hidden)}
+    parts |= {"deep_norm": norm(hidden), "value": linear(hidden, 1)}
+    attention = attention_layers(hidden, False)
+    mine = parts["join_norm"](F.relu(parts["join"](torch.cat([message, f, action], -1))))
+    values = torch.zeros(3, agents)
+    for e in range(3):
+        for i in range(agents):
+            # the first key is nobody's; whoever is there counts, in range or not
+            others = [j for j in range(agents) if j != i and present[e, j] > 0]
+            keys = torch.cat([torch.zeros(1, hidden), mine[e, others]])
+            weights = (attention["query"](mine[e, i]) @ attention["key"](keys).T / math.sqrt(hidden)).softmax(-1)
+            told = attention["out"](weights @ attention["value"](keys))
+            values[e, i] = parts["value"](parts["deep_norm"](F.relu(parts["deep"](torch.cat([mine[e, i], told])))))
+    actor = under("encoder.mlp", encoder) | under("latent", dict(zip("01", z))) | {"head.mean": head}
+    critic |= parts | attention_params("others", attention)
+    of_a_crew("maddpg_iwol", people, actor, critic, action=action, value=in_units_of_reward(values))
+
+
 def write(path):
     kinds = {torch.float32: "F32", torch.float64: "F64"}
     header, data = {}, b""
@@ -568,6 +772,7 @@ def write(path):
     print(f"{path}: {len(ARRAYS)} arrays, {8 + len(text) + len(data)} bytes")
 
 
-for case in (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer, maddpg):
+cases = (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer, maddpg)
+for case in (*cases, icp, magic_crew, iwol_crew, maddpg_iwol):
     case()
 write(pathlib.Path(__file__).parent / "golden.safetensors")
