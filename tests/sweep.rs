@@ -29,6 +29,21 @@ beside = "mappo"
 metric = "success"
 x = [100.0]
 y = [0.5]
+[[evaluate]]
+name = "plain"
+episodes = 2
+[[reference]]
+label = "published, plain"
+beside = "mappo"
+metric = "success"
+evaluate = "plain"
+y = [0.25]
+[[reference]]
+label = "published, plain"
+beside = "mappo"
+metric = "window_reward"
+evaluate = "plain"
+y = [300.0]
 "#;
 
 fn sweep_file(folder: &Path, text: &str) -> PathBuf {
@@ -79,7 +94,7 @@ fn findings(out: &Path) -> BTreeMap<String, String> {
             findings.insert(name, std::fs::read_to_string(&path).expect("JSON"));
         }
     }
-    assert_eq!(findings.len(), 6, "two runs with two evaluations each");
+    assert_eq!(findings.len(), 8, "two runs with three evaluations each");
     findings
 }
 
@@ -145,14 +160,19 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
     assert!(!kept.join("tiny/mappo/seed_0/checkpoints").exists());
     let read = |name: &str| std::fs::read_to_string(out.join(name)).expect("written");
     let markdown = read("report.md");
-    for part in
-        ["2 of 2 runs are finished", "| success % at communication range | 100.0 | 10.0 |", "| published | 50.0 | – |"]
-    {
+    for part in [
+        "2 of 2 runs are finished",
+        "| success % at communication range | 100.0 | 10.0 |",
+        "| published | 50.0 | – |",
+        // One place: all metrics side by side.
+        "|  | success % | safety % | window reward |",
+        "| published, plain | 25.0 | – | 300.0 |",
+    ] {
         assert!(markdown.contains(part), "{part} is missing in {markdown}");
     }
     assert!(read("report.html").contains("data:image/png;base64,"));
     let summary: Value = serde_json::from_str(&read("summary.json")).expect("JSON");
-    assert_eq!(summary["rows"].as_array().map(Vec::len), Some(4));
+    assert_eq!(summary["rows"].as_array().map(Vec::len), Some(6));
     let marl: Value = serde_json::from_str(&read("marl_eval.json")).expect("JSON");
     let run = &marl["intersection"]["env.communication_range=100.0"]["mappo"]["seed_1"];
     assert_eq!(

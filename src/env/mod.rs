@@ -13,6 +13,7 @@ mod lidar;
 mod metrics;
 mod observation;
 mod order;
+mod pursuit;
 mod road;
 mod routes;
 mod slots;

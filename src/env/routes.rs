@@ -8,6 +8,8 @@ use crate::sumo::net::Path;
 pub struct RouteGeometry {
     /// Centre line.
     pub path: Path,
+    /// The way that pure pursuit takes where vehicles cannot drive the route as it is.
+    pub around: Option<Path>,
     /// Lane of the first edge on which it begins, as SUMO counts them.
     pub first_lane: u32,
     /// An agent whose centre is here or further has arrived.
@@ -97,6 +99,7 @@ pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64, size: Size) -
     let half = path.widths.last().copied().unwrap_or_default() / 2.0;
     RouteGeometry {
         path: path.clone(),
+        around: None,
         first_lane: 0,
         arrival,
         finish: [-half, half],

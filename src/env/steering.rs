@@ -75,7 +75,7 @@ impl Motion {
 }
 
 /// Curvature of the way at low speed \[1/m\], to the left, with the front wheels at `wheel` \[rad\].
-fn curvature(steering: &Steering, wheel: f64) -> f64 {
+pub fn curvature(steering: &Steering, wheel: f64) -> f64 {
     if wheel == 0.0 { 0.0 } else { (steering.wheelbase / wheel.tan()).hypot(steering.offset).recip() * wheel.signum() }
 }
 

@@ -12,6 +12,7 @@ use proptest::prelude::*;
 use super::geometry::{Pose, boxes_overlap};
 use super::routes::RouteGeometry;
 use super::slots::CLEARED;
+use super::steering::Motion;
 use super::*;
 use crate::rng::Seed;
 use crate::scenario::{ObservationGroups, Scenario};
@@ -390,6 +391,38 @@ fn who_is_in_the_way_is_an_encounter() {
         }
         assert!(unseen.is_empty(), "{}:\n{}", unseen.len(), unseen.join("\n"));
     }
+}
+
+/// Also where a route turns back within 3.5 m, which no vehicle can follow.
+#[test]
+fn pursuit_stays_on_the_road_of_every_route() {
+    let mut around = 0;
+    for name in ["intersection_turns_small", "intersection_turns"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
+        let scenario = Scenario::load(&path).expect("a scenario");
+        let task = Task::new(&scenario, 8).expect("a task");
+        let (control, road) = (&scenario.control, task.road.as_ref().expect("vehicles steer"));
+        let steering = control.steering.as_ref().expect("vehicles steer");
+        for (route, id) in task.routes.iter().zip(&task.route_ids) {
+            around += usize::from(route.around.is_some());
+            let way = route.around.as_ref().unwrap_or(&route.path);
+            let ([x, y], heading) = way.at(6.0);
+            let mut motion = Motion::at(Pose { x, y, heading });
+            let mut s = 6.0;
+            for _ in 0..500 {
+                let throttle = (6.0 - motion.speed) / (0.5 * control.accel);
+                let steer = pursuit::steer(steering, way, s, &motion.pose);
+                motion = motion.advance(control, steering, &scenario.vehicle, steer, throttle.clamp(-1.0, 1.0));
+                assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
+                s = way.nearest([motion.pose.x, motion.pose.y]).0;
+                if s > way.length() - 4.0 {
+                    break;
+                }
+            }
+            assert!(s > way.length() - 4.0, "{name}: {id} has come to {s:.1} m of {:.1}", way.length());
+        }
+    }
+    assert_eq!(around, 4, "the inner lane of each arm of the large intersection");
 }
 
 /// Any lane of the last edge will do, not its shoulder or the lanes of the other direction.

@@ -29,8 +29,12 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     document.text(text);
 }
 
-/// A table per metric, a line per series, a column per place; published values below; then every row in detail.
+/// A table per metric, a line per series, a column per place; published values below. One table with a column per metric where
+/// there is but one place.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
+    if block.x.is_none() {
+        return of_one_place(document, sweep, block);
+    }
     let axis = block.x.as_deref().map_or("", |x| x.rsplit('.').next().unwrap_or(x)).replace('_', " ");
     for metric in block.metrics() {
         let header = |title: &str| [&[title.to_owned()], &block.categories[..]].concat();
@@ -48,6 +52,30 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
         }
         document.table(header(&title), rows);
     }
+}
+
+fn of_one_place(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
+    let metrics: Vec<&Metric> = block.metrics().collect();
+    let row_of = |line: &super::Line<'_>| {
+        let cells = metrics.iter().map(|metric| line.rows.first().map_or("–".to_owned(), |row| cell(row, metric)));
+        std::iter::once(line.label.clone()).chain(cells).collect()
+    };
+    let mut rows: Vec<Vec<String>> = block.series.iter().map(row_of).collect();
+    for (place, metric) in metrics.iter().enumerate() {
+        for (reference, points) in references(sweep, block, metric) {
+            let known = (block.series.len()..rows.len()).find(|&i| rows[i][0] == reference.label);
+            let row = known.unwrap_or_else(|| {
+                rows.push(vec!["–".to_owned(); metrics.len() + 1]);
+                rows.len() - 1
+            });
+            rows[row][0].clone_from(&reference.label);
+            if let Some((_, value)) = points.first() {
+                rows[row][place + 1] = format!("{value:.1}");
+            }
+        }
+    }
+    let header = std::iter::once(String::new()).chain(metrics.iter().map(|metric| metric.title.to_owned()));
+    document.table(header.collect(), rows);
 }
 
 /// Mean ± half width over seeds; mean and brackets for one.

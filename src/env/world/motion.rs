@@ -6,21 +6,19 @@ use super::super::geometry::Pose;
 use super::super::slots::{EMPTY, Slot, Status, Track};
 use super::super::steering::Motion;
 use super::super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
-use super::super::{Error, dynamics};
+use super::super::{Error, dynamics, pursuit};
 use super::{Driver, Phase, World};
 use crate::rng;
 use crate::sumo::{Command, Snapshot};
 
-/// How far ahead on its route the point lies that pure pursuit steers for \[m\].
-const LOOK_AHEAD: f64 = 4.0;
 /// SUMO's speed mode with every check off.
 pub(super) const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
 const SUMO_CHECKS: i32 = 31;
 
 impl World {
-    /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: the wheels point to the circle
-    /// through a point ahead on the route, and throttle closes the gap in speed within half a second.
+    /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: pure pursuit, and throttle closes the
+    /// gap in speed within half a second.
     pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
         let (task, own) = (&*self.task, &self.traffic.slots[slot]);
         let control = &task.scenario.control;
@@ -28,11 +26,12 @@ impl World {
         let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
             return [0.0, throttle];
         };
-        let ([x, y], _) = task.routes[own.route].path.at(own.s + LOOK_AHEAD);
-        let (dx, dy) = (x - own.pose.x, y - own.pose.y);
-        let bearing = dy.atan2(dx) - own.pose.heading;
-        let wheel = (2.0 * steering.wheelbase * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
-        [(wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0), throttle]
+        let route = &task.routes[own.route];
+        let (way, s) = match &route.around {
+            Some(way) => (way, way.nearest([own.pose.x, own.pose.y]).0),
+            None => (&route.path, own.s),
+        };
+        [pursuit::steer(&steering, way, s, &own.pose), throttle]
     }
 
     /// Commands of the coming exchange; `actions` is `[N, A]`, of which only active agents' entries count.
