@@ -152,6 +152,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     let mut w = Writer::new(out);
     let (sin, cos) = own.pose.heading.sin_cos();
     let to_conflict = route.to_first_conflict(own.s);
+    let (way, s, lateral) = route.way([own.pose.x, own.pose.y], (own.s, own.lateral));
     w.put([
         own.speed.max(0.0) / SPEED,
         own.action,
@@ -160,10 +161,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         to_conflict / FAR,
         to_conflict / NEAR,
         (route.arrival - own.s) / 100.0,
-        own.lateral / 1.75,
+        lateral / 1.75,
     ]);
     if let Some(steering) = scenario.control.steering {
-        let error = own.pose.heading - route.path.smooth_heading(own.s);
+        let error = own.pose.heading - way.smooth_heading(s);
         w.put([
             own.steer,
             error.sin(),
@@ -171,10 +172,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
             own.motion.yaw_rate,
             own.motion.wheel() / steering.max_angle.to_radians(),
             (-own.speed).max(0.0) / 5.0,
-            own.lateral / 10.0,
+            lateral / 10.0,
         ]);
         for ahead in PREVIEW {
-            let ([x, y], _) = route.path.at(own.s + ahead);
+            let ([x, y], _) = way.at(s + ahead);
             let (dx, dy) = (x - own.pose.x, y - own.pose.y);
             w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }

@@ -8,7 +8,7 @@ use crate::sumo::net::Path;
 pub struct RouteGeometry {
     /// Centre line.
     pub path: Path,
-    /// The way that pure pursuit takes where vehicles cannot drive the route as it is.
+    /// What a vehicle that steers follows where it cannot drive the route as it is.
     pub around: Option<Path>,
     /// Lane of the first edge on which it begins, as SUMO counts them.
     pub first_lane: u32,
@@ -47,6 +47,14 @@ struct Shared {
 }
 
 impl RouteGeometry {
+    /// What a vehicle follows that is at `point`, and its `s` and lateral offset there, `at` being those on the route itself.
+    pub fn way(&self, point: [f64; 2], at: (f64, f64)) -> (&Path, f64, f64) {
+        self.around.as_ref().map_or((&self.path, at.0, at.1), |way| {
+            let (s, lateral, _) = way.nearest(point);
+            (way, s, lateral)
+        })
+    }
+
     /// Position on this route of something at `s` on `route`, if it is on a lane that both use, or behind a fork of it still as
     /// good as on this route.
     pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {

@@ -26,11 +26,7 @@ impl World {
         let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
             return [0.0, throttle];
         };
-        let route = &task.routes[own.route];
-        let (way, s) = match &route.around {
-            Some(way) => (way, way.nearest([own.pose.x, own.pose.y]).0),
-            None => (&route.path, own.s),
-        };
+        let (way, s, _) = task.routes[own.route].way([own.pose.x, own.pose.y], (own.s, own.lateral));
         [pursuit::steer(&steering, way, s, &own.pose), throttle]
     }
 
