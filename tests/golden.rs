@@ -309,7 +309,7 @@ fn decisions_and_values() {
         let actions = case.get("action").size()[2] as usize;
         let spec = EnvSpec { agents: 3, actions, observation: features(4), state: features(3) };
         let mut settings = small();
-        settings.network.hidden = if name == "magic_crew" { 8 } else { 6 };
+        (settings.network.hidden, settings.iwol.message) = (16, 8);
         if method != "icp-monotonic" {
             case.arrays.retain(|(key, _)| !key.starts_with("param/critic/mixer."));
         }
@@ -325,7 +325,9 @@ fn decisions_and_values() {
         let present = case.get("present");
         let check = |key: &str, found: &Tensor| {
             let there = if found.dim() == 3 { present.unsqueeze(-1) } else { present.shallow_clone() };
-            let difference = (found - case.get(key)) * there;
+            let expected = case.get(key);
+            assert_eq!(found.size(), expected.size(), "{method}: {key}");
+            let difference = (found - expected) * there;
             let worst = difference.abs().max().double_value(&[]);
             assert!(worst < TOLERANCE, "{method}: {key} is off by {worst}");
         };

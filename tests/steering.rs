@@ -98,7 +98,9 @@ fn sumo_has_every_vehicle_where_it_is() {
         let half = task.scenario.vehicle.length / 2.0;
         let mut own = Own::start(&task);
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(3), 0, 1, episodes);
-        let (mut compared, mut on_junction, mut wrecks, mut told) = (0, 0, 0, 0);
+        let feature = |name: &str| task.spec.observation.list.iter().position(|f| f.name == name).expect("is seen");
+        let [lateral, heading] = ["lateral", "heading_error_cos"].map(feature);
+        let (mut compared, mut on_junction, mut wrecks, mut told, mut around) = (0, 0, 0, 0, 0);
         world.reset(0);
         let mut commands = Vec::new();
         while !world.is_idle() {
@@ -115,6 +117,13 @@ fn sumo_has_every_vehicle_where_it_is() {
             }
             for (slot, agent) in world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck) {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
+                if agent.driving && task.routes[agent.route].around.is_some() {
+                    // Where it cannot drive its route, what it sees is the way that it drives instead.
+                    let seen = &world.frame().observation[slot * task.spec.observation.len()..];
+                    let (lateral, heading) = (seen[lateral], seen[heading]);
+                    assert!(lateral.abs() < 0.6 && heading > 0.8, "{at}: {lateral} aside, {heading} along");
+                    around += 1;
+                }
                 let (sin, cos) = agent.pose.heading.sin_cos();
                 let front = [agent.pose.x + half * cos, agent.pose.y + half * sin];
                 let path = &task.routes[agent.route].path;
@@ -156,6 +165,7 @@ fn sumo_has_every_vehicle_where_it_is() {
                 wrecks += usize::from(agent.wreck);
             }
         }
+        assert!(around > 100 || name != "intersection_turns", "{around} steps of vehicles that turn back");
         let enough = compared > 500 && on_junction > 100 && wrecks > 20;
         assert!(enough, "{name}: {compared} places, {on_junction} of them on the junction, {wrecks} of wrecks");
         assert!(

@@ -1,6 +1,7 @@
 //! The routes' centre lines and how they meet: shared lanes, crossings and merges.
 
 use super::geometry::{Pose, Size, boxes_overlap};
+use super::pursuit::Around;
 use crate::sumo::net::Path;
 
 /// A route's centre line and its relation to the others. All positions are arc lengths from the route's start \[m\].
@@ -8,8 +9,8 @@ use crate::sumo::net::Path;
 pub struct RouteGeometry {
     /// Centre line.
     pub path: Path,
-    /// What a vehicle that steers follows where it cannot drive the route as it is.
-    pub around: Option<Path>,
+    /// What a vehicle that steers follows where the route turns back more sharply than it can.
+    pub around: Option<Around>,
     /// Lane of the first edge on which it begins, as SUMO counts them.
     pub first_lane: u32,
     /// An agent whose centre is here or further has arrived.
@@ -49,9 +50,9 @@ struct Shared {
 impl RouteGeometry {
     /// What a vehicle follows that is at `point`, and its `s` and lateral offset there, `at` being those on the route itself.
     pub fn way(&self, point: [f64; 2], at: (f64, f64)) -> (&Path, f64, f64) {
-        self.around.as_ref().map_or((&self.path, at.0, at.1), |way| {
-            let (s, lateral, _) = way.nearest(point);
-            (way, s, lateral)
+        self.around.as_ref().map_or((&self.path, at.0, at.1), |around| {
+            let (s, lateral) = around.locate(point, at.0);
+            (&around.path, s, lateral)
         })
     }
 

@@ -3,9 +3,10 @@
 use std::ops::Range;
 
 use super::geometry::Size;
+use super::pursuit::Around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
-use super::{EnvSpec, Error, observation, pursuit, state};
+use super::{EnvSpec, Error, observation, state};
 use crate::scenario::{Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
 use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
@@ -137,7 +138,7 @@ impl Task {
                     route.finish[0] -= beside(lanes.start..last);
                     route.finish[1] += beside(last + 1..lanes.end);
                 }
-                route.around = scenario.control.steering.as_ref().and_then(|s| pursuit::around(&paths[a], s));
+                route.around = scenario.control.steering.as_ref().and_then(|s| Around::of(&paths[a], s));
                 route.first_lane = paths[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
                 route
             })

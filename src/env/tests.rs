@@ -405,21 +405,24 @@ fn pursuit_stays_on_the_road_of_every_route() {
         let steering = control.steering.as_ref().expect("vehicles steer");
         for (route, id) in task.routes.iter().zip(&task.route_ids) {
             around += usize::from(route.around.is_some());
-            let way = route.around.as_ref().unwrap_or(&route.path);
-            let ([x, y], heading) = way.at(6.0);
+            let ([x, y], heading) = route.path.at(6.0);
             let mut motion = Motion::at(Pose { x, y, heading });
-            let mut s = 6.0;
+            let (mut s, mut segment) = (6.0, 0);
             for _ in 0..500 {
                 let throttle = (6.0 - motion.speed) / (0.5 * control.accel);
-                let steer = pursuit::steer(steering, way, s, &motion.pose);
+                let at = [motion.pose.x, motion.pose.y];
+                let lateral;
+                (s, lateral, segment) = route.path.project(at, segment);
+                let (way, along, beside) = route.way(at, (s, lateral));
+                assert!(beside.abs() < 1.0, "{name}: {id} is {beside} m beside its way, at {at:?}");
+                let steer = pursuit::steer(steering, way, along, &motion.pose);
                 motion = motion.advance(control, steering, &scenario.vehicle, steer, throttle.clamp(-1.0, 1.0));
                 assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
-                s = way.nearest([motion.pose.x, motion.pose.y]).0;
-                if s > way.length() - 4.0 {
+                if s > route.path.length() - 4.0 {
                     break;
                 }
             }
-            assert!(s > way.length() - 4.0, "{name}: {id} has come to {s:.1} m of {:.1}", way.length());
+            assert!(s > route.path.length() - 4.0, "{name}: {id} has come to {s:.1} m of {:.1}", route.path.length());
         }
     }
     assert_eq!(around, 4, "the inner lane of each arm of the large intersection");

@@ -4,6 +4,8 @@
 //! centre line \[m\], positive to the LEFT. Beyond both ends the first and last segment go on straight, so that
 //! positions and projections stay inverse to each other there.
 
+use std::ops::Range;
+
 use super::Net;
 
 /// Points closer to each other than this are one point \[m\].
@@ -222,7 +224,12 @@ impl Path {
 
     /// As [`Path::project`], over all segments.
     pub fn nearest(&self, point: [f64; 2]) -> (f64, f64, usize) {
-        let all = (0..=self.last_segment()).map(|i| {
+        self.nearest_of(point, 0..self.last_segment() + 1)
+    }
+
+    /// As [`Path::nearest`], over some segments.
+    pub fn nearest_of(&self, point: [f64; 2], segments: Range<usize>) -> (f64, f64, usize) {
+        let all = segments.map(|i| {
             let (s, lateral) = self.project_on(point, i);
             (s, lateral, i)
         });
