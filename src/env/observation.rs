@@ -24,7 +24,7 @@ pub(super) const SPEED: f64 = 22.2;
 /// Count that reads as one.
 pub(super) const COUNT: f64 = 12.0;
 
-/// Ways ahead of the points of its route that an agent that steers sees, each in units of its own \[m\].
+/// How far ahead the points of its way are that an agent that steers sees, each in units of its own \[m\].
 const PREVIEW: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
 
 const VEHICLE: [(&str, &str, f32, f32); 5] = [

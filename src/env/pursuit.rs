@@ -33,7 +33,7 @@ pub struct Around {
 }
 
 impl Around {
-    /// The way around the first turn of a route that is too sharp; `None` if there is none.
+    /// The way around the first turn back of a route that is too sharp; `None` if there is none. Whether there is road is not asked.
     pub(super) fn of(route: &Path, steering: &Steering) -> Option<Self> {
         let least = curvature(steering, steering.max_angle.to_radians()).recip();
         let heading = |i: usize| {
