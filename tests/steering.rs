@@ -98,8 +98,8 @@ fn sumo_has_every_vehicle_where_it_is() {
         let half = task.scenario.vehicle.length / 2.0;
         let mut own = Own::start(&task);
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(3), 0, 1, episodes);
-        let feature = |name: &str| task.spec.observation.list.iter().position(|f| f.name == format!("ego.{name}")).expect("is seen");
-        let [lateral, heading] = ["lateral", "heading_error_cos"].map(feature);
+        let feature = |name: &str| task.spec.observation.list.iter().position(|f| f.name == name).expect("is seen");
+        let [lateral, heading] = ["ego.lateral", "steering.heading_error_cos"].map(feature);
         let (mut compared, mut on_junction, mut wrecks, mut told, mut around) = (0, 0, 0, 0, 0);
         world.reset(0);
         let mut commands = Vec::new();
