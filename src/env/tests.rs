@@ -2,6 +2,7 @@
 //! line by speed times the step. What SUMO itself does is tested in `tests/`.
 
 mod others;
+mod ways;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -9,10 +10,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 
-use super::geometry::{Pose, boxes_overlap};
-use super::routes::RouteGeometry;
 use super::slots::CLEARED;
-use super::steering::Motion;
 use super::*;
 use crate::rng::Seed;
 use crate::scenario::{ObservationGroups, Scenario};
@@ -323,128 +321,6 @@ fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRe
     }
 }
 
-/// Behind a fork the ways stay one as long as vehicles on them would touch.
-#[test]
-fn who_waits_behind_a_fork_is_still_ahead() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
-    let scenario = Scenario::load(&path).expect("a scenario");
-    let task = Task::new(&scenario, 8).expect("a task");
-    let route = |id: &str| task.route_ids.iter().position(|own| own == id).expect("a route");
-    let (left, right) = (route("west_left"), route("west_right"));
-    let (own, other) = (&task.routes[left], &task.routes[right]);
-    let fork = other.path.arc(0, -1e-6).expect("the end of its first edge");
-    for s in [fork - 10.0, fork - 0.1, fork + 2.0] {
-        let there = own.shared_position(right, s).unwrap_or_else(|| panic!("{s} of {fork}"));
-        assert!((there - s).abs() < 0.1, "{s}: {there}");
-    }
-    assert_eq!(own.shared_position(right, other.path.length() - 1.0), None);
-    // Wherever one counts as ahead, it is in the way.
-    for (a, own) in task.routes.iter().enumerate() {
-        for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
-            for s in (0..other.path.length() as u32).map(f64::from) {
-                let Some(there) = own.shared_position(b, s) else { continue };
-                let ([x, y], [u, v]) = (other.path.at(s).0, own.path.at(there).0);
-                assert!(
-                    (x - u).hypot(y - v) < 5.0,
-                    "{} at {s} is not ahead of {}",
-                    task.route_ids[b],
-                    task.route_ids[a]
-                );
-            }
-        }
-    }
-}
-
-/// Nobody stands in an agent's way unseen: who touches a vehicle on the agent's centre line is ahead, or their ways meet.
-#[test]
-fn who_is_in_the_way_is_an_encounter() {
-    for name in ["intersection_turns_small", "intersection_turns", "parking_lot"] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-        let scenario = Scenario::load(&path).expect("a scenario");
-        let task = Task::new(&scenario, scenario.agents.default).expect("a task");
-        let size = [scenario.vehicle.length, scenario.vehicle.width];
-        let pose = |path: &crate::sumo::net::Path, s: f64| {
-            let ([x, y], heading) = path.at(s);
-            Pose { x, y, heading }
-        };
-        let mut unseen = Vec::new();
-        for (a, own) in task.routes.iter().enumerate() {
-            for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
-                // From where whole vehicles are on their routes, up to where they arrive.
-                let ways = |route: &RouteGeometry| (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0);
-                for s in ways(other) {
-                    if own.shared_position(b, s).is_some() {
-                        continue;
-                    }
-                    let met = own.meeting(b);
-                    let live = |t: f64| met.is_some_and(|m| m.own - t >= -CLEARED && m.other - s >= -CLEARED);
-                    // Who is past the meeting drives on.
-                    let past = |t: f64| met.is_some_and(|m| m.own - t < -CLEARED);
-                    let there = pose(&other.path, s);
-                    let touched = |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
-                    if let Some(t) = ways(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
-                        unseen.push(format!("{name}: {} at {s} for {} at {t}", task.route_ids[b], task.route_ids[a]));
-                        break;
-                    }
-                }
-            }
-        }
-        assert!(unseen.is_empty(), "{}:\n{}", unseen.len(), unseen.join("\n"));
-    }
-}
-
-/// Also where a route turns back within 3.5 m, which no vehicle can follow.
-#[test]
-fn pursuit_stays_on_the_road_of_every_route() {
-    let mut around = 0;
-    for name in ["intersection_turns_small", "intersection_turns"] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-        let scenario = Scenario::load(&path).expect("a scenario");
-        let task = Task::new(&scenario, 8).expect("a task");
-        let (control, road) = (&scenario.control, task.road.as_ref().expect("vehicles steer"));
-        let steering = control.steering.as_ref().expect("vehicles steer");
-        for (route, id) in task.routes.iter().zip(&task.route_ids) {
-            around += usize::from(route.around.is_some());
-            let ([x, y], heading) = route.path.at(6.0);
-            let mut motion = Motion::at(Pose { x, y, heading });
-            let (mut s, mut segment) = (6.0, 0);
-            for _ in 0..500 {
-                let throttle = (6.0 - motion.speed) / (0.5 * control.accel);
-                let at = [motion.pose.x, motion.pose.y];
-                let lateral;
-                (s, lateral, segment) = route.path.project(at, segment);
-                let (way, along, beside) = route.way(at, (s, lateral));
-                assert!(beside.abs() < 1.0, "{name}: {id} is {beside} m beside its way, at {at:?}");
-                let steer = pursuit::steer(steering, way, along, &motion.pose);
-                motion = motion.advance(control, steering, &scenario.vehicle, steer, throttle.clamp(-1.0, 1.0));
-                assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
-                if s > route.path.length() - 4.0 {
-                    break;
-                }
-            }
-            assert!(s > route.path.length() - 4.0, "{name}: {id} has come to {s:.1} m of {:.1}", route.path.length());
-        }
-    }
-    assert_eq!(around, 4, "the inner lane of each arm of the large intersection");
-}
-
-/// Any lane of the last edge will do, not its shoulder or the lanes of the other direction.
-#[test]
-fn an_agent_that_steers_arrives_on_any_lane() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns.xml");
-    let scenario = Scenario::load(&path).expect("a scenario");
-    let task = Task::new(&scenario, 8).expect("a task");
-    let mut ends = HashSet::new();
-    for route in &task.routes {
-        let [right, left] = route.finish;
-        let width = route.path.widths.last().expect("a path has segments");
-        // Two lanes: its own, and one beside it.
-        assert!((left - right - 2.0 * width).abs() < 1e-9, "{right} {left}");
-        ends.insert(if left > -right { "right lane" } else { "left lane" });
-    }
-    assert_eq!(ends.len(), 2);
-}
-
 #[test]
 fn failures_say_how_a_crash_came_about() {
     // The second of a lane runs into the first, which stands, and the third into the wreck; the fourth stays.
@@ -588,26 +464,6 @@ fn observation_groups_show_the_same_traffic() {
 }
 
 #[test]
-fn routes_meet_where_the_lanes_cross() {
-    let task = task(8, |_| {});
-    let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
-    let (east, west, south, north) = (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
-    // Eastbound along y = 0 from x = 0 meets southbound at x = 40, then northbound at x = 43.5; westbound never.
-    let conflicts = &task.routes[east].conflicts;
-    assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
-    assert!((conflicts[0].own - 40.0).abs() < 1e-6 && (conflicts[1].own - 43.5).abs() < 1e-6);
-    // Southbound starts at y = 43.5 and reaches y = 0 after 43.5 m.
-    assert!((conflicts[0].other - 43.5).abs() < 1e-6);
-    assert_eq!(task.routes[east].apart, [west]);
-    for (a, own) in task.routes.iter().enumerate() {
-        for c in &own.conflicts {
-            let back = task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
-            assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
-        }
-    }
-}
-
-#[test]
 fn a_reserved_destination_is_one_vehicles() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
     let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
@@ -629,32 +485,6 @@ fn a_reserved_destination_is_one_vehicles() {
         drawn.extend(routes.iter().map(|route| route.id.clone()));
     }
     assert_eq!(drawn.len(), scenario.routes.len(), "every route is drawn at some time");
-}
-
-#[test]
-fn ways_that_lie_on_each_other_meet() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
-    let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
-    let task = Task::new(&scenario, 5).expect("a task");
-    let index = |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
-    let meeting = |a: &str, b: &str| task.routes[index(a)].meeting(index(b));
-    // Into a space, and out of it: they share its lanes' ground, and the last metres before it.
-    let met = meeting("west_space1", "space1_north").expect("they meet");
-    assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
-    for (leaves, enters) in
-        [("space1_north", "west_space1"), ("space5_west", "north_space5"), ("space7_south", "west_space7")]
-    {
-        // Who leaves meets who enters at the end of their common way: out of the space, which is 7 m long.
-        let met = meeting(leaves, enters).expect("they meet");
-        assert!((2.0..12.0).contains(&met.own), "{leaves}, {enters}: {met:?}");
-        let place = |id: &str, s: f64| task.routes[index(id)].path.at(s).0;
-        let (a, b) = (place(leaves, met.own), place(enters, met.other));
-        assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.2, "one place for both: {a:?} {b:?}");
-        let back = meeting(enters, leaves).expect("they meet");
-        assert!((met.own - back.other).abs() < 0.2 && (met.other - back.own).abs() < 0.2, "{met:?} {back:?}");
-    }
-    assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
-    assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
 }
 
 proptest! {

@@ -62,7 +62,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
-        bail!("there is no such cell; the sweep has cells 0 to {}", sweep.cells.len() - 1);
+        let (wanted, last) = (args.cell.as_deref().unwrap_or("of this shard"), sweep.cells.len() - 1);
+        bail!("there is no cell `{wanted}`; the sweep has cells 0 to {last}, which --dry-run lists");
     }
     for (_, cell) in &cells {
         cell.check()?;
