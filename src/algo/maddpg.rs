@@ -248,7 +248,7 @@ impl Maddpg {
 
     /// What the networks lose and learn on some steps; gives what to report.
     fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
-        let Transitions { before, after, action, reward, active, ended } = steps;
+        let Transitions { before, after, action, reward, active, discount } = steps;
         // Graphs are sampled ever more quietly, as those of all methods.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
         let quiet = if imposed { pace.log_std.exp() } else { 1.0 };
@@ -261,7 +261,7 @@ impl Maddpg {
             let next = self.targets.actor.mean(&after.observation);
             let (seen, _) = self.targets.critic.look(after, noise("after"));
             let value = self.targets.critic.value(&seen, &next, &next, &after.comm);
-            reward + pace.gamma * (ended.ones_like() - ended) * self.value_norm.denormalize(&value)
+            reward + discount * self.value_norm.denormalize(&value)
         });
         let samples = active.reshape([-1]).nonzero().squeeze_dim(-1);
         let of_active = |x: &Tensor| x.flatten(0, 1).index_select(0, &samples);
@@ -360,10 +360,11 @@ impl Algorithm for Maddpg {
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
         self.replay.add(rollout);
         let rows = (self.settings.ppo.minibatch / rollout.sizes.agents).max(1);
+        let returns = self.settings.maddpg.n_step;
         let mut means = Means::default();
         for update in 0..self.settings.maddpg.updates {
             let seed = seed.index(update as u64);
-            let steps = self.replay.draw(rows, &mut seed.child("steps").rng());
+            let steps = self.replay.draw(rows, returns, pace.gamma, &mut seed.child("steps").rng());
             means.add(&self.step(&steps, pace, seed.child("graph"))?);
         }
         let head = self.networks.actor.head();

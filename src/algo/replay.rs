@@ -21,20 +21,20 @@ pub(super) struct Replay {
 /// What is kept of each row.
 const NAMES: [&str; 7] = ["observation", "state", "comm", "action", "reward", "active", "ended"];
 
-/// Steps that were drawn, `R` rows of all N agents.
+/// Steps that were drawn, `R` rows of all N agents, each with up to n steps that followed it.
 pub(super) struct Transitions {
     /// Before the step.
     pub(super) before: View,
-    /// After it.
+    /// After n steps, or where the rollout or the trajectories were cut off before.
     pub(super) after: View,
     /// `[R, N, A]`, as the environment took them.
     pub(super) action: Tensor,
-    /// `[R, N]`
+    /// What these steps brought, discounted, `[R, N]`.
     pub(super) reward: Tensor,
     /// 1 where an agent acted, `[R, N]`.
     pub(super) active: Tensor,
-    /// 1 where its trajectory ended for good, `[R, N]`.
-    pub(super) ended: Tensor,
+    /// What a value after them counts for: 0 where the agent's trajectory ended for good, `[R, N]`.
+    pub(super) discount: Tensor,
 }
 
 /// What is seen at a time.
@@ -88,25 +88,38 @@ impl Replay {
         (self.arrays, self.sizes, self.stored) = (widths.map(array).into(), Some(sizes), 0);
     }
 
-    /// Draws `count` steps, with replacement.
-    pub(super) fn draw(&self, count: usize, rng: &mut Rng) -> Transitions {
+    /// Draws `count` steps, with replacement, and up to `following` steps from each on, discounted by `gamma`.
+    pub(super) fn draw(&self, count: usize, following: usize, gamma: f64, rng: &mut Rng) -> Transitions {
         let s = self.sizes.expect("something is stored");
         let (steps, rows, kept) = (s.steps * s.envs, (s.steps + 1) * s.envs, self.stored.min(self.capacity) as usize);
-        let row = |_| (rng::below(rng, kept) * rows + rng::below(rng, steps)) as i64;
-        let before: Vec<i64> = (0..count).map(row).collect();
-        let before = Tensor::from_slice(&before).to_device(self.device);
-        let after = &before + s.envs as i64;
+        let drawn: Vec<[i64; 2]> = (0..count)
+            .map(|_| (rng::below(rng, kept) * rows, rng::below(rng, steps)))
+            .map(|(rollout, row)| [(rollout + row) as i64, (s.steps - row / s.envs) as i64])
+            .collect();
+        let part = |k: usize| {
+            let values: Vec<i64> = drawn.iter().map(|pair| pair[k]).collect();
+            Tensor::from_slice(&values).to_device(self.device)
+        };
+        let (before, left) = (part(0), part(1));
         let take = |array: usize, rows: &Tensor| self.arrays[array].flatten(0, 1).index_select(0, rows);
         let view = |rows: &Tensor| View { observation: take(0, rows), state: take(1, rows), comm: take(2, rows) };
-        let one = |array: usize| take(array, &before).squeeze_dim(-1);
-        Transitions {
-            before: view(&before),
-            after: view(&after),
-            action: take(3, &before).clamp(-1.0, 1.0),
-            reward: one(4),
-            active: one(5),
-            ended: one(6),
+        let one = |array: usize, rows: &Tensor| take(array, rows).squeeze_dim(-1);
+        let active = one(5, &before);
+        let mut after = before.copy();
+        let (mut going, mut discount, mut reward) = (active.copy(), active.copy(), active.zeros_like());
+        for step in 0..following as i64 {
+            let rows = &before + (left.clamp_max(step + 1) - 1) * s.envs as i64;
+            let acts = &going * one(5, &rows) * left.gt(step).unsqueeze(-1);
+            // Whoever is still there and does not act was cut off: that row is what all of them end at.
+            let acts = &acts * (&going - &acts).amax([-1], true).le(0.0);
+            reward += &discount * &acts * one(4, &rows);
+            after += acts.amax([-1], false).gt(0.0).to_kind(Kind::Int64) * s.envs as i64;
+            let lasts = 1.0 - one(6, &rows);
+            discount *= 1.0 - &acts * (1.0 - gamma * &lasts);
+            going = acts * lasts;
         }
+        let (after, action) = (view(&after), take(3, &before).clamp(-1.0, 1.0));
+        Transitions { before: view(&before), after, action, reward, active, discount }
     }
 
     /// For a checkpoint.
@@ -160,5 +173,92 @@ impl Replay {
         nn::copy_named(&own, &given)?;
         self.stored = stored;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::rng::Seed;
+
+    const STEPS: usize = 12;
+    const ENVS: usize = 2;
+    const AGENTS: usize = 3;
+
+    /// Episodes that end one agent after the other, or are cut off for all; what is observed is the number of the row.
+    fn rollout(events: &[u8]) -> Rollout {
+        let sizes = Sizes {
+            steps: STEPS,
+            envs: ENVS,
+            agents: AGENTS,
+            observation: 1,
+            state: 1,
+            actions: 1,
+            memory: 0,
+            graphs: 0,
+        };
+        let mut rollout = Rollout::new(sizes);
+        for env in 0..ENVS {
+            let mut there = [true; AGENTS];
+            for t in 0..=STEPS {
+                let row = t * ENVS + env;
+                // After an end for all, one row in which nobody acts.
+                let begins = !there.contains(&true)
+                    && t > 0
+                    && rollout.active[(row - ENVS) * AGENTS..][..AGENTS].iter().all(|a| *a == 0.0);
+                there = if begins { [true; AGENTS] } else { there };
+                let cut = events[row % events.len()] == 0;
+                for (i, there) in there.iter_mut().enumerate() {
+                    let k = row * AGENTS + i;
+                    rollout.observation[k] = row as f32;
+                    rollout.active[k] = f32::from(u8::from(*there));
+                    if t < STEPS {
+                        rollout.reward[k] = f32::from(events[(7 * k) % events.len()]) + i as f32;
+                        let dies = events[k % events.len()] % 4 == 1;
+                        rollout.terminated[k] = f32::from(u8::from(*there && dies && !cut));
+                        rollout.truncated[k] = f32::from(u8::from(*there && cut));
+                        *there &= !cut && !dies;
+                    }
+                }
+            }
+        }
+        rollout
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        /// As one walks from each step of each agent on.
+        #[test]
+        fn rewards_count_until_the_end_or_the_cut(events in prop::collection::vec(0u8..24, 72..100), n in 1usize..6, draw in 0u64..1000) {
+            const GAMMA: f64 = 0.9;
+            let rollout = rollout(&events);
+            let mut replay = Replay::new(2, Device::Cpu);
+            replay.add(&rollout);
+            let steps = replay.draw(40, n, GAMMA, &mut Seed::new(draw).rng());
+            let numbers = |x: &Tensor| Vec::<f32>::try_from(x.flatten(0, -1)).expect("numbers");
+            let (first, last) = (numbers(&steps.before.observation), numbers(&steps.after.observation));
+            let (reward, discount, active) = (numbers(&steps.reward), numbers(&steps.discount), numbers(&steps.active));
+            for (k, row) in first.iter().enumerate().map(|(k, row)| (k, *row as usize)) {
+                let (mut at, mut sum, mut weight) = (row, 0.0, f64::from(rollout.active[row * AGENTS + k % AGENTS]));
+                prop_assert_eq!(f64::from(active[k]), weight);
+                for _ in 0..n {
+                    let cell = at * AGENTS + k % AGENTS;
+                    // Cut off in the step before, or the rollout is over.
+                    if weight == 0.0 || at >= STEPS * ENVS || rollout.active[cell] == 0.0 {
+                        break;
+                    }
+                    sum += weight * f64::from(rollout.reward[cell]);
+                    weight *= if rollout.terminated[cell] > 0.0 { 0.0 } else { GAMMA };
+                    at += ENVS;
+                }
+                prop_assert!((f64::from(reward[k]) - sum).abs() < 1e-4, "{} {}", reward[k], sum);
+                prop_assert!((f64::from(discount[k]) - weight).abs() < 1e-6, "{} {}", discount[k], weight);
+                if weight > 0.0 {
+                    prop_assert_eq!(last[k] as usize, at, "the row whose value counts");
+                }
+            }
+        }
     }
 }

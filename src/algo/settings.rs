@@ -343,6 +343,8 @@ pub struct Maddpg {
     pub replay: usize,
     /// Minibatches of replayed steps that are learned from after each rollout.
     pub updates: usize,
+    /// Steps whose rewards are counted before the critic's value of the last (multi-step returns; Lowe et al., 2017: 1).
+    pub n_step: usize,
     /// Share τ of their distance by which target networks follow after each.
     pub target_rate: f64,
     /// Weight of the squared mean actions before the tanh in the policy's loss (Lowe et al., 2017: 1e-3).
@@ -351,7 +353,7 @@ pub struct Maddpg {
 
 impl Default for Maddpg {
     fn default() -> Self {
-        Self { replay: 16, updates: 64, target_rate: 0.005, action_penalty: 1e-3 }
+        Self { replay: 16, updates: 64, n_step: 1, target_rate: 0.005, action_penalty: 1e-3 }
     }
 }
 

@@ -24,6 +24,7 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("env.lidar_range", Value::Float(50.0)),
         ("env.penetration", Value::Float(1.0)),
         ("commformer.dropout", Value::Float(0.0)),
+        ("maddpg.n_step", Value::Integer(1)),
     ] {
         let (group, setting) = key.split_once('.').expect("a group and a setting");
         if let Some(group) = table.get_mut(group).and_then(Value::as_table_mut) {

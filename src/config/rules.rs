@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 99] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 100] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -123,6 +123,7 @@ impl Config {
             (&["icp.lambda_message"], finite_range(self.icp.lambda_message), "0 or more"),
             (&["maddpg.replay"], (1..=10_000).contains(&self.maddpg.replay), "1 to 10000"),
             (&["maddpg.updates"], (1..=100_000).contains(&self.maddpg.updates), "1 to 100000"),
+            (&["maddpg.n_step"], (1..=1000).contains(&self.maddpg.n_step), "1 to 1000"),
             (&["maddpg.action_penalty"], finite_positive(self.maddpg.action_penalty), "above 0"),
             (&["maddpg.target_rate"], self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate), "above 0, to 1"),
             (
