@@ -248,6 +248,11 @@ fn failures_are_told_and_retried_on_request() {
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
     assert!(stderr.contains("another `exploration.correlation`: 0.0, and now 0.5"), "{stderr}");
+    // MAPPO is not told of MAGIC's settings.
+    sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 256\nmagic = { lambda_world = 0.5 }"));
+    let (code, _, stderr) = run(&[]);
+    assert_eq!(code, Some(1));
+    assert!(stderr.contains("0 of 2 cells to do"), "{stderr}");
     // A cell whose settings have changed is not mixed with the old ones.
     sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 512"));
     let (code, _, stderr) = run(&[]);

@@ -95,6 +95,7 @@ impl CommFormer {
 impl Networks for CommFormer {
     const NAME: &'static str = "commformer";
     const HEARS: Hears = Hears::InRange;
+    const SETTINGS: &'static [&'static str] = &["commformer", "transformer", "iwol"];
     const GRAPHS: usize = 1;
     const GRAPH_LASTS: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];

@@ -29,6 +29,8 @@ pub(super) trait Networks: Sized + Send {
     const HEARS: Hears = Hears::Nobody;
     /// What its latent is trained to tell, by default.
     const LATENT: &'static [&'static str] = &[];
+    /// Groups of settings that it is told of, beside those of all methods.
+    const SETTINGS: &'static [&'static str] = &[];
     /// Communication graphs that the policy samples at each decision.
     const GRAPHS: usize = 0;
     /// Whether a world keeps its graph's noise for a whole rollout, as the graph is the same at each decision.

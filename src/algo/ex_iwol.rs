@@ -36,6 +36,7 @@ impl Networks for ExIwol {
     const NAME: &'static str = "ex-iwol";
     const HEARS: Hears = Hears::InRange;
     const LATENT: &'static [&'static str] = &["world"];
+    const SETTINGS: &'static [&'static str] = &["iwol"];
     const GRAPHS: usize = 1;
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];

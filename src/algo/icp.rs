@@ -117,6 +117,7 @@ impl<D: Decomposition> Icp<D> {
 impl<D: Decomposition> Networks for Icp<D> {
     const NAME: &'static str = D::NAME;
     const HEARS: Hears = Hears::InRangeLater;
+    const SETTINGS: &'static [&'static str] = &["icp"];
     const TEAM: bool = D::TEAM;
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {

@@ -2,7 +2,9 @@
 //! marlbenchmark/off-policy, `maddpg.py`, `MADDPGPolicy.py`, `actor_critic.py`), and IWoL inside of it (paper, appendix on
 //! off-policy learning: `maddpg-iwol`).
 //!
-//! 1. target y = r + γ Q'(s', μ'(o')), by copies of both networks that follow slowly (`soft_update`, τ = 0.005)
+//! 1. target y = r + γ Q'(s', μ'(o')), by copies of both networks that follow slowly (`soft_update`, τ = 0.005); here with the
+//!    rewards of ten steps (`maddpg.n_step`, as D4PG: Barth-Maron et al. 2018), since at ten decisions a second what a decision brings is
+//!    seconds away, and an error of Q' fades as slowly as γ
 //! 2. the policy is moved up the critic's gradient by its own action, those of the others being what was done
 //! 3. an agent's own reward and end; reference: agent 0's reward for a shared policy
 //! 4. actions are tanh of a linear layer, and Gaussian noise; reference: no tanh, noise of deviation 0.1
@@ -39,17 +41,19 @@ use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
 /// Multi-agent deep deterministic policy gradient.
-pub(super) const MADDPG: Method =
-    method("maddpg", &[], |spec, settings, seed, device| Box::new(Maddpg::new(spec, settings, seed, device, false)));
+pub(super) const MADDPG: Method = method("maddpg", &[], &["maddpg"], |spec, settings, seed, device| {
+    Box::new(Maddpg::new(spec, settings, seed, device, false))
+});
 /// The same with IWoL's latent and messages.
 pub(super) const MADDPG_IWOL: Method =
-    method("maddpg-iwol", &["world", "interaction"], |spec, settings, seed, device| {
+    method("maddpg-iwol", &["world", "interaction"], &["maddpg", "iwol"], |spec, settings, seed, device| {
         Box::new(Maddpg::new(spec, settings, seed, device, true))
     });
 
 const fn method(
     name: &'static str,
     latent: &'static [&'static str],
+    settings: &'static [&'static str],
     build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
 ) -> Method {
     let capabilities = Capabilities {
@@ -59,6 +63,7 @@ const fn method(
         recurrent: false,
         on_policy: false,
         latent,
+        settings,
     };
     Method { name, capabilities, build }
 }

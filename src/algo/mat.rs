@@ -56,6 +56,7 @@ impl Mat {
 impl Networks for Mat {
     const NAME: &'static str = "mat";
     const HEARS: Hears = Hears::Everyone;
+    const SETTINGS: &'static [&'static str] = &["transformer"];
     const TRAINING_ONLY: &'static [&'static str] = &["value."];
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {

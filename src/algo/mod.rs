@@ -82,6 +82,7 @@ impl Method {
             recurrent: true,
             on_policy: true,
             latent: N::LATENT,
+            settings: N::SETTINGS,
         };
         Self {
             name: N::NAME,
@@ -112,6 +113,8 @@ pub struct Capabilities {
     pub on_policy: bool,
     /// What its latent is trained to tell, by default: `world` (the privileged state), `interaction` (messages).
     pub latent: &'static [&'static str],
+    /// Groups of settings that it is told of, beside those of all methods: what others say makes no difference to it.
+    pub settings: &'static [&'static str],
 }
 
 /// Whose observations can change an agent's action at run time, besides its own.
@@ -314,7 +317,8 @@ pub fn build(
     seed: Seed,
     device: Device,
 ) -> Result<Box<dyn Algorithm>, Error> {
-    Ok((Method::named(name)?.build)(spec, settings, seed, device))
+    let method = Method::named(name)?;
+    Ok((method.build)(spec, &settings.only(method.capabilities.settings), seed, device))
 }
 
 /// What can go wrong in a learner.

@@ -31,6 +31,31 @@ pub struct Settings {
     pub maddpg: Maddpg,
 }
 
+impl Settings {
+    /// Names of the groups that not every method is told of.
+    pub const OWN: [&'static str; 6] = ["iwol", "transformer", "magic", "commformer", "icp", "maddpg"];
+
+    /// Those of all methods, and of the others the `groups` that are named; the rest by default.
+    #[must_use]
+    pub fn only(&self, groups: &[&str]) -> Self {
+        fn part<T: Clone + Default>(told: bool, group: &T) -> T {
+            if told { group.clone() } else { T::default() }
+        }
+        let [iwol, transformer, magic, commformer, icp, maddpg] = Self::OWN.map(|group| groups.contains(&group));
+        Self {
+            network: self.network.clone(),
+            ppo: self.ppo.clone(),
+            exploration: self.exploration.clone(),
+            iwol: part(iwol, &self.iwol),
+            transformer: part(transformer, &self.transformer),
+            magic: part(magic, &self.magic),
+            commformer: part(commformer, &self.commformer),
+            icp: part(icp, &self.icp),
+            maddpg: part(maddpg, &self.maddpg),
+        }
+    }
+}
+
 /// Networks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -343,7 +368,8 @@ pub struct Maddpg {
     pub replay: usize,
     /// Minibatches of replayed steps that are learned from after each rollout.
     pub updates: usize,
-    /// Steps whose rewards are counted before the critic's value of the last (multi-step returns; Lowe et al., 2017: 1).
+    /// Steps whose rewards are counted before the critic's value of the last: multi-step returns (Lowe et al., 2017: 1). With one, vehicles
+    /// stop before the crossing and stay there.
     pub n_step: usize,
     /// Share τ of their distance by which target networks follow after each.
     pub target_rate: f64,
@@ -353,7 +379,7 @@ pub struct Maddpg {
 
 impl Default for Maddpg {
     fn default() -> Self {
-        Self { replay: 16, updates: 64, n_step: 1, target_rate: 0.005, action_penalty: 1e-3 }
+        Self { replay: 16, updates: 64, n_step: 10, target_rate: 0.005, action_penalty: 1e-3 }
     }
 }
 
