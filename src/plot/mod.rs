@@ -112,8 +112,8 @@ const TEXT: i32 = 21;
 const TICK: i32 = 19;
 
 /// The colours of Okabe and Ito, which people with any colour vision tell apart (without the yellow, too pale for a
-/// line on white).
-const PALETTE: [RGBColor; 7] = [
+/// line on white), and four darker ones of Tol's for figures of all methods.
+const PALETTE: [RGBColor; 11] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -121,6 +121,10 @@ const PALETTE: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
     RGBColor(0, 0, 0),
+    RGBColor(136, 34, 85),
+    RGBColor(153, 153, 51),
+    RGBColor(51, 34, 136),
+    RGBColor(136, 136, 136),
 ];
 const INK: RGBColor = RGBColor(25, 25, 25);
 const REFERENCE: RGBColor = RGBColor(70, 70, 70);
@@ -289,14 +293,19 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
     let tick_width = widest(&mut tick_labels.iter()).unwrap_or(0);
     let reference_width = widest(&mut references.iter().flat_map(|(_, lines)| lines)).map_or(0, |w| w + px(LEADER + 4));
     let heading = if panel.title.is_empty() { 0 } else { px(HEADING + 8) };
+    let widest_category = widest(&mut panel.categories.iter()).unwrap_or(0);
     // Never inside out, however long the labels.
     let left = (area.left + px(TEXT + 34) + tick_width).min(area.left + (area.right - area.left) / 2);
     let plot = Area {
         left,
         right: (area.right - reference_width - px(14)).min(area.right - px(28)).max(left + px(60)),
         top: area.top + heading + px(4),
-        bottom: (area.bottom - px(TICK + TEXT + 32)).max(area.top + heading + px(64)),
+        bottom: 0,
     };
+    // Names that do not fit side by side are written upwards.
+    let upwards = widest_category * panel.categories.len() as i32 > (plot.right - plot.left) * 9 / 10;
+    let names = if upwards { widest_category } else { px(TICK) };
+    let plot = Area { bottom: (area.bottom - names - px(TEXT + 32)).max(area.top + heading + px(64)), ..plot };
     let at = |x: f64, y: f64| (x_axis.place(x, plot.left, plot.right), y_axis.place(y, plot.bottom, plot.top));
 
     let middle = i32::midpoint(plot.left, plot.right);
@@ -365,9 +374,14 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
         let x = at(tick, 0.0).0;
         line(canvas, (x, plot.bottom), (x, plot.bottom + px(5)), px(1), INK)?;
         let label = panel.categories.get(tick as usize).cloned().unwrap_or_else(|| x_axis.label(tick));
-        write(canvas, &label, TICK, INK, Place::Centred, (x, plot.bottom + px(9 + TICK / 2)))?;
+        let (place, half) = if upwards {
+            (Place::Upwards, text_width(canvas, &label, TICK) / 2)
+        } else {
+            (Place::Centred, px(TICK / 2))
+        };
+        write(canvas, &label, TICK, INK, place, (x, plot.bottom + px(9) + half))?;
     }
-    let below_ticks = plot.bottom + px(TICK + 14 + TEXT / 2);
+    let below_ticks = plot.bottom + names + px(14 + TEXT / 2);
     write(canvas, &panel.x_label, TEXT, INK, Place::Centred, (middle, below_ticks))?;
     let beside = (area.left + px(12 + TEXT / 2), i32::midpoint(plot.top, plot.bottom));
     write(canvas, &panel.y_label, TEXT, INK, Place::Upwards, beside)?;

@@ -8,7 +8,7 @@ use super::{Block, Error, Line, METRICS, Metric, Row, references, scores};
 use crate::plot::{Panel, Series, Style, figure};
 use crate::record::read_json_lines;
 use crate::stats::aggregate::{performance_profile, sample_efficiency};
-use crate::sweep::Sweep;
+use crate::sweep::{Reference, Sweep};
 
 /// Width and height of a panel, pixels.
 const PANEL: (u32, u32) = (640, 560);
@@ -38,6 +38,9 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         })
         .collect();
     let count = lines.len();
+    if block.x.is_none() && count > 1 {
+        return side_by_side(&lines, &references(sweep, block, metric).collect::<Vec<_>>(), metric);
+    }
     let mut series: Vec<Series> = Vec::new();
     for (k, (label, line)) in lines.iter().enumerate() {
         let dodge = dodge(k, count, block.categories.len());
@@ -62,17 +65,50 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     let of_all =
         |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric)?.mean)).collect::<Vec<_>>();
     let all = block.series.iter().flat_map(of_all).chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
-    let lowest = all.fold(f64::INFINITY, f64::min);
     Panel {
         title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),
         y_label: metric.axis.to_owned(),
-        // Where everything succeeds, differences are in the last percent.
-        y_range: (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0)),
+        y_range: scale(metric, all),
         categories: if block.x.is_some() { block.categories.clone() } else { vec![String::new()] },
         series,
         references: Vec::new(),
     }
+}
+
+/// The lines of one place beside each other, each with its name below.
+fn side_by_side(lines: &[(&str, &Line<'_>)], published: &[(&Reference, Vec<(usize, f64)>)], metric: &Metric) -> Panel {
+    const HERE: &str = "here";
+    // What is not a number keeps points apart that no line should join.
+    let apart = |points: Vec<(f64, f64)>| points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect();
+    let found = lines.iter().enumerate().filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric)?)));
+    let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
+    let partner = |label: &str| lines.iter().position(|(own, _)| *own == label);
+    let known = published.iter().filter_map(|(reference, values)| Some((partner(&reference.beside)? as f64, values)));
+    let known: Vec<_> = known.flat_map(|(x, values)| values.iter().map(move |(_, y)| (x + 0.25, *y))).collect();
+    let y_range = scale(metric, points.iter().chain(&known).map(|point| point.1));
+    let here = Series { label: HERE.to_owned(), points: apart(points), band: Some(band), style: Style::Whiskers };
+    let there = Series {
+        label: "published".to_owned(),
+        points: apart(known),
+        band: None,
+        style: Style::Beside(HERE.to_owned()),
+    };
+    Panel {
+        title: metric.title.trim_end_matches(" %").to_owned(),
+        x_label: String::new(),
+        y_label: metric.axis.to_owned(),
+        y_range,
+        categories: lines.iter().map(|(label, _)| (*label).to_owned()).collect(),
+        series: if published.is_empty() { vec![here] } else { vec![here, there] },
+        references: Vec::new(),
+    }
+}
+
+/// Ends of an axis of shares. Where everything succeeds, differences are in the last percent.
+fn scale(metric: &Metric, values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let lowest = values.fold(f64::INFINITY, f64::min);
+    (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0))
 }
 
 /// How far line `k` of `count` is moved aside, of the distance between two of `places`.
