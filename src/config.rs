@@ -312,7 +312,7 @@ impl Config {
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
     /// which batches grow (`train.growth`) and the view gets longer (`ppo.gamma_explored`; neither of methods that replay), in runs four
     /// times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8, `train.replay_failed` that of fewer, and
-    /// `train.anneal_success` 0.9.
+    /// `train.anneal_success` 0.9. Minibatches of methods that replay are half as large (`ppo.minibatch`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
@@ -640,6 +640,8 @@ mod tests {
         assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
         assert_eq!((samples(&four), four.steps), (2 * samples(&eight), 2 * eight.steps));
         assert!([&four, &most].iter().all(|c| c.ppo.minibatch == eight.ppo.minibatch));
+        let replays = resolve("agents = 8", &["algorithm=maddpg"]).unwrap();
+        assert_eq!(2 * replays.ppo.minibatch, eight.ppo.minibatch);
         assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);

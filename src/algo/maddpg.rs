@@ -3,8 +3,8 @@
 //! off-policy learning: `maddpg-iwol`).
 //!
 //! 1. target y = r + γ Q'(s', μ'(o')), by copies of both networks that follow slowly (`soft_update`, τ = 0.005); here with the
-//!    rewards of ten steps (`maddpg.n_step`, as D4PG: Barth-Maron et al. 2018), since at ten decisions a second what a decision brings is
-//!    seconds away, and an error of Q' fades as slowly as γ
+//!    rewards of ten steps (`maddpg.n_step`, as D4PG: Barth-Maron et al. 2018), as at ten decisions a second what a decision brings is
+//!    seconds away
 //! 2. the policy is moved up the critic's gradient by its own action, those of the others being what was done
 //! 3. an agent's own reward and end; reference: agent 0's reward for a shared policy
 //! 4. actions are tanh of a linear layer, and Gaussian noise; reference: no tanh, noise of deviation 0.1

@@ -25,7 +25,7 @@ const NAMES: [&str; 7] = ["observation", "state", "comm", "action", "reward", "a
 pub(super) struct Transitions {
     /// Before the step.
     pub(super) before: View,
-    /// After n steps, or where the rollout or the trajectories were cut off before.
+    /// After n steps, or where the rollout or the trajectories were cut off before, or the last of them ended.
     pub(super) after: View,
     /// `[R, N, A]`, as the environment took them.
     pub(super) action: Tensor,
@@ -107,7 +107,7 @@ impl Replay {
         let active = one(5, &before);
         let mut after = before.copy();
         let (mut going, mut discount, mut reward) = (active.copy(), active.copy(), active.zeros_like());
-        for step in 0..following as i64 {
+        for step in 0..following.min(s.steps) as i64 {
             let rows = &before + (left.clamp_max(step + 1) - 1) * s.envs as i64;
             let acts = &going * one(5, &rows) * left.gt(step).unsqueeze(-1);
             // Whoever is still there and does not act was cut off: that row is what all of them end at.

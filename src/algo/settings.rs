@@ -113,7 +113,7 @@ pub struct Ppo {
     pub learning_rate_end: f64,
     /// Passes over a rollout.
     pub epochs: usize,
-    /// Samples (agent × step) per minibatch; more gradient steps with smaller ones.
+    /// Samples (agent × step) per minibatch (half as many for methods that replay); more gradient steps with smaller ones.
     pub minibatch: usize,
     /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
     /// As many as there are cores is fastest. Another number gives other roundings, and lets decoders learn from other
@@ -368,8 +368,8 @@ pub struct Maddpg {
     pub replay: usize,
     /// Minibatches of replayed steps that are learned from after each rollout.
     pub updates: usize,
-    /// Steps whose rewards are counted before the critic's value of the last: multi-step returns (Lowe et al., 2017: 1). With one, vehicles
-    /// stop before the crossing and stay there.
+    /// Steps whose rewards are counted before the critic's value of the last: multi-step returns (Lowe et al., 2017: 1), not corrected for
+    /// the policy being another by now. With one, vehicles learned to stop before the crossing for good.
     pub n_step: usize,
     /// Share τ of their distance by which target networks follow after each.
     pub target_rate: f64,
@@ -427,6 +427,33 @@ impl WorldTarget {
         match self {
             Self::State => state,
             Self::Observation => observation,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::algo::{NAMES, capabilities};
+
+    #[test]
+    fn methods_are_told_of_groups_that_there_are() {
+        let mut settings = Settings::default();
+        (settings.ppo.epochs, settings.iwol.rounds, settings.transformer.blocks) = (1, 7, 3);
+        (settings.magic.lambda_world, settings.commformer.graph_every) = (0.5, 2);
+        (settings.icp.symbols, settings.maddpg.n_step) = (5, 3);
+        assert_eq!(settings.only(&Settings::OWN), settings);
+        let common = Settings { ppo: settings.ppo.clone(), ..Settings::default() };
+        assert_eq!(settings.only(&[]), common);
+        let mut told: Vec<&str> = Vec::new();
+        for name in NAMES {
+            let groups = capabilities(name).expect("a method").settings;
+            assert!(groups.iter().all(|group| Settings::OWN.contains(group)), "{name}: {groups:?}");
+            told.extend(groups);
+        }
+        for group in Settings::OWN {
+            assert!(told.contains(&group), "nobody is told of {group}");
+            assert_ne!(settings.only(&[group]), common, "{group}");
         }
     }
 }

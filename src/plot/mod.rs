@@ -219,7 +219,9 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
         let middle = y + ROW / 2;
         for (index, text, entry) in row {
             let color = color_of(labels[*index], panels, labels);
-            if is_dashed(labels[*index], panels) {
+            if is_scattered(labels[*index], panels) {
+                dot(canvas, (x + SWATCH / 2, middle), px(5), color, is_dashed(labels[*index], panels))?;
+            } else if is_dashed(labels[*index], panels) {
                 dashed(canvas, (x, middle), (x + SWATCH, middle), color)?;
             } else {
                 line(canvas, (x, middle), (x + SWATCH, middle), px(3), color)?;
@@ -238,6 +240,20 @@ fn series_called<'a>(label: &'a str, panels: &'a [Panel]) -> impl Iterator<Item 
 
 fn is_dashed(label: &str, panels: &[Panel]) -> bool {
     series_called(label, panels).any(|series| matches!(series.style, Style::Beside(_)))
+}
+
+/// Whether there are points without a line between any of them, and more than one in a panel.
+fn is_scattered(label: &str, panels: &[Panel]) -> bool {
+    let alone = |series: &Series| {
+        runs(series.points.iter().map(|p| (usable(p.0) && usable(p.1)).then_some(()))).iter().all(|run| run.len() == 1)
+    };
+    series_called(label, panels).any(|series| series.points.len() > 1) && series_called(label, panels).all(alone)
+}
+
+/// A point; a ring where it is somebody else's.
+fn dot(canvas: &Canvas, at: (i32, i32), radius: i32, color: RGBColor, ring: bool) -> Drawn {
+    canvas.draw(&Circle::new(at, radius, color.filled()))?;
+    if ring { canvas.draw(&Circle::new(at, radius - px(3) / 2, WHITE.filled())) } else { Ok(()) }
 }
 
 /// The colour of a label: that of the one it is beside, or else the next of the palette, of which dashed ones use none up.
@@ -304,8 +320,12 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
     };
     // Names that do not fit side by side are written upwards.
     let upwards = widest_category * panel.categories.len() as i32 > (plot.right - plot.left) * 9 / 10;
-    let names = if upwards { widest_category } else { px(TICK) };
-    let plot = Area { bottom: (area.bottom - names - px(TEXT + 32)).max(area.top + heading + px(64)), ..plot };
+    let names = if upwards { widest_category.min((area.bottom - area.top) / 2) } else { px(TICK) };
+    let plot = Area {
+        bottom: (area.bottom - names - px(if panel.x_label.is_empty() { 22 } else { TEXT + 32 }))
+            .max(area.top + heading + px(64)),
+        ..plot
+    };
     let at = |x: f64, y: f64| (x_axis.place(x, plot.left, plot.right), y_axis.place(y, plot.bottom, plot.top));
 
     let middle = i32::midpoint(plot.left, plot.right);
@@ -355,11 +375,7 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
                 }
             }
             for point in run {
-                canvas.draw(&Circle::new(point, radius, color.filled()))?;
-                if matches!(series.style, Style::Beside(_)) {
-                    // Hollow: somebody else's values.
-                    canvas.draw(&Circle::new(point, radius - px(3) / 2, WHITE.filled()))?;
-                }
+                dot(canvas, point, radius, color, matches!(series.style, Style::Beside(_)))?;
             }
         }
     }

@@ -83,14 +83,25 @@ fn side_by_side(lines: &[(&str, &Line<'_>)], published: &[(&Reference, Vec<(usiz
     let apart = |points: Vec<(f64, f64)>| points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect();
     let found = lines.iter().enumerate().filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric)?)));
     let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
-    let partner = |label: &str| lines.iter().position(|(own, _)| *own == label);
-    let known = published.iter().filter_map(|(reference, values)| Some((partner(&reference.beside)? as f64, values)));
-    let known: Vec<_> = known.flat_map(|(x, values)| values.iter().map(move |(_, y)| (x + 0.25, *y))).collect();
+    // Published values stand a little aside of the line that they belong to, or by themselves.
+    let mut categories: Vec<String> = lines.iter().map(|(label, _)| (*label).to_owned()).collect();
+    let mut known: Vec<(f64, f64)> = Vec::new();
+    for (reference, values) in published.iter().filter(|(_, values)| !values.is_empty()) {
+        let partner = lines.iter().position(|(own, _)| *own == reference.beside);
+        let mut x = partner.map_or(categories.len() as f64, |line| line as f64 + 0.25);
+        if partner.is_none() {
+            categories.push(reference.label.clone());
+        }
+        while known.iter().any(|point| (point.0 - x).abs() < 0.01) {
+            x += 0.1;
+        }
+        known.extend(values.iter().map(|(_, y)| (x, *y)));
+    }
     let y_range = scale(metric, points.iter().chain(&known).map(|point| point.1));
     let here = Series { label: HERE.to_owned(), points: apart(points), band: Some(band), style: Style::Whiskers };
     let there = Series {
         label: "published".to_owned(),
-        points: apart(known),
+        points: apart(known.clone()),
         band: None,
         style: Style::Beside(HERE.to_owned()),
     };
@@ -99,8 +110,8 @@ fn side_by_side(lines: &[(&str, &Line<'_>)], published: &[(&Reference, Vec<(usiz
         x_label: String::new(),
         y_label: metric.axis.to_owned(),
         y_range,
-        categories: lines.iter().map(|(label, _)| (*label).to_owned()).collect(),
-        series: if published.is_empty() { vec![here] } else { vec![here, there] },
+        categories,
+        series: if known.is_empty() { vec![here] } else { vec![here, there] },
         references: Vec::new(),
     }
 }

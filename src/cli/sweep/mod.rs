@@ -62,8 +62,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
-        let (wanted, last) = (args.cell.as_deref().unwrap_or("of this shard"), sweep.cells.len() - 1);
-        bail!("there is no cell `{wanted}`; the sweep has cells 0 to {last}, which --dry-run lists");
+        let count = sweep.cells.len();
+        match &args.cell {
+            Some(wanted) => {
+                bail!("there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them")
+            }
+            None => bail!("this shard has no cell: the sweep has only {count}"),
+        }
     }
     for (_, cell) in &cells {
         cell.check()?;
