@@ -299,6 +299,14 @@ pub struct Layers {
     pub flags: Vec<(&'static str, Value)>,
 }
 
+/// Takes out of a configuration what `algorithm` is not told of: the settings of other methods.
+pub fn remove_untold(table: &mut Table, algorithm: &str) {
+    let told = algo::capabilities(algorithm).map_or(&[][..], |method| method.settings);
+    for group in algo::Settings::OWN.iter().filter(|group| !told.contains(group)) {
+        table.remove(*group);
+    }
+}
+
 impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{Error, Evaluate, label, plain, value_of};
-use crate::algo::{self, Settings};
 use crate::config::{self, Config};
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
@@ -158,11 +157,7 @@ impl Cell {
             config::complete_older(&mut table);
             table.remove("simulation");
             table.remove("device");
-            // Nor what it is not told of.
-            let told = algo::capabilities(&self.config.algorithm).map_or(&[][..], |method| method.settings);
-            for group in Settings::OWN.iter().filter(|group| !told.contains(group)) {
-                table.remove(*group);
-            }
+            config::remove_untold(&mut table, &self.config.algorithm);
             let mut flat = std::collections::BTreeMap::new();
             super::flatten(&table, "", &mut flat);
             // Of a run that is over it does not matter; one that goes on would teach its decoders other samples.
