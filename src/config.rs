@@ -18,7 +18,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use crate::algo::{self, settings};
-use crate::scenario::{self, Lidar, ObservationGroups, Scenario};
+use crate::scenario::{self, Lidar, NeighbourOrder, ObservationGroups, Scenario};
 use crate::suggest::nearest;
 use crate::sumo::{Choice, Hosting};
 
@@ -168,6 +168,8 @@ pub struct Env {
     pub detection_range: f64,
     /// Nearest vehicles in the observation.
     pub neighbours: usize,
+    /// In which order: `distance`, nearest first, or `bearing`, from those straight ahead to those behind, in the same direction nearest first.
+    pub neighbour_order: NeighbourOrder,
     /// Streams in the observation.
     pub conflict_streams: usize,
     /// Vehicles per stream in the observation.
@@ -212,6 +214,7 @@ impl Env {
             observation: seen.groups,
             detection_range: seen.detection_range,
             neighbours: seen.neighbours,
+            neighbour_order: seen.neighbour_order,
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
@@ -235,6 +238,7 @@ impl Env {
         seen.groups = self.observation;
         seen.detection_range = self.detection_range;
         seen.neighbours = self.neighbours;
+        seen.neighbour_order = self.neighbour_order;
         seen.conflict_streams = self.conflict_streams;
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;

@@ -106,6 +106,10 @@ fn a_killed_sumo_costs_its_episode_only() {
 }
 
 fn train(run: &Path) -> std::process::Child {
+    train_with(run, &[])
+}
+
+fn train_with(run: &Path, settings: &[&str]) -> std::process::Child {
     Command::new(env!("CARGO_BIN_EXE_iwol"))
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--steps", "1000000"])
@@ -120,8 +124,9 @@ fn train(run: &Path) -> std::process::Child {
             "iwol.rounds=1",
             "--set",
             "simulation.processes=2",
-            "--out",
         ])
+        .args(settings.iter().flat_map(|setting| ["--set", setting]))
+        .arg("--out")
         .arg(run)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -150,6 +155,33 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
         }
         let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
         assert!(lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "whole lines");
+    }
+}
+
+/// A first one waits for the iteration, here a long one, and a second one does not.
+#[test]
+fn a_second_interrupt_ends_it_at_once() {
+    let _alone = ALONE.lock().expect("no test panicked");
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = folder.path().join("run");
+    let mut child = train_with(&run, &["ppo.epochs=400", "ppo.minibatch=8"]);
+    wait_until("the first iteration", 120, || fs::read(run.join("metrics.jsonl")).is_ok_and(|text| !text.is_empty()));
+    let workers = sumo_children(child.id());
+    assert_eq!(workers.len(), 2);
+    // The next rollout, of 16 steps, is soon over.
+    std::thread::sleep(Duration::from_secs(1));
+    signal(child.id(), "INT");
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(child.try_wait().expect("its state"), None, "it did not wait for an update of 6,400 steps");
+    signal(child.id(), "INT");
+    let mut code = None;
+    wait_until("the program ends", 5, || {
+        code = child.try_wait().expect("its state").map(|status| status.code());
+        code.is_some()
+    });
+    assert_eq!(code, Some(Some(130)));
+    for pid in workers {
+        wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
     }
 }
 

@@ -17,8 +17,8 @@ use iwol_sumo::{
     evaluate::{Onlooker, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
-        Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
+        AgentRange, Border, Communication, Control, Error, Jitter, Lidar, NeighbourOrder, Net, Observation,
+        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -370,6 +370,7 @@ prop_compose! {
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
+                neighbour_order: NeighbourOrder::NAMES[counts[2] % 2].1,
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },

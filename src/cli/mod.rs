@@ -142,9 +142,16 @@ fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let raised = Arc::clone(&flag);
     ctrlc::set_handler(move || {
         if raised.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+            leave(130);
         }
         eprintln!("\nstopping; once more ends at once");
     })?;
     Ok(flag)
+}
+
+/// Ends the program without C's exit handlers: they take down what libtorch's threads are working with, which was seen to crash.
+#[allow(unsafe_code, reason = "std ends a program by way of C's exit handlers only")]
+fn leave(code: i32) -> ! {
+    // SAFETY: it takes a number and does not return.
+    unsafe { libc::_exit(code) }
 }

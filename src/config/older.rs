@@ -20,6 +20,7 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("train.replay_failed", Value::Float(0.0)),
         ("train.restart_steps", Value::Integer(0)),
         ("env.encounters", Value::Integer(0)),
+        ("env.neighbour_order", Value::String("distance".to_owned())),
         ("env.lidar_beams", Value::Integer(0)),
         ("env.lidar_range", Value::Float(50.0)),
         ("env.penetration", Value::Float(1.0)),

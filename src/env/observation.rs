@@ -9,11 +9,13 @@
 //!
 //! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros.
 
+use std::f64::consts::PI;
+
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
 use super::task::Task;
 use super::{Features, Writer, lidar};
-use crate::scenario::{Observation, Scenario};
+use crate::scenario::{NeighbourOrder, Observation, Scenario};
 
 /// Distance scale of far features \[m\].
 const FAR: f64 = 50.0;
@@ -136,6 +138,10 @@ fn describe_streams(settings: &Observation, features: &mut Features) {
     features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
 }
 
+/// Neighbours whose bearings, to either side, differ by less are listed by distance: on a lane, the vehicle ahead before the one
+/// ahead of it.
+const SECTOR: f64 = 15.0 * PI / 180.0;
+
 /// What writing one agent's observation needs to know.
 struct View<'a> {
     scenario: &'a Scenario,
@@ -202,7 +208,7 @@ impl View<'_> {
         j != self.slot && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
     }
 
-    /// The nearest vehicles, nearest first.
+    /// The nearest vehicles.
     fn put_nearest(&self, w: &mut Writer) {
         let traffic = self.traffic;
         let own = &traffic.slots[self.slot];
@@ -218,6 +224,16 @@ impl View<'_> {
                     nearest[at] = (d, j);
                 }
             }
+        }
+        if self.scenario.observation.neighbour_order == NeighbourOrder::Bearing {
+            let sector = |&(_, j): &(f64, usize)| {
+                traffic.slots.get(j).map_or(u32::MAX, |other| {
+                    let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
+                    ((dy * cos - dx * sin).atan2(dx * cos + dy * sin).abs() / SECTOR) as u32
+                })
+            };
+            // Stable: within a sector nearest first.
+            nearest[..k].sort_by_key(sector);
         }
         for &(d, j) in &nearest[..k] {
             if d.is_infinite() {

@@ -13,7 +13,7 @@ use proptest::prelude::*;
 use super::slots::CLEARED;
 use super::*;
 use crate::rng::Seed;
-use crate::scenario::{ObservationGroups, Scenario};
+use crate::scenario::{NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::{Body, Command, Snapshot, VehicleState};
 
 /// Vehicles on rails, and a check on every command.
@@ -446,6 +446,8 @@ fn observation_groups_show_the_same_traffic() {
         assert_eq!(widths, [32, 67, 91]);
         let ego = tasks[0].spec.observation.groups[0].width;
         let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
+        worlds.iter_mut().for_each(|(world, _)| world.reset(0));
+        let mut seen = 0;
         for step in 0..150 {
             let actions: Vec<f32> = (0..agents).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
             for (world, rails) in &mut worlds {
@@ -458,9 +460,53 @@ fn observation_groups_show_the_same_traffic() {
                 assert_eq!(&both[..widths[0]], nearest, "step {step}, agent {i}");
                 assert_eq!(&both[..ego], &conflict[..ego], "step {step}, agent {i}");
                 assert_eq!(&both[widths[0]..], &conflict[ego..], "step {step}, agent {i}");
+                seen += usize::from(nearest[ego..].iter().any(|x| *x != 0.0));
             }
         }
+        assert!(seen > 100, "{seen}");
     }
+}
+
+/// The same vehicles in either order: nearest first, or from those ahead to those behind, with the nearest of those ahead in the first place.
+#[test]
+fn neighbours_come_in_the_order_that_is_asked_for() {
+    let orders = [NeighbourOrder::Distance, NeighbourOrder::Bearing];
+    let tasks = orders.map(|order| {
+        task(16, |s| (s.observation.groups, s.observation.neighbour_order) = (ObservationGroups::Nearest, order))
+    });
+    let neighbours = tasks[0].spec.observation.groups.iter().find(|group| group.name == "neighbour").expect("seen");
+    let (width, from, of_one) = (tasks[0].spec.observation.len(), neighbours.offset, neighbours.width);
+    let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
+    worlds.iter_mut().for_each(|(world, _)| world.reset(0));
+    let mut differ = 0;
+    for step in 0..120 {
+        let actions: Vec<f32> = (0..16).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
+        for (world, rails) in &mut worlds {
+            exchange(world, rails, &actions);
+        }
+        for i in 0..16 {
+            let seen = worlds.each_ref().map(|(world, _)| {
+                let all = &world.frame().observation[i * width + from..][..neighbours.count * of_one];
+                let there = all.chunks(of_one).filter(|one| one[of_one - 1] > 0.0);
+                there.map(<[f32]>::to_vec).collect::<Vec<_>>()
+            });
+            let [near, around] = &seen;
+            let far = |one: &Vec<f32>| one[0].hypot(one[1]);
+            let behind = |one: &Vec<f32>| one[1].atan2(one[0]).abs();
+            assert!(near.is_sorted_by(|a, b| far(a) <= far(b) + 1e-5), "step {step}, agent {i}: {near:?}");
+            // Whose directions differ clearly come by direction, others by distance.
+            let apart = |a: &Vec<f32>, b: &Vec<f32>| behind(a) - behind(b) > 15.1_f32.to_radians();
+            assert!(around.is_sorted_by(|a, b| !apart(a, b)), "step {step}, agent {i}: {around:?}");
+            let leader = near.iter().find(|one| behind(one) < 14.9_f32.to_radians());
+            assert!(leader.is_none_or(|leader| around.first() == Some(leader)), "step {step}, agent {i}: {around:?}");
+            assert!(
+                near.len() == around.len() && near.iter().all(|one| around.contains(one)),
+                "step {step}, agent {i}"
+            );
+            differ += usize::from(near != around);
+        }
+    }
+    assert!(differ > 100, "{differ} of 1,920 lists differ");
 }
 
 #[test]

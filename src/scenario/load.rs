@@ -8,8 +8,8 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Border, Communication, Control, Error, Jitter, Lidar, Net, Observation, ObservationGroups, Reward,
-    Route, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, check,
+    AgentRange, Border, Communication, Control, Error, Jitter, Lidar, NeighbourOrder, Net, Observation,
+    ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -45,6 +45,7 @@ const OBSERVATION: Names = &[
     "groups",
     "detectionRange",
     "neighbours",
+    "neighbourOrder",
     "conflictStreams",
     "streamVehicles",
     "encounters",
@@ -164,6 +165,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 groups: self.groups(observation)?,
                 detection_range: self.positive(observation, "detectionRange")?,
                 neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
+                neighbour_order: self.neighbour_order(observation)?,
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
                 encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
@@ -242,6 +244,12 @@ impl<'a, 'input> Reader<'a, 'input> {
         let name = self.text(node, "groups")?;
         let known = ObservationGroups::NAMES.iter().find(|entry| entry.0 == name);
         known.map(|entry| entry.1).ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
+    }
+
+    fn neighbour_order(&self, node: Node<'a, 'input>) -> Result<NeighbourOrder, Error> {
+        let Some(name) = node.attribute("neighbourOrder") else { return Ok(NeighbourOrder::default()) };
+        let known = NeighbourOrder::NAMES.iter().find(|entry| entry.0 == name);
+        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "neighbourOrder", "distance or bearing"))
     }
 
     fn name(&self, root: Node<'a, 'input>) -> Result<String, Error> {

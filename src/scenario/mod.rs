@@ -206,6 +206,28 @@ impl ObservationGroups {
     }
 }
 
+/// In which order the nearest vehicles are described.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NeighbourOrder {
+    /// Nearest first (paper).
+    #[default]
+    Distance,
+    /// From those straight ahead to those behind, so that a vehicle keeps its place as distances change; in the same direction, nearest
+    /// first.
+    Bearing,
+}
+
+impl NeighbourOrder {
+    /// As in XML and settings.
+    pub const NAMES: [(&str, Self); 2] = [("distance", Self::Distance), ("bearing", Self::Bearing)];
+
+    /// The name in XML and settings.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
+    }
+}
+
 /// What an agent sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
@@ -215,6 +237,8 @@ pub struct Observation {
     pub detection_range: f64,
     /// Nearest vehicles described one by one.
     pub neighbours: usize,
+    /// In which order.
+    pub neighbour_order: NeighbourOrder,
     /// Crossing or merging streams described, in the order in which the agent meets them.
     pub conflict_streams: usize,
     /// Vehicles described per stream, those next to the conflict point first.

@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{Border, Lidar, Scenario, Traffic};
+use super::{Border, Lidar, NeighbourOrder, Scenario, Traffic};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -77,6 +77,9 @@ impl Scenario {
         write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
         write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;
         write!(xml, "streamVehicles=\"{}\"", o.stream_vehicles)?;
+        if o.neighbour_order != NeighbourOrder::default() {
+            write!(xml, " neighbourOrder=\"{}\"", o.neighbour_order.name())?;
+        }
         if o.encounters > 0 {
             write!(xml, " encounters=\"{}\"", o.encounters)?;
         }

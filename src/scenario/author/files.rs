@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use super::super::write::escape;
 use super::super::{
-    AgentRange, Border, Communication, Control, Jitter, Lidar, Net, Observation, ObservationGroups, Reward, Route,
-    SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
+    AgentRange, Border, Communication, Control, Jitter, Lidar, NeighbourOrder, Net, Observation, ObservationGroups,
+    Reward, Route, SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
@@ -153,6 +153,7 @@ impl Layout {
                 groups: ObservationGroups::Conflict,
                 detection_range: DETECTION,
                 neighbours: 4,
+                neighbour_order: NeighbourOrder::default(),
                 conflict_streams: streams,
                 stream_vehicles: longest_row.min(3) as usize,
                 encounters: 0,
