@@ -111,9 +111,11 @@ pub struct Train {
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
-    /// When no validation has let annealing begin so many environment steps after training began, and the last is below 80 %, it
-    /// begins again with other new weights, if there is time for as many and for annealing; 0: never.
+    /// When no validation has let annealing begin so many environment steps after training began, and the last is below
+    /// [`Train::restart_success`], it begins again with other new weights, if there is time for as many and for annealing; 0: never.
     pub restart_steps: u64,
+    /// A validation with this share of successful agents is worth going on from.
+    pub restart_success: f64,
 }
 
 impl Default for Train {
@@ -133,6 +135,7 @@ impl Default for Train {
             anneal_success: 0.95,
             anneal_steps: 180_000,
             restart_steps: 0,
+            restart_success: 0.8,
         }
     }
 }
@@ -168,7 +171,8 @@ pub struct Env {
     pub detection_range: f64,
     /// Nearest vehicles in the observation.
     pub neighbours: usize,
-    /// In which order: `distance`, nearest first, or `bearing`, from those straight ahead to those behind, in the same direction nearest first.
+    /// In which order: `distance`, nearest first, or `bearing`, from those straight ahead to those behind, in the same direction nearest first
+    /// and with positions on a second, finer scale.
     pub neighbour_order: NeighbourOrder,
     /// Streams in the observation.
     pub conflict_streams: usize,

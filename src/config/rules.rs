@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 100] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 101] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -48,6 +48,7 @@ impl Config {
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
             (&["train.restart_steps"], t.restart_steps <= 1 << 50, "0 to 2^50"),
+            (&["train.restart_success"], share(t.restart_success), "0 to 1"),
             (
                 &["train.restart_steps", "init_from"],
                 t.restart_steps == 0 || self.init_from.as_os_str().is_empty(),

@@ -88,18 +88,11 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         );
     }
     if settings.groups.nearest() {
-        features.push(
-            "neighbour",
-            settings.neighbours,
-            &[
-                ("forward", "50 m", -1.0, 1.0),
-                ("left", "50 m", -1.0, 1.0),
-                ("velocity_forward", "22.2 m/s", -1.0, 1.0),
-                ("velocity_left", "22.2 m/s", -1.0, 1.0),
-                ("moving", "flag", 0.0, 1.0),
-                ("present", "flag", 0.0, 1.0),
-            ],
-        );
+        let tokens: &[_] = match settings.neighbour_order {
+            NeighbourOrder::Distance => &NEIGHBOUR,
+            NeighbourOrder::Bearing => &NEIGHBOUR_NEAR,
+        };
+        features.push("neighbour", settings.neighbours, tokens);
     }
     features.push("encounter", settings.encounters, &ENCOUNTER);
     if settings.groups.conflict() {
@@ -137,6 +130,27 @@ fn describe_streams(settings: &Observation, features: &mut Features) {
     }
     features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
 }
+
+const NEIGHBOUR: [(&str, &str, f32, f32); 6] = [
+    ("forward", "50 m", -1.0, 1.0),
+    ("left", "50 m", -1.0, 1.0),
+    ("velocity_forward", "22.2 m/s", -1.0, 1.0),
+    ("velocity_left", "22.2 m/s", -1.0, 1.0),
+    ("moving", "flag", 0.0, 1.0),
+    ("present", "flag", 0.0, 1.0),
+];
+
+/// The same, with a scale on which gaps in a queue differ.
+const NEIGHBOUR_NEAR: [(&str, &str, f32, f32); 8] = [
+    NEIGHBOUR[0],
+    NEIGHBOUR[1],
+    ("forward_near", "15 m", -1.0, 1.0),
+    ("left_near", "15 m", -1.0, 1.0),
+    NEIGHBOUR[2],
+    NEIGHBOUR[3],
+    NEIGHBOUR[4],
+    NEIGHBOUR[5],
+];
 
 /// Neighbours whose bearings, to either side, differ by less are listed by distance: on a lane, the vehicle ahead before the one
 /// ahead of it.
@@ -225,7 +239,8 @@ impl View<'_> {
                 }
             }
         }
-        if self.scenario.observation.neighbour_order == NeighbourOrder::Bearing {
+        let by_bearing = self.scenario.observation.neighbour_order == NeighbourOrder::Bearing;
+        if by_bearing {
             let sector = |&(_, j): &(f64, usize)| {
                 traffic.slots.get(j).map_or(u32::MAX, |other| {
                     let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
@@ -235,23 +250,20 @@ impl View<'_> {
             // Stable: within a sector nearest first.
             nearest[..k].sort_by_key(sector);
         }
-        for &(d, j) in &nearest[..k] {
-            if d.is_infinite() {
-                w.skip(6);
+        for &(_, j) in &nearest[..k] {
+            let Some(other) = traffic.slots.get(j) else {
+                w.skip(if by_bearing { NEIGHBOUR_NEAR.len() } else { NEIGHBOUR.len() });
                 continue;
-            }
-            let other = &traffic.slots[j];
+            };
             let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
             let (other_sin, other_cos) = other.pose.heading.sin_cos();
             let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
-            w.put([
-                (dx * cos + dy * sin) / FAR,
-                (dy * cos - dx * sin) / FAR,
-                (vx * cos + vy * sin) / SPEED,
-                (vy * cos - vx * sin) / SPEED,
-                moving(other.status),
-                1.0,
-            ]);
+            let (forward, left) = (dx * cos + dy * sin, dy * cos - dx * sin);
+            w.put([forward / FAR, left / FAR]);
+            if by_bearing {
+                w.put([forward / NEAR, left / NEAR]);
+            }
+            w.put([(vx * cos + vy * sin) / SPEED, (vy * cos - vx * sin) / SPEED, moving(other.status), 1.0]);
         }
     }
 

@@ -474,8 +474,10 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
     let tasks = orders.map(|order| {
         task(16, |s| (s.observation.groups, s.observation.neighbour_order) = (ObservationGroups::Nearest, order))
     });
-    let neighbours = tasks[0].spec.observation.groups.iter().find(|group| group.name == "neighbour").expect("seen");
-    let (width, from, of_one) = (tasks[0].spec.observation.len(), neighbours.offset, neighbours.width);
+    let groups = tasks.each_ref().map(|task| {
+        let groups = &task.spec.observation.groups;
+        (task.spec.observation.len(), groups.iter().find(|group| group.name == "neighbour").expect("seen"))
+    });
     let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
     worlds.iter_mut().for_each(|(world, _)| world.reset(0));
     let mut differ = 0;
@@ -485,10 +487,19 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
             exchange(world, rails, &actions);
         }
         for i in 0..16 {
-            let seen = worlds.each_ref().map(|(world, _)| {
-                let all = &world.frame().observation[i * width + from..][..neighbours.count * of_one];
-                let there = all.chunks(of_one).filter(|one| one[of_one - 1] > 0.0);
-                there.map(<[f32]>::to_vec).collect::<Vec<_>>()
+            let seen = [0, 1].map(|order| {
+                let (width, group) = groups[order];
+                let all = &worlds[order].0.frame().observation[i * width + group.offset..][..group.count * group.width];
+                let there = all.chunks(group.width).filter(|one| one[group.width - 1] > 0.0);
+                // By bearing, position is told on a second scale, too.
+                let one = |one: &[f32]| {
+                    assert!(
+                        order == 0 || one[0].abs() > 0.29 || (one[2] / one[0] - 50.0 / 15.0).abs() < 1e-3,
+                        "{one:?}"
+                    );
+                    [&one[..2], &one[group.width - 4..]].concat()
+                };
+                there.map(one).collect::<Vec<_>>()
             });
             let [near, around] = &seen;
             let far = |one: &Vec<f32>| one[0].hypot(one[1]);

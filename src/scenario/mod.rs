@@ -214,7 +214,7 @@ pub enum NeighbourOrder {
     #[default]
     Distance,
     /// From those straight ahead to those behind, so that a vehicle keeps its place as distances change; in the same direction, nearest
-    /// first.
+    /// first. Positions are told on a second scale, on which gaps in a queue differ.
     Bearing,
 }
 

@@ -82,15 +82,13 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
 }
 
-/// A validation with this success is worth going on from.
-const HOPE: f64 = 0.8;
-
 /// Whether new weights are the better choice: these have found no way for long enough, and there is time for others.
 pub(super) fn hopeless(config: &Config, progress: &Progress) -> bool {
     let patience = config.train.restart_steps;
     let (waited, left) = (progress.step - progress.begun, config.steps.saturating_sub(progress.step));
     let in_time = waited >= patience && left >= patience + anneal_steps(config);
-    let hope = config.train.anneal_success == 0.0 || progress.recent.last().is_none_or(|success| *success >= HOPE);
+    let enough = config.train.restart_success;
+    let hope = config.train.anneal_success == 0.0 || progress.recent.last().is_none_or(|success| *success >= enough);
     patience > 0 && in_time && !progress.found && progress.annealed == 0 && !hope
 }
 
@@ -312,6 +310,9 @@ mod tests {
         assert!(end.found);
         // Close to a way.
         assert_eq!(search(&config, |p| if p.step < 1000 { 0.85 } else { 0.5 }).1, [1000, 1300]);
+        config.train.restart_success = 0.45;
+        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
+        config.train.restart_success = 0.8;
         // Where success is no matter, or not asked for.
         config.train.anneal_success = 0.0;
         assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
