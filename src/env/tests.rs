@@ -446,7 +446,9 @@ fn observation_groups_show_the_same_traffic() {
         assert_eq!(widths, [32, 67, 91]);
         let ego = tasks[0].spec.observation.groups[0].width;
         let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
-        worlds.iter_mut().for_each(|(world, _)| world.reset(0));
+        for (world, _) in &mut worlds {
+            world.reset(0);
+        }
         let mut seen = 0;
         for step in 0..150 {
             let actions: Vec<f32> = (0..agents).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
@@ -479,7 +481,9 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
         (task.spec.observation.len(), groups.iter().find(|group| group.name == "neighbour").expect("seen"))
     });
     let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
-    worlds.iter_mut().for_each(|(world, _)| world.reset(0));
+    for (world, _) in &mut worlds {
+        world.reset(0);
+    }
     let mut differ = 0;
     for step in 0..120 {
         let actions: Vec<f32> = (0..16).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
