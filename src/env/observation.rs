@@ -1,6 +1,6 @@
 //! What an agent sees of itself and of the others, in one of two ways or both, as the scenario says:
 //!
-//! - `nearest`: the nearest vehicles in any direction (paper).
+//! - `nearest`: the nearest vehicles in any direction (paper), nearest first or by bearing.
 //! - `conflict`: the vehicle ahead, and for each route that crosses or merges with the agent's own, the vehicles next to
 //!   the meeting point: a description that does not depend on the number of vehicles and reads the same from every arm.
 //!
