@@ -117,7 +117,7 @@ fn sumo_has_every_vehicle_where_it_is() {
             }
             for (slot, agent) in world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck) {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
-                if agent.driving && task.routes[agent.route].around.is_some() {
+                if agent.driving && task.routes[agent.route].avoided.is_some() {
                     // Where it cannot drive its route, what it sees is the way that it drives instead.
                     let seen = &world.frame().observation[slot * task.spec.observation.len()..];
                     let (lateral, heading) = (seen[lateral], seen[heading]);
@@ -126,7 +126,7 @@ fn sumo_has_every_vehicle_where_it_is() {
                 }
                 let (sin, cos) = agent.pose.heading.sin_cos();
                 let front = [agent.pose.x + half * cos, agent.pose.y + half * sin];
-                let path = &task.routes[agent.route].path;
+                let path = task.routes[agent.route].lanes();
                 let (s, lateral, segment) = path.nearest(front);
                 // Who is off its lane SUMO may have on another; who has missed a turn may come back against the traffic.
                 let off = lateral.abs() > path.widths[segment] / 2.0;

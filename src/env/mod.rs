@@ -33,7 +33,6 @@ pub use failures::Failures;
 pub use geometry::{Pose, Size, boxes_overlap};
 pub use metrics::{EpisodeRecord, Others};
 pub use order::Position;
-pub use pursuit::Around;
 pub use routes::{Conflict, RouteGeometry};
 pub use slots::Fate;
 pub use task::{Place, Task};

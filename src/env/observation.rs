@@ -172,7 +172,6 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     let mut w = Writer::new(out);
     let (sin, cos) = own.pose.heading.sin_cos();
     let to_conflict = route.to_first_conflict(own.s);
-    let (way, s, lateral) = route.way([own.pose.x, own.pose.y], (own.s, own.lateral));
     w.put([
         own.speed.max(0.0) / SPEED,
         own.action,
@@ -181,10 +180,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
         to_conflict / FAR,
         to_conflict / NEAR,
         (route.arrival - own.s) / 100.0,
-        lateral / 1.75,
+        own.lateral / 1.75,
     ]);
     if let Some(steering) = scenario.control.steering {
-        let error = own.pose.heading - way.smooth_heading(s);
+        let error = own.pose.heading - route.path.smooth_heading(own.s);
         w.put([
             own.steer,
             error.sin(),
@@ -192,10 +191,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
             own.motion.yaw_rate,
             own.motion.wheel() / steering.max_angle.to_radians(),
             (-own.speed).max(0.0) / 5.0,
-            lateral / 10.0,
+            own.lateral / 10.0,
         ]);
         for ahead in PREVIEW {
-            let ([x, y], _) = way.at(s + ahead);
+            let ([x, y], _) = route.path.at(own.s + ahead);
             let (dx, dy) = (x - own.pose.x, y - own.pose.y);
             w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }
@@ -340,14 +339,13 @@ pub(super) fn put_encounters(
             continue;
         }
         let ahead = routes[own.route].shared_position(other.route, other.s).map(|s| s - own.s).filter(|way| *way > 0.0);
-        let (own_way, other_way) = match (ahead, routes[own.route].meeting(other.route)) {
-            (Some(way), _) => (way - f64::midpoint(own.size[0], other.size[0]), 0.0),
-            (None, Some(meeting)) => (meeting.own - own.s, meeting.other - other.s),
-            (None, None) => continue,
+        let (own_way, other_way) = match ahead {
+            Some(way) => (way - f64::midpoint(own.size[0], other.size[0]), 0.0),
+            None => match routes[own.route].next_meeting(own.s, other.route, other.s, CLEARED) {
+                Some(meeting) => (meeting.own - own.s, meeting.other - other.s),
+                None => continue,
+            },
         };
-        if own_way < -CLEARED || other_way < -CLEARED {
-            continue;
-        }
         let entry = (own_way.max(other_way), own_way, other_way, ahead.is_some(), j);
         if entry.0 < soonest[count - 1].0 {
             let at = soonest[..count].partition_point(|other| other.0 <= entry.0);

@@ -1,16 +1,15 @@
 //! The routes' centre lines and how they meet: shared lanes, crossings and merges.
 
 use super::geometry::{Pose, Size, boxes_overlap};
-use super::pursuit::Around;
 use crate::sumo::net::Path;
 
 /// A route's centre line and its relation to the others. All positions are arc lengths from the route's start \[m\].
 #[derive(Debug, Clone)]
 pub struct RouteGeometry {
-    /// Centre line.
+    /// What vehicles follow: the centre line of its lanes, and the way around where it turns back more sharply than they can.
     pub path: Path,
-    /// What a vehicle that steers follows where the route turns back more sharply than it can.
-    pub around: Option<Around>,
+    /// The centre line of its lanes, where they do not.
+    pub avoided: Option<Path>,
     /// Lane of the first edge on which it begins, as SUMO counts them.
     pub first_lane: u32,
     /// An agent whose centre is here or further has arrived.
@@ -21,8 +20,9 @@ pub struct RouteGeometry {
     pub conflicts: Vec<Conflict>,
     /// Routes that never meet this one.
     pub apart: Vec<usize>,
-    /// For every route, its entry in [`RouteGeometry::conflicts`], if it has one.
-    meetings: Vec<Option<usize>>,
+    /// For every route, where it meets this one, in the order in which this one comes there: first its entry in
+    /// [`RouteGeometry::conflicts`].
+    meetings: Vec<Vec<Conflict>>,
     /// For every route: stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
 }
@@ -47,13 +47,20 @@ struct Shared {
     shift: f64,
 }
 
+/// Vehicles on ways this far apart pass each other \[m\].
+const APART: f64 = 2.5;
+/// Ways are looked at at places so far from each other \[m\].
+const STEP: f64 = 0.25;
+
 impl RouteGeometry {
-    /// What a vehicle follows that is at `point`, and its `s` and lateral offset there, `at` being those on the route itself.
-    pub fn way(&self, point: [f64; 2], at: (f64, f64)) -> (&Path, f64, f64) {
-        self.around.as_ref().map_or((&self.path, at.0, at.1), |around| {
-            let (s, lateral) = around.locate(point, at.0);
-            (&around.path, s, lateral)
-        })
+    /// The centre line of its lanes, on which SUMO has vehicles.
+    pub fn lanes(&self) -> &Path {
+        self.avoided.as_ref().unwrap_or(&self.path)
+    }
+
+    /// Position on [`RouteGeometry::path`] of a place on [`RouteGeometry::lanes`].
+    pub fn on_way(&self, s: f64) -> f64 {
+        self.avoided.as_ref().map_or(s, |lanes| self.path.arc_of_distance(lanes.distance_of_arc(s)))
     }
 
     /// Position on this route of something at `s` on `route`, if it is on a lane that both use, or behind a fork of it still as
@@ -67,9 +74,15 @@ impl RouteGeometry {
         self.path.lanes.is_empty()
     }
 
-    /// Where `route` meets this one.
+    /// Where `route` first meets this one.
     pub fn meeting(&self, route: usize) -> Option<Conflict> {
-        self.meetings[route].map(|i| self.conflicts[i])
+        self.meetings[route].first().copied()
+    }
+
+    /// Where a vehicle at `other` on `route` next meets one at `own` on this one, both at most `cleared` metres past it.
+    pub fn next_meeting(&self, own: f64, route: usize, other: f64, cleared: f64) -> Option<Conflict> {
+        let ahead = |met: &&Conflict| met.own - own >= -cleared && met.other - other >= -cleared;
+        self.meetings[route].iter().find(ahead).copied()
     }
 
     /// Distance from `s` to the first conflict point, or to the arrival where there is none \[m\].
@@ -78,37 +91,36 @@ impl RouteGeometry {
     }
 }
 
-/// Route number `a` of `paths`, on whose last edge `arrival_pos` is the finish, for vehicles of this size.
-pub(super) fn geometry(paths: &[Path], a: usize, arrival_pos: f64, size: Size) -> RouteGeometry {
+/// Route number `a` of `paths`, some of which lead around their lanes, on whose last edge `arrival_pos` is the finish, for vehicles of
+/// this size.
+pub(super) fn geometry(paths: &[Path], detoured: &[bool], a: usize, arrival_pos: f64, size: Size) -> RouteGeometry {
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
     let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
-    let mut conflicts = Vec::new();
-    let mut apart = Vec::new();
+    let mut meetings = vec![Vec::new(); paths.len()];
     for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
-        let met = first_meeting(path, other, &shared[b]);
-        match met.or_else(|| near_miss(path, other, &shared[b])) {
-            Some((own, on_other)) => conflicts.push(Conflict { route: b, own, other: on_other }),
-            None => apart.push(b),
-        }
+        let met = if detoured[a] || detoured[b] {
+            meetings_around(path, other, &shared[b], size)
+        } else {
+            let first = first_meeting(path, other, &shared[b]);
+            first.or_else(|| near_miss(path, other, &shared[b])).into_iter().collect()
+        };
+        meetings[b] = met.into_iter().map(|(own, other)| Conflict { route: b, own, other }).collect();
     }
+    let mut conflicts: Vec<Conflict> = meetings.iter().filter_map(|met| met.first().copied()).collect();
+    let apart = (0..paths.len()).filter(|&b| b != a && meetings[b].is_empty()).collect();
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    let mut meetings = vec![None; paths.len()];
-    for (i, conflict) in conflicts.iter().enumerate() {
-        meetings[conflict.route] = Some(i);
-    }
     let ways = shared.into_iter().zip(paths).zip(&meetings);
-    let shared = ways.map(|((mut stretches, other), meeting)| {
-        let met = meeting.map(|i: usize| conflicts[i]);
-        stretches.extend(met.and_then(|met| one_way(path, other, met)));
+    let shared = ways.map(|((mut stretches, other), meetings)| {
+        stretches.extend(meetings.first().and_then(|met| one_way(path, other, *met)));
         extended(path, other, stretches, size)
     });
     let shared = shared.collect();
     let half = path.widths.last().copied().unwrap_or_default() / 2.0;
     RouteGeometry {
         path: path.clone(),
-        around: None,
+        avoided: None,
         first_lane: 0,
         arrival,
         finish: [-half, half],
@@ -131,8 +143,6 @@ fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
 
 /// Where the centre lines of two ways that share nothing are nearest, if they are so close that vehicles in a curve would touch.
 fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
-    /// Vehicles on ways this far apart pass each other \[m\].
-    const APART: f64 = 2.5;
     let driven = !own.lanes.is_empty() && !other.lanes.is_empty() && shared.is_empty();
     // Lines that do not cross are nearest at a point of either.
     let beside = |line: &Path, points: &Path| {
@@ -149,8 +159,6 @@ fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> 
 /// The stretches, each as far as a vehicle there is in the way of one that goes the own way: behind a fork, until its tail is out of it;
 /// before a merge, where both centre lines already lie on each other.
 fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec<Shared> {
-    /// \[m\]
-    const STEP: f64 = 0.25;
     /// Centre lines this close are one \[m\].
     const CLOSE: f64 = 0.3;
     /// A vehicle on the other way counts as so much longer and wider, as nobody keeps to the centre line \[m\].
@@ -219,6 +227,43 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
         }
     }
     None
+}
+
+/// Where two ways meet of which one leads around, in driving order of `own`: it may come near the other several times. Of each stretch
+/// on which vehicles of this size would touch, the place where the ways are nearest, and if it is long others before and behind that.
+fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
+    /// Places of one stretch are so far from each other, in steps.
+    const SPACING: usize = (4.0 / STEP) as usize;
+    let pose = |path: &Path, s: f64| {
+        let ([x, y], heading) = path.at(s);
+        Pose { x, y, heading }
+    };
+    let diagonal = size[0].hypot(size[1]);
+    let reach = (diagonal / STEP) as i32;
+    // The stretch under way: gaps and places. What begins at a fork is no meeting.
+    let (mut found, mut stretch, mut forked) = (Vec::new(), Vec::new(), false);
+    for s in (0..=(own.length() / STEP) as u32).map(|k| f64::from(k) * STEP) {
+        let here = pose(own, s);
+        let (at, gap, _) = other.nearest([here.x, here.y]);
+        let gap = gap.abs();
+        let common = shared.iter().any(|k| (k.from..=k.to).contains(&at) && (at + k.shift - s).abs() < 2.0 * STEP);
+        let touch = |k: i32| boxes_overlap((&here, size), (&pose(other, at + f64::from(k) * STEP), size));
+        let near = gap < APART || gap < diagonal && (-reach..=reach).any(touch);
+        forked = common || forked && near;
+        if near && !forked {
+            stretch.push((gap, (s, at)));
+        } else {
+            found.extend(spaced(&std::mem::take(&mut stretch), SPACING));
+        }
+    }
+    found.extend(spaced(&stretch, SPACING));
+    found
+}
+
+/// Of places and the gaps there, the one with the smallest and others at this spacing from it.
+fn spaced(places: &[(f64, (f64, f64))], spacing: usize) -> impl Iterator<Item = (f64, f64)> {
+    let nearest = (0..places.len()).min_by(|&i, &j| places[i].0.total_cmp(&places[j].0)).unwrap_or(0);
+    places.iter().skip(nearest % spacing).step_by(spacing).map(|(_, place)| *place)
 }
 
 /// Who begins on the way in of another (leaves a space that the other is bound for) meets it at the end of their common way, where

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::geometry::Size;
-use super::pursuit::Around;
+use super::pursuit::way_around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{EnvSpec, Error, observation, state};
@@ -122,14 +122,28 @@ impl Task {
                 route_edges.push(edges);
             }
         }
+        let mut ways = paths.clone();
+        let mut detoured = vec![false; paths.len()];
+        if let Some(steering) = &scenario.control.steering {
+            for (way, detoured) in ways.iter_mut().zip(&mut detoured) {
+                if let Some(around) = way_around(way, steering) {
+                    (*way, *detoured) = (around, true);
+                }
+            }
+        }
         let routes = (0..paths.len())
             .map(|a| {
                 // Vehicles of route files arrive where SUMO takes them off the road: at the end.
                 let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
-                let mut route =
-                    geometry(&paths, a, arrival.unwrap_or(-1.0), [scenario.vehicle.length, scenario.vehicle.width]);
+                let mut route = geometry(
+                    &ways,
+                    &detoured,
+                    a,
+                    arrival.unwrap_or(-1.0),
+                    [scenario.vehicle.length, scenario.vehicle.width],
+                );
                 if arrival.is_none() {
-                    route.arrival = paths[a].length();
+                    route.arrival = ways[a].length();
                 }
                 if let Some(&last) = paths[a].lanes.last() {
                     let lanes = net.carriageway(&net.edges[net.lanes[last].edge]);
@@ -138,7 +152,7 @@ impl Task {
                     route.finish[0] -= beside(lanes.start..last);
                     route.finish[1] += beside(last + 1..lanes.end);
                 }
-                route.around = scenario.control.steering.as_ref().and_then(|s| Around::of(&paths[a], s));
+                route.avoided = detoured[a].then(|| paths[a].clone());
                 route.first_lane = paths[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
                 route
             })
@@ -231,11 +245,16 @@ impl Task {
         &self.net_file
     }
 
-    /// Where the front bumper of a vehicle on a route is that was last on one of the route's segments, `front` in metres, and its
-    /// arc length along the route \[m\].
+    /// Where the front bumper of a vehicle on a route is that was last on one of its way's segments, `front` in metres, and its
+    /// arc length along the route's lanes \[m\].
     pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (Place, f64) {
-        let path = &self.routes[route].path;
-        let (s, lateral, segment) = path.project(front, segment);
+        let geometry = &self.routes[route];
+        let path = geometry.lanes();
+        let (s, lateral, segment) = match geometry.avoided {
+            None => path.project(front, segment),
+            // The way's segments are not those of the lanes.
+            Some(_) => path.nearest(front),
+        };
         let place = if lateral.abs() > path.widths[segment] / 2.0 {
             Place::Beside
         } else if self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s)) {

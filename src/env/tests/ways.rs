@@ -58,10 +58,10 @@ fn who_is_in_the_way_is_an_encounter() {
                     if own.shared_position(b, s).is_some() {
                         continue;
                     }
-                    let met = own.meeting(b);
-                    let live = |t: f64| met.is_some_and(|m| m.own - t >= -CLEARED && m.other - s >= -CLEARED);
+                    let live = |t: f64| own.next_meeting(t, b, s, CLEARED).is_some();
                     // Who is past the meeting drives on.
-                    let past = |t: f64| met.is_some_and(|m| m.own - t < -CLEARED);
+                    let ahead = |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
+                    let past = |t: f64| own.meeting(b).is_some() && !ahead(t);
                     let there = pose(&other.path, s);
                     let touched = |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
                     if let Some(t) = ways(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
@@ -86,7 +86,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
         let (control, road) = (&scenario.control, task.road.as_ref().expect("vehicles steer"));
         let steering = control.steering.as_ref().expect("vehicles steer");
         for (route, id) in task.routes.iter().zip(&task.route_ids) {
-            around += usize::from(route.around.is_some());
+            around += usize::from(route.avoided.is_some());
             let ([x, y], heading) = route.path.at(6.0);
             let mut motion = Motion::at(Pose { x, y, heading });
             let (mut s, mut segment) = (6.0, 0);
@@ -95,9 +95,8 @@ fn pursuit_stays_on_the_road_of_every_route() {
                 let at = [motion.pose.x, motion.pose.y];
                 let lateral;
                 (s, lateral, segment) = route.path.project(at, segment);
-                let (way, along, beside) = route.way(at, (s, lateral));
-                assert!(beside.abs() < 1.0, "{name}: {id} is {beside} m beside its way, at {at:?}");
-                let steer = pursuit::steer(steering, way, along, &motion.pose);
+                assert!(lateral.abs() < 1.0, "{name}: {id} is {lateral} m beside its way, at {at:?}");
+                let steer = pursuit::steer(steering, &route.path, s, &motion.pose);
                 motion = motion.advance(control, steering, &scenario.vehicle, steer, throttle.clamp(-1.0, 1.0));
                 assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
                 if s > route.path.length() - 4.0 {

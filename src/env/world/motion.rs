@@ -26,8 +26,7 @@ impl World {
         let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
             return [0.0, throttle];
         };
-        let (way, s, _) = task.routes[own.route].way([own.pose.x, own.pose.y], (own.s, own.lateral));
-        [pursuit::steer(&steering, way, s, &own.pose), throttle]
+        [pursuit::steer(&steering, &task.routes[own.route].path, own.s, &own.pose), throttle]
     }
 
     /// Commands of the coming exchange; `actions` is `[N, A]`, of which only active agents' entries count.
@@ -209,17 +208,17 @@ impl World {
             if self.driver == Driver::Sumo {
                 slot.speed = vehicle.speed;
             }
-            let path = &task.routes[slot.route].path;
+            let route = &task.routes[slot.route];
             if steers {
                 slot.pose = slot.motion.pose;
-                (slot.s, slot.lateral, slot.segment) = path.project([slot.pose.x, slot.pose.y], slot.segment);
+                (slot.s, slot.lateral, slot.segment) = route.path.project([slot.pose.x, slot.pose.y], slot.segment);
                 continue;
             }
-            let front = path.arc_of_distance(vehicle.distance);
-            let (point, heading, segment) = path.body(front, 2.0 * half);
+            let front = route.lanes().arc_of_distance(vehicle.distance);
+            let (point, heading, segment) = route.lanes().body(front, 2.0 * half);
             let (sin, cos) = heading.sin_cos();
             slot.pose = Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
-            slot.s = front - half;
+            slot.s = route.on_way(front - half);
             slot.segment = segment;
         }
         if task.others > 0 {
@@ -245,7 +244,7 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     }
     // Where it was beside its route, SUMO may have given it another.
     let place = if vehicle.track == Track::Route { place } else { Place::Beside };
-    let distance = task.routes[vehicle.route].path.distance_of_arc(s);
+    let distance = task.routes[vehicle.route].lanes().distance_of_arc(s);
     let held = vehicle.held.take().filter(|_| place != Place::Beside);
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
     if let Some(speed) = speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed)) {

@@ -217,7 +217,7 @@ impl World {
                 }
                 continue;
             };
-            let path = &task.routes[slot.route].path;
+            let route = &task.routes[slot.route];
             let (sin, cos) = body.heading.sin_cos();
             let half = slot.size[0] / 2.0;
             let pose = Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
@@ -225,15 +225,15 @@ impl World {
             let guest = &mut self.others.guests[i - first];
             if slot.departed {
                 slot.before = slot.pose;
-                let (s, _, segment) = path.project(front, slot.segment);
-                (slot.s, slot.segment) = (s - half, segment);
+                let (s, _, segment) = route.lanes().project(front, slot.segment);
+                (slot.s, slot.segment) = (route.on_way(s - half), segment);
                 if slot.status == Status::Active {
                     guest.braking = guest.braking.max((slot.speed - state.speed) / interval);
                 }
             } else {
                 slot.before = pose;
-                let (s, _, segment) = path.nearest(front);
-                (slot.s, slot.segment) = (s - half, segment);
+                let (s, _, segment) = route.lanes().nearest(front);
+                (slot.s, slot.segment) = (route.on_way(s - half), segment);
                 (slot.departed, slot.status) = (true, Status::Active);
             }
             (slot.pose, slot.speed) = (pose, state.speed);

@@ -90,6 +90,50 @@ impl Path {
         (path.points.len() >= 2).then_some(path)
     }
 
+    /// The same with what lies between two of its points, by their indices, replaced by `points`. The lanes there are as much longer in
+    /// metres of this path per metre of SUMO's.
+    #[must_use]
+    pub fn detoured(&self, from: usize, to: usize, points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let mut path = Self::empty();
+        let width = self.widths[from.saturating_sub(1)];
+        self.points[..=from]
+            .iter()
+            .zip([width].iter().chain(&self.widths))
+            .for_each(|(&point, &w)| path.push(point, w));
+        points.into_iter().for_each(|point| path.push(point, width));
+        path.push(self.points[to], width);
+        let (begin, old, new) = (self.cumulative[from], self.cumulative[to], path.length());
+        self.points[to + 1..].iter().zip(&self.widths[to..]).for_each(|(&point, &w)| path.push(point, w));
+        let factor = (new - begin) / (old - begin);
+        let moved = |s: f64| {
+            if s <= begin {
+                s
+            } else if s < old {
+                begin + (s - begin) * factor
+            } else {
+                s + new - old
+            }
+        };
+        let longer = |start: f64, end: f64| (moved(end) - moved(start)) / (end - start);
+        let starts = |starts: &[f64]| starts.iter().map(|&s| moved(s)).collect::<Vec<_>>();
+        let edges = || self.edge_start.iter().zip(&self.edge_length);
+        Self {
+            edges: self.edges.clone(),
+            edge_start: starts(&self.edge_start),
+            edge_length: edges().map(|(&start, &length)| moved(start + length) - moved(start)).collect(),
+            scale: edges().zip(&self.scale).map(|((&s, &length), scale)| scale * longer(s, s + length)).collect(),
+            lanes: self.lanes.clone(),
+            lane_position: self.lane_position.clone(),
+            lane_start: starts(&self.lane_start),
+            lane_scale: self
+                .lane_stretches()
+                .zip(&self.lane_scale)
+                .map(|((_, s, end), scale)| scale * longer(s, end))
+                .collect(),
+            ..path
+        }
+    }
+
     fn empty() -> Self {
         Self {
             points: Vec::new(),

@@ -84,6 +84,30 @@ fn sumos_count_of_a_way_can_be_taken_back() {
 }
 
 #[test]
+fn a_detour_is_on_the_same_lanes() {
+    let path = route(&["a", "c"]).unwrap();
+    // Over the junction 40 m instead of 20 m.
+    let around = path.detoured(1, 4, [[10.0, 20.0], [20.0, 20.0]]);
+    assert_eq!(around.points, [[0.0, 0.0], [10.0, 0.0], [10.0, 20.0], [20.0, 20.0], [20.0, 10.0], [20.0, 30.0]]);
+    assert_eq!(around.widths, [3.5, 3.5, 3.5, 3.5, 3.2]);
+    let stretches = |path: &Path| path.lane_stretches().map(|(_, from, to)| (from, to)).collect::<Vec<_>>();
+    assert_eq!(stretches(&path), [(0.0, 10.0), (10.0, 15.0), (15.0, 30.0), (30.0, 50.0)]);
+    assert_eq!(stretches(&around), [(0.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 70.0)]);
+    assert_eq!((&around.edges, &around.lanes), (&path.edges, &path.lanes));
+    assert_eq!((around.arc(0, 4.0), around.arc(1, 10.0), around.arc(1, -10.0)), (Some(4.0), Some(55.0), Some(65.0)));
+    for k in 0..=100 {
+        let distance = path.distance_of_arc(path.length()) * f64::from(k) / 100.0;
+        let s = around.arc_of_distance(distance);
+        assert!((around.distance_of_arc(s) - distance).abs() < 1e-9, "at {distance}");
+        // Where it leads along the lanes it is where they are.
+        if !(10.0..50.0).contains(&s) {
+            let ([x, y], [u, v]) = (around.at(s).0, path.at(path.arc_of_distance(distance)).0);
+            assert!((x - u).hypot(y - v) < 1e-9, "at {distance}");
+        }
+    }
+}
+
+#[test]
 fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
     let path = route(&["a", "b"]).unwrap();
     assert_eq!(
