@@ -98,7 +98,7 @@ impl Stage {
 
     fn nobody_is_left(&self) {
         let word = self.folder.path().display().to_string();
-        wait_until("every process is gone", 30, || processes_with(&word).is_empty());
+        wait_until("every process is gone", 5, || processes_with(&word).is_empty());
     }
 }
 

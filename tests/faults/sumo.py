@@ -8,7 +8,9 @@ FAULT_AFTER   number of answers that pass before
 FAULT_ONCE    a file: the process that makes it misbehaves, others find it and do not; empty: all misbehave
 """
 
+import ctypes
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -25,8 +27,16 @@ with socket.socket() as probe:
     port = probe.getsockname()[1]
 listener = socket.create_server(("127.0.0.1", int(arguments[at])))
 arguments[at] = str(port)
-# Its end of the pipe tells the real program that this one is gone, even if this one is killed.
-sumo = subprocess.Popen([real, *arguments])
+
+
+def end_with_this_one():
+    """Killed before it has connected, it would leave the real program waiting for a connection for good."""
+    PR_SET_PDEATHSIG = 1
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+# Once connected, its end of the connection tells the real program that this one is gone, even if this one is killed.
+sumo = subprocess.Popen([real, *arguments], preexec_fn=end_with_this_one)
 ours, _ = listener.accept()
 listener.close()
 while True:
