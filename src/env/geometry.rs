@@ -67,27 +67,31 @@ pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> O
     };
     let (va, vb) = (velocity(a), velocity(b));
     let (vx, vy) = (vb[0] - va[0], vb[1] - va[1]);
-    let turned = b.0.heading - a.0.heading;
+    let (turned, axes) = (b.0.heading - a.0.heading, [a.0.heading, b.0.heading].map(f64::sin_cos));
+    let along = |x: f64, y: f64| {
+        let [own, other] = axes.map(|(sin, cos)| [x * cos + y * sin, y * cos - x * sin]);
+        [own[0], own[1], other[0], other[1]]
+    };
+    let ([l, w], [other_l, other_w]) = (reaches(turned, a.1, b.1), reaches(turned, b.1, a.1));
     // They overlap while they do so along all four axes.
-    let (mut from, mut to) = (0.0_f64, f64::INFINITY);
-    for (heading, [along, across]) in
-        [(a.0.heading, reaches(turned, a.1, b.1)), (b.0.heading, reaches(turned, b.1, a.1))]
-    {
-        let (s, c) = heading.sin_cos();
-        for (distance, speed, reach) in
-            [(dx * c + dy * s, vx * c + vy * s, along), (dy * c - dx * s, vy * c - vx * s, across)]
-        {
-            if speed.abs() < 1e-9 {
-                if distance.abs() > reach {
-                    return None;
-                }
-                continue;
+    let [from, to] = stretch(along(dx, dy), along(vx, vy), [l, w, other_l, other_w])?;
+    (to >= 0.0).then_some(from.max(0.0))
+}
+
+/// From when to when a point that begins at `at` and moves by `way` in a unit of time is within `half` of zero along every axis.
+pub(super) fn stretch<const N: usize>(at: [f64; N], way: [f64; N], half: [f64; N]) -> Option<[f64; 2]> {
+    let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
+    for ((at, way), half) in at.into_iter().zip(way).zip(half) {
+        if way.abs() < 1e-12 {
+            if at.abs() > half {
+                return None;
             }
-            let times = [(-reach - distance) / speed, (reach - distance) / speed];
-            (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
+            continue;
         }
+        let times = [(-half - at) / way, (half - at) / way];
+        (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
     }
-    (from <= to).then_some(from)
+    (from <= to).then_some([from, to])
 }
 
 #[cfg(test)]

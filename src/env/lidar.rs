@@ -1,9 +1,9 @@
-//! Lidar: how far a vehicle sees in every direction, until the body of another vehicle or a line at the side of the road.
+//! Lidar: how far a vehicle sees in every direction, until the body of another vehicle or the end of the road (a line, or a kerb).
 
 use std::f64::consts::TAU;
 
 use super::Features;
-use super::geometry::Pose;
+use super::geometry::{Pose, stretch};
 use super::road::Road;
 use super::slots::{Status, Traffic};
 use crate::scenario::Lidar;
@@ -50,18 +50,8 @@ fn to_box(from: &Pose, direction: f64, target: &Pose, half: [f64; 2]) -> Option<
     let (dx, dy) = (from.x - target.x, from.y - target.y);
     let at = [dx * cos + dy * sin, dy * cos - dx * sin];
     let (rise, run) = (direction - target.heading).sin_cos();
-    let mut span = (0.0_f64, f64::INFINITY);
-    for (at, way, half) in [(at[0], run, half[0]), (at[1], rise, half[1])] {
-        if way.abs() < 1e-12 {
-            if at.abs() > half {
-                return None;
-            }
-            continue;
-        }
-        let (enter, leave) = ((-half - at) / way, (half - at) / way);
-        span = (span.0.max(enter.min(leave)), span.1.min(enter.max(leave)));
-    }
-    (span.0 <= span.1).then_some(span.0)
+    let [enter, leave] = stretch(at, [run, rise], half)?;
+    (leave >= 0.0).then_some(enter.max(0.0))
 }
 
 #[cfg(test)]

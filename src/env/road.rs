@@ -8,7 +8,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::Error;
-use super::geometry::Pose;
+use super::geometry::{Pose, stretch};
 use super::routes::crossing;
 use crate::scenario::Border;
 use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
@@ -33,25 +33,42 @@ struct Strip {
     half: f64,
 }
 
+impl Strip {
+    /// How far it is from a point along a unit vector until one is no longer on this lane, with what counts as on it beside; `None`
+    /// where the point is not on it.
+    fn exit(&self, from: Point, along: Point) -> Option<f64> {
+        let reach = self.half + BESIDE;
+        if distance(self.ends, from) > reach {
+            return None;
+        }
+        // What counts is convex: a circle around either end, and the box between them. It is left where the last of them is.
+        let circle = |centre: Point| {
+            let (dx, dy) = (from[0] - centre[0], from[1] - centre[1]);
+            let (middle, rest) = (dx * along[0] + dy * along[1], dx * dx + dy * dy - reach * reach);
+            (middle * middle >= rest).then(|| (middle * middle - rest).sqrt() - middle)
+        };
+        let [a, b] = self.ends;
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
+        let own = |x: f64, y: f64| [(x * dx + y * dy) / length, (y * dx - x * dy) / length];
+        let at = own(from[0] - f64::midpoint(a[0], b[0]), from[1] - f64::midpoint(a[1], b[1]));
+        let between = stretch(at, own(along[0], along[1]), [length / 2.0, reach]).map(|[_, leave]| leave);
+        Some([circle(a), circle(b), between].into_iter().flatten().fold(0.0, f64::max))
+    }
+}
+
 #[derive(Debug, Clone, Default)]
 struct Cell {
     strips: Vec<u32>,
     lines: Vec<u32>,
 }
 
-/// A line at the side of lanes.
-#[derive(Debug, Clone, Copy)]
-struct Line {
-    ends: [Point; 2],
-    /// Who touches it has left the road.
-    border: bool,
-}
-
 /// Lanes and lines of a net, for lookups around a vehicle.
 #[derive(Debug, Clone)]
 pub(super) struct Road {
     strips: Vec<Strip>,
-    lines: Vec<Line>,
+    /// Who touches one of these has left the road.
+    lines: Vec<[Point; 2]>,
     cells: HashMap<[i32; 2], Cell>,
     /// Half the diagonal of a vehicle \[m\].
     reach: f64,
@@ -80,11 +97,11 @@ impl Road {
                 road.strips.extend(lane.shape.windows(2).map(strip));
             }
         }
-        road.draw_all(net, border == Border::Line);
-        if border == Border::Kerb {
-            road.draw_between_directions(net);
+        match border {
+            Border::Line => road.draw_all(net),
+            Border::Kerb => road.draw_between_directions(net),
         }
-        let lengths = road.strips.iter().map(|strip| strip.ends).chain(road.lines.iter().map(|line| line.ends));
+        let lengths = road.strips.iter().map(|strip| &strip.ends).chain(&road.lines);
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
         if metres.is_nan() || metres > LONGEST {
             return Err(Error::Long { net: net.path.display().to_string(), metres, limit: LONGEST });
@@ -96,7 +113,7 @@ impl Road {
             }
         }
         for i in 0..road.lines.len() {
-            for cell in cells_along(road.lines[i].ends, road.reach) {
+            for cell in cells_along(road.lines[i], road.reach) {
                 road.cells.entry(cell).or_default().lines.push(i as u32);
             }
         }
@@ -104,15 +121,15 @@ impl Road {
     }
 
     /// The lines at both sides of edges, and along the outside of junctions.
-    fn draw_all(&mut self, net: &Net, border: bool) {
+    fn draw_all(&mut self, net: &Net) {
         for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
             let lanes = net.carriageway(edge);
             let (right, left) = (&net.lanes[lanes.start], &net.lanes[lanes.end - 1]);
-            self.line(&parallel(&right.shape, -right.width / 2.0), border);
-            self.line(&parallel(&left.shape, left.width / 2.0), border);
+            self.line(&parallel(&right.shape, -right.width / 2.0));
+            self.line(&parallel(&left.shape, left.width / 2.0));
         }
         for lane in outer_ways(net) {
-            self.line(&parallel(&lane.shape, -lane.width / 2.0), border);
+            self.line(&parallel(&lane.shape, -lane.width / 2.0));
         }
     }
 
@@ -132,13 +149,38 @@ impl Road {
             };
             let mut others = net.edges[..i].iter().filter(normal);
             if others.any(|other| (&other.from, &other.to) == (&edge.to, &edge.from) && back(other)) {
-                self.line(&line, true);
+                self.line(&line);
             }
         }
     }
 
-    /// Distance from a point along a unit vector to the first line, `range` where there is none before \[m\].
+    /// Distance from a point along a unit vector to the first line or kerb that borders the road, `range` where there is none
+    /// before \[m\].
     pub(super) fn beam(&self, from: Point, along: Point, range: f64) -> f64 {
+        match self.border {
+            Border::Line => self.to_line(from, along, range),
+            Border::Kerb => self.to_line(from, along, self.to_kerb(from, along, range)),
+        }
+    }
+
+    /// Distance to where the lanes end, with what counts as on them beside.
+    fn to_kerb(&self, from: Point, along: Point, range: f64) -> f64 {
+        let mut reached = 0.0;
+        while reached < range {
+            let at = [from[0] + reached * along[0], from[1] + reached * along[1]];
+            let strips = self.cells.get(&cell_of(at)).map_or(&[][..], |cell| &cell.strips);
+            let exits = strips.iter().filter_map(|&i| self.strips[i as usize].exit(at, along));
+            let further = exits.fold(0.0, f64::max);
+            // A step that rounding could undo is none.
+            if further < 1e-9 {
+                return reached;
+            }
+            reached += further;
+        }
+        range
+    }
+
+    fn to_line(&self, from: Point, along: Point, range: f64) -> f64 {
         let end = [from[0] + range * along[0], from[1] + range * along[1]];
         let mut cell = cell_of(from);
         // Ways along the beam to the next border between cells, and from border to border, per axis.
@@ -151,7 +193,7 @@ impl Road {
             let leaves = next[0].min(next[1]);
             let lines = self.cells.get(&cell).map_or(&[][..], |cell| &cell.lines);
             let hits = lines.iter().filter_map(|&i| {
-                let [a, b] = self.lines[i as usize].ends;
+                let [a, b] = self.lines[i as usize];
                 crossing(from, end, a, b).map(|(t, _)| t * range)
             });
             // What lies beyond this cell is for the next.
@@ -168,8 +210,8 @@ impl Road {
         }
     }
 
-    fn line(&mut self, points: &[Point], border: bool) {
-        self.lines.extend(points.windows(2).map(|pair| Line { ends: [pair[0], pair[1]], border }));
+    fn line(&mut self, points: &[Point]) {
+        self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
     /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or one of its corners is beyond the kerb.
@@ -186,16 +228,15 @@ impl Road {
             || cell
                 .lines
                 .iter()
-                .map(|&i| self.lines[i as usize])
-                .any(|line| line.border && self.touches(pose, line.ends))
+                .any(|&i| self.touches(pose, self.lines[i as usize]))
             || (self.border == Border::Kerb && beyond_kerb())
     }
 
     fn on_lane(&self, point: Point) -> bool {
         let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
         strips.iter().any(|&i| {
-            let Strip { ends, half } = self.strips[i as usize];
-            distance(ends, point) <= half + BESIDE
+            let strip = &self.strips[i as usize];
+            distance(strip.ends, point) <= strip.half + BESIDE
         })
     }
 
@@ -206,19 +247,8 @@ impl Road {
             let (dx, dy) = (p[0] - pose.x, p[1] - pose.y);
             [dx * cos + dy * sin, dy * cos - dx * sin]
         };
-        let ([a, b], mut span) = (line.map(own), (0.0_f64, 1.0_f64));
-        for axis in 0..2 {
-            let (from, way, half) = (a[axis], b[axis] - a[axis], self.half[axis]);
-            if way == 0.0 {
-                if from.abs() > half {
-                    return false;
-                }
-                continue;
-            }
-            let (enter, leave) = ((-half - from) / way, (half - from) / way);
-            span = (span.0.max(enter.min(leave)), span.1.min(enter.max(leave)));
-        }
-        span.0 <= span.1
+        let [a, b] = line.map(own);
+        stretch(a, [b[0] - a[0], b[1] - a[1]], self.half).is_some_and(|[from, to]| from <= 1.0 && to >= 0.0)
     }
 }
 
@@ -357,6 +387,28 @@ mod tests {
     }
 
     proptest! {
+        /// A beam on the parking lot ends at the line between the directions, or where the kerb is: where a vehicle's corner has left.
+        #[test]
+        fn a_beam_ends_where_the_road_does(strip in 0_usize..1000, t in 0.0..1.0f64, direction in -4.0..4.0f64) {
+            const RANGE: f64 = 30.0;
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
+            let road = Road::new(&Net::load(&path).unwrap(), LENGTH, WIDTH, Border::Kerb).unwrap();
+            let [a, b] = road.strips[strip % road.strips.len()].ends;
+            let (from, along) = ([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])], [direction.cos(), direction.sin()]);
+            let at = |distance: f64| [from[0] + distance * along[0], from[1] + distance * along[1]];
+            let found = road.beam(from, along, RANGE);
+            prop_assert!((0.0..=RANGE).contains(&found));
+            let open = |distance: f64| {
+                let end = at(distance);
+                road.on_lane(end) && !road.lines.iter().any(|&[a, b]| crossing(from, end, a, b).is_some())
+            };
+            let before = (0..1000).map(|k| found * f64::from(k) / 1000.0 - 1e-6).filter(|distance| *distance > 0.0);
+            for distance in before {
+                prop_assert!(open(distance), "{distance} of {found}");
+            }
+            prop_assert!(found == RANGE || !open(found + 1e-6), "{found}");
+        }
+
         /// A segment meets a box when a thin box along it does.
         #[test]
         fn touching_agrees_with_boxes(x in -6.0..6.0f64, y in -6.0..6.0f64, h in -4.0..4.0f64, g in -4.0..4.0f64) {

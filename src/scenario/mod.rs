@@ -250,7 +250,7 @@ pub struct Observation {
     pub lidar: Lidar,
 }
 
-/// Beams in all directions, which end at vehicles and at the lines beside roads.
+/// Beams in all directions, which end at vehicles and where the road ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lidar {
     /// How many; 0: none.
