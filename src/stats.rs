@@ -7,6 +7,8 @@
 
 pub mod aggregate;
 
+use std::fmt;
+
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// The 97.5 % quantile of the standard normal distribution: half the width, in standard errors, of a 95 % interval.
@@ -74,6 +76,19 @@ impl Estimate {
         let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();
         // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
         Some(Self { mean, low: (centre - half).max(0.0).min(mean), high: (centre + half).min(1.0).max(mean) })
+    }
+}
+
+/// Mean and interval, `88.1 [82.9, 91.9]`, with as many decimals as the format's precision says (1 without); the mean alone where
+/// the values put no bounds on it.
+impl fmt::Display for Estimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let digits = f.precision().unwrap_or(1);
+        write!(f, "{:.digits$}", self.mean)?;
+        if self.low.is_finite() && self.high.is_finite() {
+            write!(f, " [{:.digits$}, {:.digits$}]", self.low, self.high)?;
+        }
+        Ok(())
     }
 }
 
@@ -219,6 +234,13 @@ mod tests {
         close(e.high, 2.5 + half, 1e-8);
         let constant = Estimate::t(&[7.0; 5]).unwrap();
         assert_eq!((constant.low, constant.high), (7.0, 7.0));
+    }
+
+    #[test]
+    fn estimates_are_written_with_the_bounds_that_they_have() {
+        let estimate = Estimate { mean: 88.06, low: 82.94, high: 91.9 };
+        assert_eq!((format!("{estimate}"), format!("{estimate:.2}")), ("88.1 [82.9, 91.9]".into(), "88.06 [82.94, 91.90]".into()));
+        assert_eq!(Estimate::t(&[2.0]).unwrap().to_string(), "2.0");
     }
 
     #[test]

@@ -225,9 +225,9 @@ fn others(metrics: &Metrics, of: fn(&OthersMetrics) -> Option<Estimate>, write: 
 /// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
     let percent: fn(&Estimate) -> String =
-        |e| format!("{:.1} [{:.1}, {:.1}]", 100.0 * e.mean, 100.0 * e.low, 100.0 * e.high);
-    let number: fn(&Estimate) -> String = |e| format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high);
-    let fine: fn(&Estimate) -> String = |e| format!("{:.3} [{:.3}, {:.3}]", e.mean, e.low, e.high);
+        |e| Estimate { mean: 100.0 * e.mean, low: 100.0 * e.low, high: 100.0 * e.high }.to_string();
+    let number: fn(&Estimate) -> String = Estimate::to_string;
+    let fine: fn(&Estimate) -> String = |e| format!("{e:.3}");
     let of_agents: [(&str, Cell<'_>); 10] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),

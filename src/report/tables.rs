@@ -89,8 +89,7 @@ fn cell(row: &Row<'_>, metric: &Metric) -> String {
     };
     let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
     if values.len() == 1 || (half == 0.0 && e.low < e.high) {
-        let brackets = if e.low.is_finite() { format!(" [{:.1}, {:.1}]", e.low, e.high) } else { String::new() };
-        return format!("{:.1}{brackets}{partial}", e.mean);
+        return format!("{e}{partial}");
     }
     format!("{:.1} ± {half:.1}{partial}", e.mean)
 }
@@ -112,11 +111,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
          optimality gap to 100 %. Brackets: 95 % stratified bootstrap with the seeds as the unit; with fewer than about five \
          seeds they are too narrow, and without a second seed there are none.",
     );
-    let show = |e: Option<Estimate>| match e {
-        Some(e) if e.low.is_finite() => format!("{:.1} [{:.1}, {:.1}]", e.mean, e.low, e.high),
-        Some(e) => format!("{:.1}", e.mean),
-        None => "–".to_owned(),
-    };
+    let show = |e: Option<Estimate>| e.map_or_else(|| "–".to_owned(), |e| e.to_string());
     let same_runs = block.same_runs();
     let header = ["", "IQM", "median", "mean", "optimality gap", "worst run"].map(str::to_owned).to_vec();
     let rows = lines.iter().map(|line| {
@@ -143,7 +138,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
             }
             let (x, y) = (scores(line, success), scores(other, success));
             let e = bootstrap_pair(&x, &y, same_runs, probability_of_improvement);
-            e.map_or_else(|| "–".to_owned(), |e| format!("{:.2} [{:.2}, {:.2}]", e.mean, e.low, e.high))
+            e.map_or_else(|| "–".to_owned(), |e| format!("{e:.2}"))
         };
         std::iter::once(line.label.clone()).chain(lines.iter().map(|other| versus(&other))).collect()
     });
