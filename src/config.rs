@@ -95,6 +95,10 @@ pub struct Train {
     pub imitate_steps: u64,
     /// Speed of the pursuit that is imitated \[m/s\].
     pub imitate_speed: f64,
+    /// Weight of the danger of a crash as a potential (Ng et al., 1999): a step that brings an agent closer to one costs it in
+    /// training what a step away from it gives back, so that the best policy stays the best. Danger is 1 at a crash and falls to 0
+    /// where vehicles that go straight on do not touch within [`World::DANGER`](crate::env::World::DANGER). 0: none.
+    pub shaping: f64,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -128,6 +132,7 @@ impl Default for Train {
             replay_failed: 0.0,
             imitate_steps: 0,
             imitate_speed: 6.0,
+            shaping: 0.0,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,

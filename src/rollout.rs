@@ -58,6 +58,8 @@ pub struct Rollout {
     pub quiet: Vec<f32>,
     /// `[T, E, N]`
     pub reward: Vec<f32>,
+    /// Potential of what is observed, `[T + 1, E, N]`, 0 for those who are not there; empty where rewards are not shaped.
+    pub potential: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory ended for good.
     pub terminated: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory was cut short.
@@ -83,6 +85,7 @@ impl Rollout {
             sampled: vec![1.0; sizes.steps * sizes.envs],
             quiet: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
+            potential: Vec::new(),
             terminated: vec![0.0; rows],
             truncated: vec![0.0; rows],
             sizes,
@@ -106,13 +109,15 @@ impl Rollout {
     /// the reward.
     ///
     /// A terminated trajectory has no future; a truncated one is bootstrapped with the value of its last observation;
-    /// both end the chain. Inactive entries are zero.
+    /// both end the chain. Inactive entries are zero. Rewards are shaped by the potential: each step earns what it adds to it,
+    /// and whoever ends for good has none.
     pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let width = self.sizes.envs * self.sizes.agents;
         debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
         let mut advantage = vec![0.0; self.sizes.steps * width];
         let mut returns = vec![0.0; self.sizes.steps * width];
         let mut chain = vec![0.0_f64; width];
+        let potential = |i: usize| self.potential.get(i).map_or(0.0, |potential| f64::from(*potential));
         for t in (0..self.sizes.steps).rev() {
             for (k, chain) in chain.iter_mut().enumerate() {
                 let i = t * width + k;
@@ -124,9 +129,10 @@ impl Rollout {
                 if terminated || self.truncated[i] > 0.0 {
                     *chain = 0.0;
                 }
-                let next = if terminated { 0.0 } else { f64::from(values[i + width]) };
+                let next = if terminated { 0.0 } else { f64::from(values[i + width]) + potential(i + width) };
                 let value = f64::from(values[i]);
-                *chain = f64::from(self.reward[i]) + gamma * next - value + gamma * lambda * *chain;
+                let reward = f64::from(self.reward[i]) - potential(i);
+                *chain = reward + gamma * next - value + gamma * lambda * *chain;
                 advantage[i] = *chain as f32;
                 returns[i] = (*chain + value) as f32;
             }
@@ -140,6 +146,7 @@ impl Rollout {
     pub fn team(&self) -> Self {
         let mut team =
             Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
+        team.potential = self.potential.chunks(self.sizes.agents).map(|crew| crew.iter().sum()).collect();
         let rows = self.sizes.steps * self.sizes.envs;
         for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
             let crew = || (0..self.sizes.agents).filter(|&i| active[i] > 0.0).map(|i| row * self.sizes.agents + i);
@@ -233,12 +240,22 @@ mod tests {
             events in proptest::collection::vec(0u8..5, 60),
             rewards in proptest::collection::vec(-3.0f32..3.0, 60),
             values in proptest::collection::vec(-3.0f32..3.0, 60),
+            potentials in proptest::collection::vec(-3.0f32..3.0, 60),
             gamma in 0.5f64..1.0,
             lambda in 0.0f64..1.0,
         ) {
             let rollout = random_rollout(steps, width, &events, &rewards);
             let values: Vec<f32> = (0..(steps + 1) * width).map(|i| values[i % values.len()]).collect();
             let (advantage, returns) = rollout.advantages(&values, gamma, lambda);
+            // Shaped by a potential, whose value is less by it, nothing changes about what is better than what.
+            let potential: Vec<f32> = (0..values.len()).map(|i| potentials[i % potentials.len()]).collect();
+            let rest: Vec<f32> = values.iter().zip(&potential).map(|(value, potential)| value - potential).collect();
+            let shaped = Rollout { potential: potential.clone(), ..rollout.clone() };
+            let (same, less) = shaped.advantages(&rest, gamma, lambda);
+            for i in (0..advantage.len()).filter(|&i| rollout.active[i] > 0.0) {
+                prop_assert!((same[i] - advantage[i]).abs() < 1e-4, "{} {}", same[i], advantage[i]);
+                prop_assert!((less[i] + potential[i] - returns[i]).abs() < 1e-4);
+            }
             for k in 0..width {
                 for t in 0..steps {
                     let at = |t: usize| t * width + k;

@@ -252,6 +252,7 @@ impl Trainer {
         self.rollout.teacher.resize(if taught { self.rollout.action.len() } else { 0 }, 0.0);
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            self.store_potential(t);
             if taught {
                 self.ask_teacher(t);
             }
@@ -310,7 +311,23 @@ impl Trainer {
             });
         }
         timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
+        self.store_potential(s.steps);
         Ok(())
+    }
+
+    /// The potential that shapes rewards, of what is observed at step `t` of the rollout.
+    fn store_potential(&mut self, t: usize) {
+        let weight = self.config.train.shaping;
+        if weight == 0.0 {
+            return;
+        }
+        self.rollout.potential.resize(self.rollout.active.len(), 0.0);
+        for (e, world) in self.env.worlds().enumerate() {
+            let cell = self.rollout.cell(t, e, 1);
+            for (i, potential) in self.rollout.potential[cell].iter_mut().enumerate() {
+                *potential = (-weight * world.danger(i)) as f32;
+            }
+        }
     }
 
     /// What the teacher would do at step `t` of the rollout.

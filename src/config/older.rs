@@ -19,6 +19,7 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("train.imitate_steps", Value::Integer(0)),
         ("train.replay_failed", Value::Float(0.0)),
         ("train.restart_steps", Value::Integer(0)),
+        ("train.shaping", Value::Float(0.0)),
         ("train.restart_success", Value::Float(0.8)),
         ("env.encounters", Value::Integer(0)),
         ("env.neighbour_order", Value::String("distance".to_owned())),

@@ -17,7 +17,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 101] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 103] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -42,6 +42,12 @@ impl Config {
             (
                 &["train.imitate_steps", "algorithm"],
                 t.imitate_steps == 0 || able.is_none_or(|able| able.on_policy),
+                "0 with MADDPG, which learns from replayed steps",
+            ),
+            (&["train.shaping"], finite_range(t.shaping), "finite, at least 0"),
+            (
+                &["train.shaping", "algorithm"],
+                t.shaping == 0.0 || able.is_none_or(|able| able.on_policy),
                 "0 with MADDPG, which learns from replayed steps",
             ),
             (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
