@@ -239,7 +239,10 @@ mod tests {
     #[test]
     fn estimates_are_written_with_the_bounds_that_they_have() {
         let estimate = Estimate { mean: 88.06, low: 82.94, high: 91.9 };
-        assert_eq!((format!("{estimate}"), format!("{estimate:.2}")), ("88.1 [82.9, 91.9]".into(), "88.06 [82.94, 91.90]".into()));
+        assert_eq!(
+            (format!("{estimate}"), format!("{estimate:.2}")),
+            ("88.1 [82.9, 91.9]".into(), "88.06 [82.94, 91.90]".into())
+        );
         assert_eq!(Estimate::t(&[2.0]).unwrap().to_string(), "2.0");
     }
 

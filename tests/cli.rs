@@ -183,6 +183,12 @@ fn damaged_checkpoints_are_refused() {
     2
     error: the checkpoint was made with another `agents`; resume with the settings in its run folder's config.toml
     "#);
+    // Another scenario.
+    let mut elsewhere = iwol(&["train", "--resume", "--scenario", "scenarios/parking_lot.xml", "--out"]);
+    assert_snapshot!(tidy(failure(elsewhere.arg(&run))), @r#"
+    2
+    error: `DIR/run` was begun on another scenario, or `scenarios/parking_lot.xml` has changed since, or a net or route file that it names; go on with that, or start a new run from this one's policy with --init-from
+    "#);
     // Another network.
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
     assert_snapshot!(tidy(failure(wider.arg(&run))), @r#"
@@ -284,6 +290,56 @@ fn a_scenario_is_made_built_and_drawn() {
     2
     error: there is no template `circle`; choose one of cross, tee, roundabout, merge, grid, bottleneck, parking
     "#);
+}
+
+/// Progress that cannot be written stops no training; a result that cannot is an error, and no panic.
+#[test]
+fn work_goes_on_where_nobody_hears_it() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    let program = assert_cmd::cargo::cargo_bin("iwol");
+    let full = || std::fs::File::options().write(true).open("/dev/full").expect("it is there");
+    let mut train = std::process::Command::new(&program);
+    train.current_dir(env!("CARGO_MANIFEST_DIR")).args([
+        "train",
+        "--scenario",
+        SCENARIO,
+        "--agents",
+        "4",
+        "--steps",
+        "64",
+    ]);
+    train.args([
+        "--set",
+        "train.envs=2",
+        "--set",
+        "train.segment=16",
+        "--set",
+        "network.hidden=8",
+        "--set",
+        "env.horizon=40",
+    ]);
+    let status = train.arg("--out").arg(&run).stderr(full()).status().expect("it ran");
+    assert!(status.success() && run.join("checkpoints/last.safetensors").exists(), "{status}");
+    let mut evaluate = std::process::Command::new(&program);
+    evaluate.current_dir(env!("CARGO_MANIFEST_DIR")).args(["evaluate", "--episodes", "1"]).arg(&run).stdout(full());
+    let output = evaluate.output().expect("it ran");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("error: cannot write to stdout"), "{said}");
+}
+
+/// Files of a run's names that are of no run stay as they are.
+#[test]
+fn strange_files_are_left_alone() {
+    let dir = folder();
+    std::fs::write(dir.path().join("config.toml"), "precious = true").expect("written");
+    let said = failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(dir.path()));
+    assert!(said.contains("config.toml` is there already, and of no run"), "{said}");
+    let nowhere = dir.path().join("no/such/file.json");
+    let mut evaluate =
+        iwol(&["evaluate", "--policy", "throttle:1", "--scenario", SCENARIO, "--episodes", "100000", "--out"]);
+    let said = failure(evaluate.arg(nowhere));
+    assert!(said.contains("cannot create"), "{said}");
 }
 
 #[test]

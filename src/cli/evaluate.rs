@@ -143,8 +143,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.record_episode >= args.episodes {
         bail!("--record-episode {} is not played: there are episodes 0 to {}", args.record_episode, args.episodes - 1);
     }
+    for path in [&args.out, &args.record].into_iter().flatten() {
+        record::check_writable(path)?;
+    }
+    if let Some(path) = args.record.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors")) {
+        bail!("--record {}: that is a checkpoint's name", path.display());
+    }
     let stop = super::stop_flag()?;
     let mut rows = Vec::new();
+    let mut recorded = None;
     for (name, policy) in &policies {
         let bar = ProgressBar::new(args.episodes);
         bar.set_style(
@@ -161,14 +168,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
-            eprintln!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
+            say!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
             return Ok(Verdict::Interrupted);
         }
         if let (Some(recorder), Some(path)) = (recorder, &args.record) {
             let record = evaluation.episodes.iter().find(|record| record.episode == args.record_episode);
             let driver = args.run.as_ref().map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let recording = recorder.finish(&task, &driver, args.seed, record)?;
-            recording.context("the episode to record was not played to its end")?.save(path)?;
+            recorded = Some((recording.context("the episode to record was not played to its end")?, path));
         }
         let metrics = evaluation.metrics().context("no episode was finished")?;
         rows.push(Row {
@@ -191,13 +198,17 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         [row] => serde_json::to_string(row)?,
         rows => serde_json::to_string(rows)?,
     };
+    if args.json {
+        tell!("{json}");
+    } else {
+        super::print(format_args!("{}", table(&rows)));
+    }
+    // What was found is printed, whatever becomes of the files.
     if let Some(path) = &args.out {
         record::write_atomic(path, json.as_bytes())?;
     }
-    if args.json {
-        println!("{json}");
-    } else {
-        print!("{}", table(&rows));
+    if let Some((recording, path)) = recorded {
+        recording.save(path)?;
     }
     Ok(Verdict::Good)
 }

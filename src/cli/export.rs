@@ -25,10 +25,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if dir.best().exists() || dir.last().exists() {
         bail!("`{}` already holds a checkpoint; choose another --out", args.out.display());
     }
+    if dir.config().exists() {
+        bail!("`{}` is there already; choose another --out", dir.config().display());
+    }
     std::fs::create_dir_all(args.out.join("checkpoints"))
         .with_context(|| format!("cannot make the folder `{}`", args.out.display()))?;
     record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
     checkpoint.save(&dir.best())?;
-    println!("{}", args.out.display());
+    tell!("{}", args.out.display());
     Ok(Verdict::Good)
 }

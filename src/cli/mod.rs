@@ -1,5 +1,20 @@
 //! The command line: one file per verb. Printing happens here only: data to stdout, everything else to stderr.
 
+/// Says something to people, on stderr. Work goes on where nobody can hear it.
+macro_rules! say {
+    ($($text:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), $($text)*);
+    }};
+}
+
+/// Prints a line of results, see [`print`].
+macro_rules! tell {
+    ($($text:tt)*) => {
+        $crate::cli::print(format_args!("{}\n", format_args!($($text)*)))
+    };
+}
+
 mod bench;
 mod doctor;
 mod evaluate;
@@ -79,6 +94,7 @@ pub fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
+        .log_internal_errors(false)
         .init();
     if let Some(parent) = cli.die_with_parent {
         // Only Linux can; elsewhere children of a killed sweep finish what they do.
@@ -106,9 +122,9 @@ pub fn main() -> ExitCode {
         Ok(Verdict::Bad) => ExitCode::from(1),
         Ok(Verdict::Interrupted) => ExitCode::from(130),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            say!("error: {error:#}");
             if let Some(hint) = hint(&error) {
-                eprintln!("\nhint: {hint}");
+                say!("\nhint: {hint}");
             }
             ExitCode::from(2)
         }
@@ -140,13 +156,48 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&flag);
+    let stays = hangup_is_ignored();
     ctrlc::set_handler(move || {
         if raised.swap(true, Ordering::Relaxed) {
             leave(130);
         }
-        eprintln!("\nstopping; once more ends at once");
+        say!("\nstopping; once more ends at once");
     })?;
+    if stays {
+        ignore_hangup();
+    }
     Ok(flag)
+}
+
+/// Whether this process was started to outlive its terminal (`nohup`).
+#[allow(unsafe_code, reason = "std does not tell what is done about a signal")]
+fn hangup_is_ignored() -> bool {
+    let mut now = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
+    // SAFETY: with no new action the call only writes the present one, to memory that is ours and large enough; zeros are valid.
+    let now = unsafe {
+        libc::sigaction(libc::SIGHUP, std::ptr::null(), now.as_mut_ptr());
+        now.assume_init()
+    };
+    now.sa_sigaction == libc::SIG_IGN
+}
+
+#[allow(unsafe_code, reason = "std cannot ignore a signal")]
+fn ignore_hangup() {
+    // SAFETY: to ignore a signal needs no handler.
+    unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+}
+
+/// Prints a result to stdout. Where nobody reads it any more the program ends, as others do; where it cannot be written, with an error.
+fn print(text: std::fmt::Arguments<'_>) {
+    use std::io::Write as _;
+    let mut out = std::io::stdout().lock();
+    if let Err(error) = out.write_fmt(text).and_then(|()| out.flush()) {
+        if error.kind() == std::io::ErrorKind::BrokenPipe {
+            leave(0);
+        }
+        say!("error: cannot write to stdout: {error}");
+        leave(2);
+    }
 }
 
 /// Ends the program without C's exit handlers: they take down what libtorch's threads are working with, which was seen to crash.

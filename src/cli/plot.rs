@@ -122,7 +122,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
     let title = if alone { format!("Learning curve of {}", groups[0].label) } else { "Learning curves".to_owned() };
     figure(&out, &title, &panels, (700 * panels.len() as u32, 640))?;
-    println!("{}", out.display());
+    tell!("{}", out.display());
     Ok(Verdict::Good)
 }
 

@@ -27,11 +27,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let recording = Recording::load(&args.recording)?;
     if let Some(path) = &args.out {
         write_atomic(path, recording.player().as_bytes())?;
-        println!("{}", path.display());
+        tell!("{}", path.display());
     }
     if let Some(path) = &args.svg {
         write_atomic(path, recording.still(args.at.unwrap_or(recording.steps / 2)).as_bytes())?;
-        println!("{}", path.display());
+        tell!("{}", path.display());
     }
     Ok(Verdict::Good)
 }

@@ -29,13 +29,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("results").join(&sweep.name));
     let command = format!("iwol sweep {0}\niwol report {0}", args.file.display());
     for path in report::write(&sweep, &command, &out)? {
-        println!("{}", path.display());
+        tell!("{}", path.display());
     }
     if let Some(keep) = &args.keep {
         for cell in &sweep.cells {
             cell.keep(keep, &sweep.name)?;
         }
-        println!("{}", keep.join(&sweep.name).display());
+        tell!("{}", keep.join(&sweep.name).display());
     }
     Ok(Verdict::Good)
 }

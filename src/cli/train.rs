@@ -1,7 +1,7 @@
 //! `iwol train`
 
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -31,7 +31,7 @@ pub(super) struct Args {
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
-    /// Environment steps (of one world each), at most
+    /// Environment steps (of one world each), at most, rounded up to whole rollouts
     #[arg(long)]
     steps: Option<u64>,
     /// Start from the weights of a run folder or checkpoint, of any number of vehicles
@@ -89,13 +89,28 @@ impl Args {
     }
 }
 
+/// Refuses a folder that holds files of a run's names, but is of no run.
+fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
+    let own = |path: &Path| config.is_some_and(|config| same_file(config, path));
+    let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
+    match [dir.config(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
+        Some(path) => bail!("`{}` is there already, and of no run; choose another --out", path.display()),
+        None => Ok(()),
+    }
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}
+
 /// What somebody needs to know who finds the folder in a year.
-fn write_meta(dir: &RunDir, config: &Config, worlds: &str) -> anyhow::Result<()> {
+fn write_meta(dir: &RunDir, config: &Config, fingerprint: &str, worlds: &str) -> anyhow::Result<()> {
     let sumo = sumo::find_sumo()?;
     let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let meta = serde_json::json!({
         "iwol": env!("CARGO_PKG_VERSION"),
-        "command": std::env::args().collect::<Vec<_>>(),
+        "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+        "scenario": fingerprint,
         "started_unix_s": started,
         "sumo": sumo::sumo_version(&sumo)?,
         "worlds": worlds,
@@ -135,6 +150,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.resume && args.init_from.is_some() {
         bail!("--resume goes on with a run's own weights; leave --init-from out");
     }
+    let fingerprint = scenario.fingerprint();
+    if args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint) {
+        bail!(
+            "`{}` was begun on another scenario, or `{}` has changed since, or a net or route file that it names; go on with that, or \
+             start a new run from this one's policy with --init-from",
+            dir.path().display(),
+            config.scenario.display()
+        );
+    }
+    if !args.resume {
+        refuse_strange(&dir, args.config.as_deref())?;
+    }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
     let learners = scenario.traffic.learners(config.agents);
@@ -154,7 +181,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Trainer::new(config.clone(), scenario)?
     };
     let (deployed, all) = trainer.learner().parameters();
-    eprintln!(
+    say!(
         "{} on {} with {vehicles}, seed {}: {} parameters ({} in the deployed policy)",
         config.algorithm,
         config.scenario.display(),
@@ -164,8 +191,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     );
     let hosting = config.hosting();
     let worlds = if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
-    eprintln!("{worlds}");
-    write_meta(&dir, &config, &worlds)?;
+    say!("{worlds}");
+    write_meta(&dir, &config, &fingerprint, &worlds)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(
         ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")
@@ -190,14 +217,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 "{:>9} steps  no way found in train.restart_steps = {}: new weights ({restarts})",
                 report.step, config.train.restart_steps
             );
-            bar.suspend(|| eprintln!("{note}"));
+            bar.suspend(|| say!("{note}"));
         }
         if terminal {
             bar.set_position(report.step);
             bar.set_message(message);
         } else if last_line.elapsed() > Duration::from_secs(10) || report.step >= config.steps {
             last_line = Instant::now();
-            eprintln!("{:>9} steps  {message}", report.step);
+            say!("{:>9} steps  {message}", report.step);
         }
     });
     bar.finish_and_clear();
@@ -215,15 +242,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Outcome::Solved => "stopped, solved",
         Outcome::Interrupted => "interrupted",
     };
-    eprintln!(
+    say!(
         "{end} after {} steps in {}; best validation success {}",
         progress.step,
         human_duration(Duration::try_from_secs_f64(progress.seconds).unwrap_or_default()),
         progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     if outcome == Outcome::Interrupted {
-        eprintln!("go on with: iwol train --resume --out {}", dir.path().display());
+        say!("go on with: iwol train --resume --out {}", dir.path().display());
     }
-    println!("{}", dir.path().display());
+    tell!("{}", dir.path().display());
     Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })
 }

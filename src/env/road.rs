@@ -225,10 +225,7 @@ impl Road {
         let beyond_kerb =
             || [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().any(|&(a, b)| !self.on_lane(corner(a, b)));
         !self.on_lane([pose.x, pose.y])
-            || cell
-                .lines
-                .iter()
-                .any(|&i| self.touches(pose, self.lines[i as usize]))
+            || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
             || (self.border == Border::Kerb && beyond_kerb())
     }
 

@@ -63,14 +63,39 @@ impl Error {
 ///
 /// The bytes go to a temporary name in the same folder, are forced to disk, and take the place of `path` by a rename.
 /// If anything fails on the way (disk full, killed), the old file is untouched; only a kill can leave the temporary
-/// file, whose name begins with `.tmp`.
+/// file, whose name begins with `.tmp`. What is no file (a pipe, a device) is written to, and a link to a file stays one.
 ///
 /// # Errors
 /// [`Error::Io`], naming `path`.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    if is_stream(path) {
+        return std::fs::write(path, bytes).map_err(Error::io("write", path));
+    }
     let mut file = temporary_beside(path, "")?;
     file.as_file_mut().write_all(bytes).map_err(Error::io("write", path))?;
     replace(file, path)
+}
+
+/// Finds out whether [`write_atomic`] could write a file there now, without doing so.
+///
+/// # Errors
+/// [`Error::Io`], naming `path`.
+pub fn check_writable(path: &Path) -> Result<(), Error> {
+    if path.is_dir() {
+        return Err(Error::io("write", path)(io::ErrorKind::IsADirectory.into()));
+    }
+    if is_stream(path) { Ok(()) } else { temporary_beside(path, "").map(drop) }
+}
+
+/// Whether it is there, but neither a file nor a folder.
+fn is_stream(path: &Path) -> bool {
+    path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+/// Where a link leads, or else the path itself.
+fn followed(path: &Path) -> PathBuf {
+    let linked = path.is_symlink().then(|| path.canonicalize().ok()).flatten();
+    linked.unwrap_or_else(|| path.to_owned())
 }
 
 /// An empty temporary file in the folder of `path`, deleted on drop; [`replace`] turns it into `path`.
@@ -79,16 +104,21 @@ pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFil
         .suffix(suffix)
         // The usual rights of a new file (less the umask), where temporary files are private by default.
         .permissions(Permissions::from_mode(0o666))
-        .tempfile_in(folder_of(path))
+        .tempfile_in(folder_of(&followed(path)))
         .map_err(Error::io("create", path))
 }
 
 /// Forces `file` to disk and gives it the name `path`, replacing what was there in one step.
 pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
+    if is_stream(path) {
+        let bytes = std::fs::read(file.path()).map_err(Error::io("write", path))?;
+        return std::fs::write(path, bytes).map_err(Error::io("write", path));
+    }
     file.as_file().sync_all().map_err(Error::io("write", path))?;
-    file.persist(path).map_err(|e| Error::Io { action: "replace", path: path.to_owned(), source: e.error })?;
+    let place = followed(path);
+    file.persist(&place).map_err(|e| Error::Io { action: "replace", path: path.to_owned(), source: e.error })?;
     // The rename itself survives a power cut only once the folder is on disk; not every file system can do that.
-    if let Ok(folder) = File::open(folder_of(path)) {
+    if let Ok(folder) = File::open(folder_of(&place)) {
         let _ = folder.sync_all();
     }
     Ok(())
@@ -172,6 +202,27 @@ mod tests {
         assert!(error.to_string().contains(&path.display().to_string()), "{error}");
         assert_eq!(fs::read(path.join("old")).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["target"]);
+    }
+
+    #[test]
+    fn write_atomic_leaves_links_and_pipes_what_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        fs::write(&file, b"old").unwrap();
+        std::os::unix::fs::symlink("file", &link).unwrap();
+        write_atomic(&link, b"new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        let (mut reader, writer) = io::pipe().unwrap();
+        let path = PathBuf::from(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&writer)));
+        check_writable(&path).unwrap();
+        write_atomic(&path, b"through").unwrap();
+        drop(writer);
+        let mut text = String::new();
+        io::Read::read_to_string(&mut reader, &mut text).unwrap();
+        assert_eq!(text, "through");
+        assert!(check_writable(folder.path()).is_err() && check_writable(&folder.path().join("no/file")).is_err());
+        assert_eq!(names(folder.path()).len(), 2, "checking leaves nothing");
     }
 
     #[test]

@@ -256,7 +256,11 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 series.push((Line { label, panel, rows: Vec::new() }, BTreeMap::new()));
                 series.len() - 1
             });
-            let found = read_result(&cell.result(evaluate, &combination))?;
+            // What an evaluation of before found, with other episodes or weights, is no result of this one.
+            let found = match read_result(&cell.result(evaluate, &combination))? {
+                Some(found) if cell.is_evaluated(evaluate, &combination) => Some(found),
+                _ => None,
+            };
             series[line].1.entry(category).or_default().runs.push((cell, found));
         }
     }

@@ -8,6 +8,7 @@ mod check;
 mod demand;
 mod error;
 mod finding;
+mod fingerprint;
 mod load;
 mod reader;
 mod schema;

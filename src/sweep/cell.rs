@@ -22,6 +22,8 @@ pub struct Cell {
     pub values: Vec<(String, Value)>,
     /// Everything, resolved.
     pub config: Config,
+    /// Of its scenario's files ([`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint)).
+    pub fingerprint: String,
     /// The cell that must be trained first, because this one begins with its policy.
     pub after: Option<String>,
 }
@@ -134,7 +136,7 @@ impl Cell {
     }
 
     /// Whether there is a result, and of the very evaluation that is asked for.
-    fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
+    pub fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
         let read = || serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok();
         let Some(found): Option<serde_json::Value> = read() else { return false };
         let sets: Vec<serde_json::Value> = evaluate.sets(combination).into_iter().map(Into::into).collect();
@@ -142,10 +144,10 @@ impl Cell {
         found["episodes"] == evaluate.episodes && found["checkpoint"] == evaluate.checkpoint.file() && stored == sets
     }
 
-    /// Refuses a folder whose run has other settings than this cell (but for those that change no result).
+    /// Refuses a folder whose run has other settings than this cell (but for those that change no result), or another scenario.
     ///
     /// # Errors
-    /// [`Error::Changed`].
+    /// [`Error::Changed`], [`Error::Scenario`].
     pub fn check(&self) -> Result<(), Error> {
         let begun = self.run().last().exists() || self.trained().is_some();
         let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
@@ -174,6 +176,9 @@ impl Cell {
             was.insert("init_from".to_owned(), is["init_from"].clone());
         }
         let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));
+        if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
+            return Err(Error::Scenario { folder: self.folder.clone(), path: self.config.scenario.clone() });
+        }
         differs.map_or(Ok(()), |key| {
             let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
             Err(Error::Changed {
@@ -232,6 +237,9 @@ impl Cell {
     pub fn keep(&self, out: &Path, sweep: &str) -> Result<(), Error> {
         let Some(trained) = self.trained() else { return Ok(()) };
         let kept = Self { folder: out.join(sweep).join(&self.id), ..self.clone() };
+        if kept.run().last().exists() || kept.run().best().exists() {
+            return Err(Error::Kept { folder: kept.folder });
+        }
         let io = |action, path: &Path| {
             let path = path.to_owned();
             move |source| Error::from(record::Error::Io { action, path, source })

@@ -253,6 +253,7 @@ impl Sweep {
         }
         let mut matched = vec![false; parsed.rule.len()];
         let mut cells: Vec<Cell> = Vec::new();
+        let mut fingerprints = BTreeMap::new();
         let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&parsed.grid)
             .into_iter()
             .partition(|values| parsed.skip.iter().any(|skip| holds(&skip.when, |key| value_of(values, key))));
@@ -282,9 +283,11 @@ impl Sweep {
             let resolve = |layers: &Layers| {
                 Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source })
             };
-            let (config, _) = resolve(&layers)?;
+            let (config, scenario) = resolve(&layers)?;
+            let fingerprint =
+                fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
             // A mistake in how it is evaluated should not wait until it is trained.
-            let cell = Cell { folder: out.join(name).join(&id), id, values, config, after };
+            let cell = Cell { folder: out.join(name).join(&id), id, values, config, fingerprint, after };
             for evaluate in evaluations.iter().filter(|evaluate| evaluate.applies(&cell)) {
                 for combination in evaluate.combinations() {
                     resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
@@ -307,6 +310,16 @@ impl Sweep {
         if let Some(cell) = cells.iter().find(|cell| !cell.after.as_ref().is_none_or(there)) {
             let after = cell.after.as_deref().unwrap_or_default();
             return Err(wrong(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id)));
+        }
+        for cell in &cells {
+            let begins_with = |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+            // As many steps as there are cells lead back to one that was there before.
+            if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
+                return Err(wrong(format!(
+                    "cell {}: init_from goes round in a circle: no cell of it can be first",
+                    last.id
+                )));
+            }
         }
         cells.sort_by_key(|cell| cell.config.seed);
         for (i, cell) in cells.iter().enumerate() {
@@ -493,6 +506,24 @@ pub enum Error {
     /// A file of a cell cannot be read or written.
     #[error(transparent)]
     Record(#[from] crate::record::Error),
+    /// A cell's folder holds a run of a scenario that has changed since.
+    #[error(
+        "`{}` was trained on `{}` as it was before: that file has changed, or a net or route file that it names; change it back, \
+         or move the run away, or choose another --out",
+        folder.display(), path.display()
+    )]
+    Scenario {
+        /// The cell's folder.
+        folder: PathBuf,
+        /// The scenario's file.
+        path: PathBuf,
+    },
+    /// What a report is made from would replace a run.
+    #[error("`{}` holds a run with its weights; choose another folder to keep what reports are made from", folder.display())]
+    Kept {
+        /// The run's folder.
+        folder: PathBuf,
+    },
     /// A cell's folder holds a run with other settings.
     #[error(
         "`{}` holds a run with another `{key}`: {was}, and now {is}; move it away, or choose another --out",
@@ -583,6 +614,12 @@ mod tests {
         assert!(refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell"));
         assert!(refused("steps = 1").contains("the grid has no such cell"));
         assert!(refused("agents = 8").contains("names the cell itself"));
+        let back = format!(
+            "{}\n[[rule]]\nwhen = {{ agents = 4 }}\nset = {{ init_from = {{ agents = 8 }} }}",
+            with("agents = 4")
+        );
+        let circle = parse(&back).expect_err("must be refused").to_string();
+        assert!(circle.contains("init_from goes round in a circle"), "{circle}");
     }
 
     #[test]
@@ -610,6 +647,34 @@ mod tests {
         let broken = chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
         let message = parse(&broken).expect_err("must be refused").to_string();
         assert!(message.contains("a [[skip]] leaves mappo_agents=4/seed_1 out"), "{message}");
+    }
+
+    #[test]
+    fn a_run_of_a_scenario_that_has_changed_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+        let cell = &sweep.cells[0];
+        std::fs::create_dir_all(&cell.folder).unwrap();
+        std::fs::write(cell.run().config(), cell.config.to_toml()).unwrap();
+        cell.mark_trained().unwrap();
+        let check = |meta: &str| {
+            std::fs::write(cell.run().meta(), meta).unwrap();
+            cell.check()
+        };
+        check("{}").expect("older runs do not say");
+        check(&format!("{{\"scenario\": \"{}\"}}", cell.fingerprint)).expect("the same");
+        assert!(matches!(check("{\"scenario\": \"0\"}"), Err(Error::Scenario { .. })));
+    }
+
+    #[test]
+    fn what_is_kept_replaces_no_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+        let cell = &sweep.cells[0];
+        std::fs::create_dir_all(cell.folder.join("checkpoints")).unwrap();
+        std::fs::write(cell.run().last(), "weights").unwrap();
+        cell.mark_trained().unwrap();
+        assert!(matches!(cell.keep(folder.path(), "s"), Err(Error::Kept { .. })));
     }
 
     #[test]

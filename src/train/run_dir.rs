@@ -30,6 +30,13 @@ impl RunDir {
         self.0.join("meta.json")
     }
 
+    /// [`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint) of the scenario that the run was begun with; none before it is
+    /// begun, and of older runs.
+    pub fn fingerprint(&self) -> Option<String> {
+        let meta: serde_json::Value = serde_json::from_slice(&std::fs::read(self.meta()).ok()?).ok()?;
+        Some(meta["scenario"].as_str()?.to_owned())
+    }
+
     /// A line per iteration, and one per validation.
     pub fn metrics(&self) -> PathBuf {
         self.0.join("metrics.jsonl")

@@ -63,9 +63,16 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
     }
     tch::set_num_threads(i32::from(args.threads));
     if !args.json {
-        println!(
+        tell!(
             "{:9} {:>6} {:>6} {:>11} {:>11} {:>13} {:>8} {:>10}",
-            "algorithm", "agents", "worlds", "median", "99 %", "per vehicle", "× first", "weights"
+            "algorithm",
+            "agents",
+            "worlds",
+            "median",
+            "99 %",
+            "per vehicle",
+            "× first",
+            "weights"
         );
     }
     for &agents in &args.agents {
@@ -75,11 +82,15 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
             let row = measure(name, &task, args)?;
             let ratio = row.median_us / *first.get_or_insert(row.median_us);
             if args.json {
-                println!("{}", serde_json::to_string(&row)?);
+                tell!("{}", serde_json::to_string(&row)?);
             } else {
-                println!(
+                tell!(
                     "{name:9} {agents:>6} {:>6} {:>8.1} µs {:>8.1} µs {:>10.2} µs {ratio:>8.2} {:>10}",
-                    row.worlds, row.median_us, row.p99_us, row.per_vehicle_us, row.parameters
+                    row.worlds,
+                    row.median_us,
+                    row.p99_us,
+                    row.per_vehicle_us,
+                    row.parameters
                 );
             }
         }

@@ -90,7 +90,7 @@ pub(super) fn run(
     if Path::new(TRACI_RS).exists() {
         clients.extend([Client::TraciRs("plain"), Client::TraciRs("subscribed")]);
     } else {
-        eprintln!(
+        say!(
             "traci-rs is left out: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml` builds its player"
         );
     }

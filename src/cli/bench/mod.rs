@@ -133,14 +133,14 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
             lines.extend(compare::run(workload, &backends, &args.worlds, args.steps, args.repetitions)?);
         }
         if args.json {
-            lines.iter().try_for_each(|line| serde_json::to_string(line).map(|text| println!("{text}")))?;
+            lines.iter().try_for_each(|line| serde_json::to_string(line).map(|text| tell!("{text}")))?;
         } else {
-            print!("{}", compare::table(&lines));
+            super::print(format_args!("{}", compare::table(&lines)));
         }
         return Ok(Verdict::Good);
     }
     if !args.json {
-        println!(
+        tell!(
             "{:8} {:>6} {:>6} {:>9} {:>14} {:>12} {:>10} {:>16} {:>10}",
             "backend",
             "agents",
@@ -158,18 +158,18 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
             for &(worlds, processes) in &args.worlds {
                 if backend == Backend::Libsumo && processes > 1 {
                     if !args.backend.is_empty() {
-                        eprintln!("libsumo is one process: {worlds}/{processes} is left out");
+                        say!("libsumo is one process: {worlds}/{processes} is left out");
                     }
                     continue;
                 }
                 let row = measure(workload, backend, worlds, processes, args.seconds)
                     .with_context(|| format!("{backend}, {worlds} worlds in {processes} processes"))?;
                 if args.json {
-                    println!("{}", serde_json::to_string(&row)?);
+                    tell!("{}", serde_json::to_string(&row)?);
                 } else {
                     let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
                     let respawn = row.respawn_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2} ms"));
-                    println!(
+                    tell!(
                         "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {respawn:>10}",
                         backend.name(),
                         row.agents,

@@ -67,9 +67,16 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
         names => names.iter().map(String::as_str).collect(),
     };
     if !args.json {
-        println!(
+        tell!(
             "{:9} {:>6} {:>8} {:>7} {:>11} {:>12} {:>12} {:>7}",
-            "algorithm", "agents", "samples", "epochs", "median", "per sample", "PyTorch", "ratio"
+            "algorithm",
+            "agents",
+            "samples",
+            "epochs",
+            "median",
+            "per sample",
+            "PyTorch",
+            "ratio"
         );
     }
     for name in names {
@@ -82,11 +89,11 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
         let (config, scenario) = Config::resolve(&layers)?;
         let row = measure(name, &config, &Task::new(&scenario, config.agents)?, args)?;
         if args.json {
-            println!("{}", serde_json::to_string(&row)?);
+            tell!("{}", serde_json::to_string(&row)?);
             continue;
         }
         let optional = |value: Option<f64>, unit: &str| value.map_or("-".to_owned(), |v| format!("{v:.1} {unit}"));
-        println!(
+        tell!(
             "{name:9} {:>6} {:>8} {:>7} {:>8.1} ms {:>9.2} µs {:>12} {:>7}",
             row.agents,
             row.samples,

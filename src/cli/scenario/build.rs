@@ -23,9 +23,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             State::UpToDate if !args.all => "up to date",
             State::UpToDate | State::OutOfDate => "built",
         };
-        println!("{}: {done}", net.net.display());
+        tell!("{}: {done}", net.net.display());
         for warning in net.warnings {
-            eprintln!("netconvert: {warning}");
+            say!("netconvert: {warning}");
         }
     }
     Ok(Verdict::Good)

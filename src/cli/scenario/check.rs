@@ -72,10 +72,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.json {
         let report =
             Report { scenario: &args.scenario, errors, warnings, findings: &findings.list, trial: trial.as_ref() };
-        println!("{}", serde_json::to_string(&report)?);
+        tell!("{}", serde_json::to_string(&report)?);
     } else {
         print(&findings, trial.as_ref());
-        println!("{}: {errors} errors, {warnings} warnings", args.scenario.display());
+        tell!("{}: {errors} errors, {warnings} warnings", args.scenario.display());
     }
     Ok(if errors > 0 { Verdict::Bad } else { Verdict::Good })
 }
@@ -104,18 +104,21 @@ fn print(findings: &Findings, trial: Option<&Trial>) {
     }
     for severity in [Severity::Error, Severity::Warning] {
         for finding in findings.list.iter().filter(|finding| finding.severity == severity) {
-            println!("{finding}");
+            tell!("{finding}");
         }
     }
 }
 
 fn print_trial(trial: &Trial) {
-    println!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
+    tell!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
     for range in &trial.observation {
-        println!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
+        tell!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
     }
-    println!(
+    tell!(
         "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",
-        trial.agents, trial.steps, trial.episodes, trial.steps_per_second
+        trial.agents,
+        trial.steps,
+        trial.episodes,
+        trial.steps_per_second
     );
 }

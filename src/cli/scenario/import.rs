@@ -43,18 +43,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let imported = import(&args.root, &args.out, map, args.junction.as_deref(), args.agents, args.steering)?;
     for warning in imported.warnings.iter().take(LISTED) {
-        eprintln!("netconvert: {warning}");
+        say!("netconvert: {warning}");
     }
     if imported.warnings.len() > LISTED {
-        eprintln!("netconvert: {} more warnings", imported.warnings.len() - LISTED);
+        say!("netconvert: {} more warnings", imported.warnings.len() - LISTED);
     }
-    eprintln!("{:<32} {:<20} {:>5} {:>7} {:>7}", "junction", "type", "arms", "routes", "places");
+    say!("{:<32} {:<20} {:>5} {:>7} {:>7}", "junction", "type", "arms", "routes", "places");
     for (i, Candidate { junction, kind, arms, routes, places }) in imported.candidates.iter().enumerate().take(LISTED) {
         let chosen = if i == 0 { "  chosen" } else { "" };
-        eprintln!("{junction:<32} {kind:<20} {arms:>5} {routes:>7} {places:>7}{chosen}");
+        say!("{junction:<32} {kind:<20} {arms:>5} {routes:>7} {places:>7}{chosen}");
     }
     if imported.candidates.len() > LISTED {
-        eprintln!("and {} more; choose with --junction", imported.candidates.len() - LISTED);
+        say!("and {} more; choose with --junction", imported.candidates.len() - LISTED);
     }
     super::next(&imported.scenario);
     Ok(Verdict::Good)

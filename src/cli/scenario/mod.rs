@@ -42,7 +42,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Verb::Check(args) => check::run(args),
         Verb::Show(args) => show::run(args),
         Verb::Reference => {
-            print!("{}", iwol_sumo::scenario::markdown());
+            super::print(format_args!("{}", iwol_sumo::scenario::markdown()));
             Ok(Verdict::Good)
         }
     }
@@ -50,9 +50,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
 /// Says what to do next with a new scenario.
 fn next(scenario: &std::path::Path) {
-    println!("{}", scenario.display());
+    tell!("{}", scenario.display());
     let file = scenario.display();
-    eprintln!(
+    say!(
         "\nnext: iwol scenario check {file}\n      iwol scenario show {file} -o picture.png\n      iwol train --scenario {file}"
     );
 }

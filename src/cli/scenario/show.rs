@@ -34,6 +34,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Some("html") => write_atomic(&args.out, page(&task, &net).as_bytes())?,
         _ => bail!("`{}` is no picture: give a name that ends in .svg, .png or .html", args.out.display()),
     }
-    println!("{}", args.out.display());
+    tell!("{}", args.out.display());
     Ok(Verdict::Good)
 }

@@ -74,7 +74,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         cell.check()?;
     }
     if args.dry_run {
-        print!("{}", table(&sweep, &cells));
+        super::print(format_args!("{}", table(&sweep, &cells)));
         return Ok(Verdict::Good);
     }
     if args.retry {
@@ -87,30 +87,30 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let stop = super::stop_flag()?;
     work::run(&sweep, &cells, usize::from(args.jobs.unwrap_or(1)), &stop)?;
-    print!("{}", table(&sweep, &cells));
+    super::print(format_args!("{}", table(&sweep, &cells)));
     let states = || cells.iter().map(|(_, cell)| cell.state(&sweep.evaluations));
     let failed: Vec<_> = cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
     for ((_, cell), state) in &failed {
         if let State::Failed(lines) = state {
-            eprintln!("\n{} failed; all that it said is in {}\n{lines}", cell.id, cell.log().display());
+            say!("\n{} failed; all that it said is in {}\n{lines}", cell.id, cell.log().display());
         }
     }
     if !failed.is_empty() {
-        eprintln!("\n{} of {} cells failed; run them again with --retry", failed.len(), cells.len());
+        say!("\n{} of {} cells failed; run them again with --retry", failed.len(), cells.len());
     }
     if stop.load(Ordering::Relaxed) {
-        eprintln!("stopped; the same command goes on");
+        say!("stopped; the same command goes on");
         return Ok(Verdict::Interrupted);
     }
     let waiting = cells.iter().filter(|(_, cell)| sweep.waits_for(cell).is_some()).count();
     if waiting > 0 {
-        eprintln!(
+        say!(
             "{waiting} cells wait for others that failed or are not in this part of the grid; the same command goes on"
         );
         return Ok(Verdict::Bad);
     }
     if failed.is_empty() {
-        eprintln!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
+        say!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
     }
     Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
 }

@@ -17,7 +17,7 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     let open = |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
     let numbers: Vec<usize> = (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
     if numbers.is_empty() {
-        eprintln!("nothing to submit: all cells are finished or failed (--retry runs the failed ones again)");
+        say!("nothing to submit: all cells are finished or failed (--retry runs the failed ones again)");
         return Ok(Verdict::Good);
     }
     for option in &args.slurm_option {
@@ -50,9 +50,9 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
         );
     }
     let job = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-    eprintln!("{} cells submitted with {}", numbers.len(), path.display());
-    eprintln!("watch them with: squeue --job {job}; iwol sweep {} --dry-run", args.file.display());
-    println!("{job}");
+    say!("{} cells submitted with {}", numbers.len(), path.display());
+    say!("watch them with: squeue --job {job}; iwol sweep {} --dry-run", args.file.display());
+    tell!("{job}");
     Ok(Verdict::Good)
 }
 

@@ -28,7 +28,7 @@ pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &A
         cells.iter().filter(|(_, cell)| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_)));
     let queue: Mutex<VecDeque<&Cell>> = Mutex::new(open.map(|(_, cell)| *cell).collect());
     let count = queue.lock().expect("no worker panics").len();
-    eprintln!("{count} of {} cells to do, {jobs} at a time", cells.len());
+    say!("{count} of {} cells to do, {jobs} at a time", cells.len());
     let screen = Screen::new(count, jobs);
     // Cells that are in work: what waits for them may still get its turn.
     let busy = AtomicUsize::new(0);
@@ -185,7 +185,7 @@ impl Screen {
                 bar.set_message(said.clone());
             }
         } else if new {
-            eprintln!("{said}");
+            say!("{said}");
         }
         last[number] = said;
     }
@@ -204,7 +204,7 @@ impl Screen {
             self.bars[number].println(line);
             self.all.set_message(left.trim_start_matches(", ").to_owned());
         } else {
-            eprintln!("{line} ({} of {})", self.all.position(), self.all.length().unwrap_or(0));
+            say!("{line} ({} of {})", self.all.position(), self.all.length().unwrap_or(0));
         }
     }
 
