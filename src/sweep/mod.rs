@@ -383,7 +383,10 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
 
 /// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
 fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
-    for (key, wanted) in change {
+    let mut flat = BTreeMap::new();
+    flatten(change, "", &mut flat);
+    let change = flat;
+    for (key, wanted) in &change {
         let all = grid.get(key).and_then(Value::as_array);
         if all.is_none_or(|all| !all.contains(wanted)) {
             return Err(format!("init_from = {{ {key} = {wanted} }}: the grid has no such cell"));
@@ -614,6 +617,12 @@ mod tests {
         assert!(refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell"));
         assert!(refused("steps = 1").contains("the grid has no such cell"));
         assert!(refused("agents = 8").contains("names the cell itself"));
+        let grid = FILE.replace("agents = [4, 8]", "agents = [8]\n\"ppo.gamma\" = [0.9, 0.99]");
+        let grid = grid.replace("ppo = { gamma = 0.9 }, agents = 48", "steps = 8");
+        let rule = "[[rule]]\nwhen = { \"ppo.gamma\" = 0.99 }\nset = { init_from = { \"ppo.gamma\" = 0.9 } }";
+        let sweep = parse(&format!("{grid}\n{rule}")).unwrap();
+        let begins = |id: &str| sweep.cells.iter().find(|cell| cell.id == id).unwrap().after.as_deref();
+        assert_eq!(begins("mappo_agents=8_gamma=0.99/seed_0"), Some("mappo_agents=8_gamma=0.9/seed_0"));
         let back = format!(
             "{}\n[[rule]]\nwhen = {{ agents = 4 }}\nset = {{ init_from = {{ agents = 8 }} }}",
             with("agents = 4")
