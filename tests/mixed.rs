@@ -339,6 +339,33 @@ fn beams_end_at_others() {
     assert!(hits > 0, "some are in plain sight");
 }
 
+/// Agents that steer stand where they begin: those of SUMO behind them stop and do not touch them.
+#[test]
+fn others_wait_behind_agents_that_steer() {
+    let task = task_of("intersection_turns_small.xml", |scenario| scenario.traffic.penetration = 0.5);
+    assert_eq!((task.agents, task.others), (4, 4));
+    let mut waiting = 0;
+    for seed in 0..8 {
+        let mut env = VecEnv::new(&task, &options(1, seed, Backend::Traci)).expect("SUMO runs");
+        for _ in 0..150 {
+            env.step(&[0.0, -1.0].repeat(4)).expect("a step");
+        }
+        let world = env.worlds().next().expect("one world");
+        let agents: Vec<_> = world.agents().collect();
+        assert!(agents.iter().all(|agent| !agent.fate.crashed), "seed {seed}: {agents:?}");
+        for other in world.others().filter(|other| other.speed < 0.1 && !other.wreck) {
+            let (sin, cos) = other.pose.heading.sin_cos();
+            let behind = agents.iter().any(|agent| {
+                let (dx, dy) = (agent.pose.x - other.pose.x, agent.pose.y - other.pose.y);
+                let (ahead, aside) = (dx * cos + dy * sin, dy * cos - dx * sin);
+                (4.0..10.0).contains(&ahead) && aside.abs() < 1.0 && agent.driving
+            });
+            waiting += usize::from(behind);
+        }
+    }
+    assert!(waiting >= 4, "{waiting} stand behind an agent");
+}
+
 #[test]
 fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
     // One agent at full throttle among seven: it runs into whoever is ahead.

@@ -100,7 +100,7 @@ fn sumo_has_every_vehicle_where_it_is() {
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(3), 0, 1, episodes);
         let feature = |name: &str| task.spec.observation.list.iter().position(|f| f.name == name).expect("is seen");
         let [lateral, heading] = ["ego.lateral", "steering.heading_error_cos"].map(feature);
-        let (mut compared, mut on_junction, mut wrecks, mut told, mut around) = (0, 0, 0, 0, 0);
+        let (mut compared, mut on_junction, mut wrecks, mut told, mut around, mut led) = (0, 0, 0, 0, 0, 0);
         world.reset(0);
         let mut commands = Vec::new();
         while !world.is_idle() {
@@ -115,6 +115,7 @@ fn sumo_has_every_vehicle_where_it_is() {
             if !world.is_running() {
                 continue;
             }
+            let mut on_lanes: Vec<(String, f64, String)> = Vec::new();
             for (slot, agent) in world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck) {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
                 if agent.driving && task.routes[agent.route].avoided.is_some() {
@@ -163,8 +164,24 @@ fn sumo_has_every_vehicle_where_it_is() {
                 compared += 1;
                 on_junction += usize::from(junction);
                 wrecks += usize::from(agent.wreck);
+                if !junction {
+                    on_lanes.push((found, position, id));
+                }
+            }
+            // Whom SUMO's drivers would follow: the next ahead on the same lane, at the end of the gap.
+            on_lanes.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+            for pair in on_lanes.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+                let gap = pair[1].1 - pair[0].1 - 2.0 * half;
+                if gap > 0.0 {
+                    let leader = own.sumo.vehicle().get_leader(&pair[0].2, 100.0).unwrap().expect("one is ahead");
+                    assert_eq!(leader.id, pair[1].2, "{name}, step {step}: {pair:?}");
+                    assert!((leader.gap - gap).abs() < 0.2, "{name}: SUMO {}, ours {gap}", leader.gap);
+                    led += 1;
+                }
             }
         }
+        // On the lot no two are on one lane.
+        assert!(led > 20 || name == "parking_lot", "{name}: {led} leaders");
         assert!(around > 100 || name != "intersection_turns", "{around} steps of vehicles that turn back");
         let enough = compared > 500 && on_junction > 100 && wrecks > 20;
         assert!(enough, "{name}: {compared} places, {on_junction} of them on the junction, {wrecks} of wrecks");
