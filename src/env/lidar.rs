@@ -12,13 +12,14 @@ pub(super) fn describe(lidar: Lidar, features: &mut Features) {
     features.push("lidar", lidar.beams, &[("distance", "the lidar's range", 0.0, 1.0)]);
 }
 
+/// Most beams.
+const MOST: usize = 360;
+
 /// Writes one distance per beam, counter-clockwise from straight ahead; 1 where nothing is in range.
 pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
     let own = &traffic.slots[slot].pose;
-    for (beam, seen) in out.iter_mut().enumerate() {
-        let (sin, cos) = angle(lidar, own, beam).sin_cos();
-        *seen = (road.beam([own.x, own.y], [cos, sin], lidar.range) / lidar.range) as f32;
-    }
+    let mut beams = Beams::new(lidar, own);
+    beams.end_with_road(road);
     for (j, other) in traffic.slots.iter().enumerate() {
         let apart = traffic.distance(slot, j);
         let half = other.size.map(|side| side / 2.0);
@@ -29,40 +30,137 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
         // The beams that may hit its box: those that hit the circle around it.
         let middle = (other.pose.y - own.y).atan2(other.pose.x - own.x) - own.heading;
         let wide = if apart > reach { (reach / apart).asin() } else { TAU / 2.0 };
-        let spacing = TAU / lidar.beams as f64;
-        let (first, last) = (((middle - wide) / spacing).ceil() as i64, ((middle + wide) / spacing).floor() as i64);
-        for beam in first..=last.min(first + lidar.beams as i64 - 1) {
-            let beam = beam.rem_euclid(lidar.beams as i64) as usize;
-            if let Some(distance) = to_box(own, angle(lidar, own, beam), &other.pose, half) {
-                out[beam] = out[beam].min((distance / lidar.range) as f32);
-            }
-        }
+        beams.between(middle - wide, 2.0 * wide, |along| to_box(own, along, &other.pose, half));
+    }
+    for (seen, distance) in out.iter_mut().zip(beams.ends) {
+        *seen = (distance / lidar.range) as f32;
     }
 }
 
-fn angle(lidar: Lidar, own: &Pose, beam: usize) -> f64 {
-    own.heading + TAU * beam as f64 / lidar.beams as f64
+/// Where the beams of a vehicle lead, and how far \[m\].
+struct Beams {
+    from: Pose,
+    count: usize,
+    range: f64,
+    along: [[f64; 2]; MOST],
+    ends: [f64; MOST],
 }
 
-/// Distance from a point along a direction to a box \[m\]; 0 from inside.
-fn to_box(from: &Pose, direction: f64, target: &Pose, half: [f64; 2]) -> Option<f64> {
+impl Beams {
+    fn new(lidar: Lidar, from: &Pose) -> Self {
+        let mut along = [[0.0; 2]; MOST];
+        let ((sin, cos), (mut y, mut x)) = ((TAU / lidar.beams as f64).sin_cos(), from.heading.sin_cos());
+        for along in &mut along[..lidar.beams] {
+            *along = [x, y];
+            (x, y) = (x * cos - y * sin, y * cos + x * sin);
+        }
+        Self { from: *from, count: lidar.beams, range: lidar.range, along, ends: [lidar.range; MOST] }
+    }
+
+    /// Ends beams within `wide` radians counter-clockwise from `first`, which counts from straight ahead, where `hit` says for their
+    /// direction.
+    fn between(&mut self, first: f64, wide: f64, hit: impl Fn([f64; 2]) -> Option<f64>) {
+        let spacing = TAU / self.count as f64;
+        let (from, to) = ((first / spacing).ceil() as i64, ((first + wide) / spacing).floor() as i64);
+        for beam in from..=to.min(from + self.count as i64 - 1) {
+            let beam = beam.rem_euclid(self.count as i64) as usize;
+            if let Some(distance) = hit(self.along[beam]) {
+                self.ends[beam] = self.ends[beam].min(distance);
+            }
+        }
+    }
+
+    /// Ends beams at kerbs and lines.
+    fn end_with_road(&mut self, road: &Road) {
+        /// Beams through the end of a line hit it, whatever rounding says \[rad\].
+        const EDGE: f64 = 1e-9;
+        let own = [self.from.x, self.from.y];
+        for (end, along) in self.ends[..self.count].iter_mut().zip(self.along) {
+            *end = road.to_kerb(own, along, self.range);
+        }
+        let range = self.range;
+        road.lines_around(own, range, |line| {
+            let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
+            let way = [b[0] - a[0], b[1] - a[1]];
+            let apart = cross(a, way);
+            // Even the straight line through it is out of range.
+            if apart * apart > range * range * (way[0] * way[0] + way[1] * way[1]) {
+                return;
+            }
+            let bearing = |p: [f64; 2]| p[1].atan2(p[0]) - self.from.heading;
+            let (from, to) = (bearing(a), bearing(b));
+            let turn = (to - from + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+            let first = if turn > 0.0 { from } else { to };
+            self.between(first - EDGE, turn.abs() + 2.0 * EDGE, |along| {
+                let across = cross(along, way);
+                let distance = apart / across;
+                (across != 0.0 && distance >= 0.0).then_some(distance)
+            });
+        });
+    }
+}
+
+fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+/// Distance from a point along a unit vector to a box \[m\]; 0 from inside.
+fn to_box(from: &Pose, along: [f64; 2], target: &Pose, half: [f64; 2]) -> Option<f64> {
     let (sin, cos) = target.heading.sin_cos();
-    let (dx, dy) = (from.x - target.x, from.y - target.y);
-    let at = [dx * cos + dy * sin, dy * cos - dx * sin];
-    let (rise, run) = (direction - target.heading).sin_cos();
-    let [enter, leave] = stretch(at, [run, rise], half)?;
+    let own = |x: f64, y: f64| [x * cos + y * sin, y * cos - x * sin];
+    let [enter, leave] = stretch(own(from.x - target.x, from.y - target.y), own(along[0], along[1]), half)?;
     (leave >= 0.0).then_some(enter.max(0.0))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use proptest::prelude::*;
 
+    use super::super::routes::crossing;
     use super::*;
+    use crate::scenario::Border;
+    use crate::sumo::net::Net;
 
     const HALF: [f64; 2] = [2.2575, 0.926];
 
     proptest! {
+        /// Beams end where the road does: at its lines, or on the parking lot at the line between the directions and at the kerb, where a
+        /// corner has left.
+        #[test]
+        fn beams_end_where_the_road_does(
+            kerb in any::<bool>(), place in 0_usize..1000, t in 0.0..1.0f64, heading in -4.0..4.0f64, beams in 1_usize..90, range in 2.0..60.0f64,
+        ) {
+            let (net, border) = if kerb { ("parking_lot/parking_lot", Border::Kerb) } else { ("intersection/arm30", Border::Line) };
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sumo_nets/{net}.net.xml"));
+            let net = Net::load(&path).unwrap();
+            let road = Road::new(&net, 2.0 * HALF[0], 2.0 * HALF[1], border).unwrap();
+            let shape = &net.lanes[place % net.lanes.len()].shape;
+            let (a, b) = (shape[0], shape[1]);
+            let own = Pose { x: a[0] + t * (b[0] - a[0]), y: a[1] + t * (b[1] - a[1]), heading };
+            let from = [own.x, own.y];
+            let mut lines = Vec::new();
+            road.lines_around([0.0, 0.0], 1e3, |line| lines.push(line));
+            let mut found = Beams::new(Lidar { beams, range }, &own);
+            found.end_with_road(&road);
+            for beam in 0..beams {
+                let angle = heading + TAU * beam as f64 / beams as f64;
+                let at = |distance: f64| [from[0] + distance * angle.cos(), from[1] + distance * angle.sin()];
+                let line = lines.iter().filter_map(|&[a, b]| crossing(from, at(range), a, b)).map(|(t, _)| t * range);
+                let line = line.fold(range, f64::min);
+                let end = found.ends[beam];
+                prop_assert!(end <= line + 1e-6, "{beam}: {end}, but a line after {line}");
+                if kerb && end < line - 1e-6 {
+                    prop_assert!(road.on_lane(at(end - 1e-6)) && !road.on_lane(at(end + 1e-6)), "{beam}: {end}");
+                } else {
+                    prop_assert!((end - line).abs() < 1e-6, "{beam}: {end}, a line after {line}");
+                    let on = (0..200).map(|k| end * f64::from(k) / 200.0).all(|distance| road.on_lane(at(distance)));
+                    prop_assert!(on || !kerb, "{beam}: the kerb is before {end}");
+                }
+            }
+        }
+
         /// Where a beam ends, a tiny box touches the vehicle; just before, it does not.
         #[test]
         fn a_beam_ends_at_the_body(x in -20.0..20.0f64, y in -20.0..20.0f64, h in -4.0..4.0f64, direction in -4.0..4.0f64) {
@@ -74,13 +172,13 @@ mod tests {
                 let (dx, dy) = (distance * cos - x, distance * sin - y);
                 (dx * cos_h + dy * sin_h).abs() <= HALF[0] + DOT && (dy * cos_h - dx * sin_h).abs() <= HALF[1] + DOT
             };
-            let found = to_box(&from, direction, &target, HALF);
+            let found = to_box(&from, [direction.cos(), direction.sin()], &target, HALF);
             let first = (0..60_000).map(|k| f64::from(k) * 0.5e-3).find(|distance| dot(*distance));
             match (found, first) {
                 (Some(found), Some(first)) => prop_assert!((found - first).abs() < 0.15, "{found} {first}"),
                 (None, None) => {}
                 // It grazes the dot's margin.
-                (None, Some(_)) => prop_assert!(to_box(&from, direction, &target, HALF.map(|h| h + 2.0 * DOT)).is_some()),
+                (None, Some(_)) => prop_assert!(to_box(&from, [direction.cos(), direction.sin()], &target, HALF.map(|h| h + 2.0 * DOT)).is_some()),
                 (Some(found), None) => prop_assert!(found > 29.9, "{found}"),
             }
         }

@@ -15,6 +15,9 @@ use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 
 /// Cells of the grid in which lines and lanes are looked up \[m\].
 const CELL: f64 = 8.0;
+/// Blocks in which the lines that one sees are looked up, and the longest piece of a line in them \[m\].
+const BLOCK: f64 = 32.0;
+const PIECE: f64 = 16.0;
 /// Longest lanes and lines, together \[m\].
 const LONGEST: f64 = 5e6;
 /// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator. There is also the kerb.
@@ -70,6 +73,8 @@ pub(super) struct Road {
     /// Who touches one of these has left the road.
     lines: Vec<[Point; 2]>,
     cells: HashMap<[i32; 2], Cell>,
+    /// Pieces of lines, each where its middle is.
+    blocks: HashMap<[i32; 2], Vec<[Point; 2]>>,
     /// Half the diagonal of a vehicle \[m\].
     reach: f64,
     half: [f64; 2],
@@ -86,6 +91,7 @@ impl Road {
             strips: Vec::new(),
             lines: Vec::new(),
             cells: HashMap::new(),
+            blocks: HashMap::new(),
             reach: length.hypot(width) / 2.0 + TOUCH,
             half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
             border,
@@ -115,6 +121,14 @@ impl Road {
         for i in 0..road.lines.len() {
             for cell in cells_along(road.lines[i], road.reach) {
                 road.cells.entry(cell).or_default().lines.push(i as u32);
+            }
+        }
+        for &[a, b] in &road.lines {
+            let count = ((b[0] - a[0]).hypot(b[1] - a[1]) / PIECE).ceil().max(1.0);
+            let at = |k: f64| [0, 1].map(|axis| a[axis] + (b[axis] - a[axis]) * k / count);
+            for k in 0..count as u32 {
+                let [from, middle, to] = [0.0, 0.5, 1.0].map(|part| at(f64::from(k) + part));
+                road.blocks.entry(middle.map(block_of)).or_default().push([from, to]);
             }
         }
         Ok(road)
@@ -154,18 +168,10 @@ impl Road {
         }
     }
 
-    /// Distance from a point along a unit vector to the first line or kerb that borders the road, `range` where there is none
-    /// before \[m\].
-    pub(super) fn beam(&self, from: Point, along: Point, range: f64) -> f64 {
-        match self.border {
-            Border::Line => self.to_line(from, along, range),
-            Border::Kerb => self.to_line(from, along, self.to_kerb(from, along, range)),
-        }
-    }
-
-    /// Distance to where the lanes end, with what counts as on them beside.
-    fn to_kerb(&self, from: Point, along: Point, range: f64) -> f64 {
-        let mut reached = 0.0;
+    /// Distance from a point along a unit vector to the kerb, where that ends the road: where the lanes end, with what counts as on them
+    /// beside; `range` where there is none before \[m\].
+    pub(super) fn to_kerb(&self, from: Point, along: Point, range: f64) -> f64 {
+        let mut reached = if self.border == Border::Kerb { 0.0 } else { range };
         while reached < range {
             let at = [from[0] + reached * along[0], from[1] + reached * along[1]];
             let strips = self.cells.get(&cell_of(at)).map_or(&[][..], |cell| &cell.strips);
@@ -180,33 +186,14 @@ impl Road {
         range
     }
 
-    fn to_line(&self, from: Point, along: Point, range: f64) -> f64 {
-        let end = [from[0] + range * along[0], from[1] + range * along[1]];
-        let mut cell = cell_of(from);
-        // Ways along the beam to the next border between cells, and from border to border, per axis.
-        let border = |axis: usize| {
-            let next = f64::from(cell[axis] + i32::from(along[axis] > 0.0)) * CELL;
-            if along[axis] == 0.0 { f64::INFINITY } else { (next - from[axis]) / along[axis] }
-        };
-        let mut next = [border(0), border(1)];
-        loop {
-            let leaves = next[0].min(next[1]);
-            let lines = self.cells.get(&cell).map_or(&[][..], |cell| &cell.lines);
-            let hits = lines.iter().filter_map(|&i| {
-                let [a, b] = self.lines[i as usize];
-                crossing(from, end, a, b).map(|(t, _)| t * range)
-            });
-            // What lies beyond this cell is for the next.
-            let nearest = hits.fold(f64::INFINITY, f64::min);
-            if nearest <= leaves.min(range) {
-                return nearest;
+    /// The pieces of all lines that come within `range` of a point \[m\], and some further away; none is longer than [`PIECE`].
+    pub(super) fn lines_around(&self, from: Point, range: f64, mut visit: impl FnMut([Point; 2])) {
+        let reach = range + PIECE / 2.0;
+        let [low, high] = [-reach, reach].map(|by| from.map(|v| block_of(v + by)));
+        for i in low[0]..=high[0] {
+            for j in low[1]..=high[1] {
+                self.blocks.get(&[i, j]).into_iter().flatten().for_each(|&piece| visit(piece));
             }
-            if leaves >= range {
-                return range;
-            }
-            let axis = usize::from(next[1] < next[0]);
-            cell[axis] += if along[axis] > 0.0 { 1 } else { -1 };
-            next[axis] += CELL / along[axis].abs();
         }
     }
 
@@ -229,7 +216,7 @@ impl Road {
             || (self.border == Border::Kerb && beyond_kerb())
     }
 
-    fn on_lane(&self, point: Point) -> bool {
+    pub(super) fn on_lane(&self, point: Point) -> bool {
         let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
         strips.iter().any(|&i| {
             let strip = &self.strips[i as usize];
@@ -281,6 +268,10 @@ fn parallel(points: &[Point], offset: f64) -> Vec<Point> {
         [points[i][0] + scale * (before[0] + after[0]), points[i][1] + scale * (before[1] + after[1])]
     };
     (0..points.len()).map(beside).collect()
+}
+
+fn block_of(v: f64) -> i32 {
+    (v / BLOCK).floor() as i32
 }
 
 fn cell_of(point: Point) -> [i32; 2] {
@@ -384,28 +375,6 @@ mod tests {
     }
 
     proptest! {
-        /// A beam on the parking lot ends at the line between the directions, or where the kerb is: where a vehicle's corner has left.
-        #[test]
-        fn a_beam_ends_where_the_road_does(strip in 0_usize..1000, t in 0.0..1.0f64, direction in -4.0..4.0f64) {
-            const RANGE: f64 = 30.0;
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
-            let road = Road::new(&Net::load(&path).unwrap(), LENGTH, WIDTH, Border::Kerb).unwrap();
-            let [a, b] = road.strips[strip % road.strips.len()].ends;
-            let (from, along) = ([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])], [direction.cos(), direction.sin()]);
-            let at = |distance: f64| [from[0] + distance * along[0], from[1] + distance * along[1]];
-            let found = road.beam(from, along, RANGE);
-            prop_assert!((0.0..=RANGE).contains(&found));
-            let open = |distance: f64| {
-                let end = at(distance);
-                road.on_lane(end) && !road.lines.iter().any(|&[a, b]| crossing(from, end, a, b).is_some())
-            };
-            let before = (0..1000).map(|k| found * f64::from(k) / 1000.0 - 1e-6).filter(|distance| *distance > 0.0);
-            for distance in before {
-                prop_assert!(open(distance), "{distance} of {found}");
-            }
-            prop_assert!(found == RANGE || !open(found + 1e-6), "{found}");
-        }
-
         /// A segment meets a box when a thin box along it does.
         #[test]
         fn touching_agrees_with_boxes(x in -6.0..6.0f64, y in -6.0..6.0f64, h in -4.0..4.0f64, g in -4.0..4.0f64) {
