@@ -80,7 +80,7 @@ fn a_mistake_in_a_scenario_is_located() {
     2
     error: nowhere.xml: cannot read the scenario: No such file or directory (os error 2)
 
-    hint: give the path of a scenario file, as scenarios/intersection.xml
+    hint: give the path of a scenario file, as scenarios/intersection.xml; a run names its own from the folder in which it was begun: go there, or give --scenario
     "#);
 }
 

@@ -59,7 +59,11 @@ pub(super) struct Args {
 
 impl Args {
     fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
-        let integer = |v: u64| i64::try_from(v).map(Value::Integer).context("numbers must be below 2^63");
+        let integer = |v: u64| {
+            i64::try_from(v)
+                .map(Value::Integer)
+                .with_context(|| format!("{v} is too large: numbers must be below 2^63"))
+        };
         let mut flags = Vec::new();
         if let Some(path) = &self.scenario {
             flags.push(("scenario", Value::String(path.display().to_string())));

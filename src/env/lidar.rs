@@ -21,10 +21,13 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
     let mut beams = Beams::new(lidar, own);
     beams.end_with_road(road);
     for (j, other) in traffic.slots.iter().enumerate() {
+        if j == slot || other.status == Status::Empty {
+            continue;
+        }
         let apart = traffic.distance(slot, j);
         let half = other.size.map(|side| side / 2.0);
-        let reach = half[0].hypot(half[1]);
-        if j == slot || other.status == Status::Empty || apart > lidar.range + reach {
+        let reach = (half[0] * half[0] + half[1] * half[1]).sqrt();
+        if apart > lidar.range + reach {
             continue;
         }
         // The beams that may hit its box: those that hit the circle around it.

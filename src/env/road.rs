@@ -17,7 +17,7 @@ use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 const CELL: f64 = 8.0;
 /// Blocks in which the lines that one sees are looked up, and the longest piece of a line in them \[m\].
 const BLOCK: f64 = 32.0;
-const PIECE: f64 = 16.0;
+const PIECE: f64 = 32.0;
 /// Longest lanes and lines, together \[m\].
 const LONGEST: f64 = 5e6;
 /// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator. There is also the kerb.
@@ -186,13 +186,18 @@ impl Road {
         range
     }
 
-    /// The pieces of all lines that come within `range` of a point \[m\], and some further away; none is longer than [`PIECE`].
+    /// The pieces of all lines that come within `range` of a point \[m\], and some a little further away; none is longer than [`PIECE`].
     pub(super) fn lines_around(&self, from: Point, range: f64, mut visit: impl FnMut([Point; 2])) {
         let reach = range + PIECE / 2.0;
+        let near = |[a, b]: &[Point; 2]| {
+            let [x, y] = [0, 1].map(|axis| f64::midpoint(a[axis], b[axis]) - from[axis]);
+            x * x + y * y <= reach * reach
+        };
         let [low, high] = [-reach, reach].map(|by| from.map(|v| block_of(v + by)));
         for i in low[0]..=high[0] {
             for j in low[1]..=high[1] {
-                self.blocks.get(&[i, j]).into_iter().flatten().for_each(|&piece| visit(piece));
+                let pieces = self.blocks.get(&[i, j]).into_iter().flatten();
+                pieces.filter(|piece| near(piece)).for_each(|&piece| visit(piece));
             }
         }
     }

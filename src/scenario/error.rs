@@ -261,7 +261,11 @@ impl Error {
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound => {
-                Some("give the path of a scenario file, as scenarios/intersection.xml".into())
+                Some(
+                    "give the path of a scenario file, as scenarios/intersection.xml; a run names its own from the folder in which it was \
+                     begun: go there, or give --scenario"
+                        .into(),
+                )
             }
             Self::Unknown { parent, valid, .. } if !valid.is_empty() => {
                 Some(format!("valid in {parent}: {}", valid.join(", ")))

@@ -202,7 +202,8 @@ impl Sweep {
         let wrong = |message: String| Error::Content { file: file.to_owned(), message };
         for (key, value) in &parsed.grid {
             if value.as_array().is_none_or(Vec::is_empty) {
-                return Err(wrong(format!("[grid] {key}: give a list of values, e.g. {key} = [{value}]")));
+                let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
+                return Err(wrong(format!("[grid] {key}: give a list of values, e.g. {key} = [{example}]")));
             }
         }
         let mut evaluations = parsed.evaluate;
