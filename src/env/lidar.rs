@@ -33,7 +33,7 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
         // The beams that may hit its box: those that hit the circle around it.
         let middle = (other.pose.y - own.y).atan2(other.pose.x - own.x) - own.heading;
         let wide = if apart > reach { (reach / apart).asin() } else { TAU / 2.0 };
-        beams.between(middle - wide, 2.0 * wide, |along| to_box(own, along, &other.pose, half));
+        beams.between(middle - wide, 2.0 * wide, to_box(own, &other.pose, half));
     }
     for (seen, distance) in out.iter_mut().zip(beams.ends) {
         *seen = (distance / lidar.range) as f32;
@@ -107,12 +107,15 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// Distance from a point along a unit vector to a box \[m\]; 0 from inside.
-fn to_box(from: &Pose, along: [f64; 2], target: &Pose, half: [f64; 2]) -> Option<f64> {
+/// Tells the distance from a point along a unit vector to a box \[m\]; 0 from inside.
+fn to_box(from: &Pose, target: &Pose, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
     let (sin, cos) = target.heading.sin_cos();
-    let own = |x: f64, y: f64| [x * cos + y * sin, y * cos - x * sin];
-    let [enter, leave] = stretch(own(from.x - target.x, from.y - target.y), own(along[0], along[1]), half)?;
-    (leave >= 0.0).then_some(enter.max(0.0))
+    let own = move |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
+    let at = own([from.x - target.x, from.y - target.y]);
+    move |along| {
+        let [enter, leave] = stretch(at, own(along), half)?;
+        (leave >= 0.0).then_some(enter.max(0.0))
+    }
 }
 
 #[cfg(test)]
@@ -175,13 +178,13 @@ mod tests {
                 let (dx, dy) = (distance * cos - x, distance * sin - y);
                 (dx * cos_h + dy * sin_h).abs() <= HALF[0] + DOT && (dy * cos_h - dx * sin_h).abs() <= HALF[1] + DOT
             };
-            let found = to_box(&from, [direction.cos(), direction.sin()], &target, HALF);
+            let found = to_box(&from, &target, HALF)([direction.cos(), direction.sin()]);
             let first = (0..60_000).map(|k| f64::from(k) * 0.5e-3).find(|distance| dot(*distance));
             match (found, first) {
                 (Some(found), Some(first)) => prop_assert!((found - first).abs() < 0.15, "{found} {first}"),
                 (None, None) => {}
                 // It grazes the dot's margin.
-                (None, Some(_)) => prop_assert!(to_box(&from, [direction.cos(), direction.sin()], &target, HALF.map(|h| h + 2.0 * DOT)).is_some()),
+                (None, Some(_)) => prop_assert!(to_box(&from, &target, HALF.map(|h| h + 2.0 * DOT))([direction.cos(), direction.sin()]).is_some()),
                 (Some(found), None) => prop_assert!(found > 29.9, "{found}"),
             }
         }
