@@ -8,7 +8,7 @@ macro_rules! say {
     }};
 }
 
-/// Prints a line of results, see [`print`].
+/// Prints a line of results, see [`print()`].
 macro_rules! tell {
     ($($text:tt)*) => {
         $crate::cli::print(format_args!("{}\n", format_args!($($text)*)))
