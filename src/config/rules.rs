@@ -2,6 +2,7 @@
 
 use super::Config;
 use crate::algo::{self, settings};
+use crate::scenario::Lidar;
 
 impl Config {
     /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
@@ -152,7 +153,7 @@ impl Config {
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
-            (&["env.lidar_beams"], e.lidar_beams <= 360, "0 to 360"),
+            (&["env.lidar_beams"], e.lidar_beams <= Lidar::MOST, "0 to 360"),
             (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),
             (&["env.cooperation"], share(e.cooperation), "0 to 1"),

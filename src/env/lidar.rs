@@ -12,9 +12,6 @@ pub(super) fn describe(lidar: Lidar, features: &mut Features) {
     features.push("lidar", lidar.beams, &[("distance", "the lidar's range", 0.0, 1.0)]);
 }
 
-/// Most beams.
-const MOST: usize = 360;
-
 /// Writes one distance per beam, counter-clockwise from straight ahead; 1 where nothing is in range.
 pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
     let own = &traffic.slots[slot].pose;
@@ -45,19 +42,19 @@ struct Beams {
     from: Pose,
     count: usize,
     range: f64,
-    along: [[f64; 2]; MOST],
-    ends: [f64; MOST],
+    along: [[f64; 2]; Lidar::MOST],
+    ends: [f64; Lidar::MOST],
 }
 
 impl Beams {
     fn new(lidar: Lidar, from: &Pose) -> Self {
-        let mut along = [[0.0; 2]; MOST];
+        let mut along = [[0.0; 2]; Lidar::MOST];
         let ((sin, cos), (mut y, mut x)) = ((TAU / lidar.beams as f64).sin_cos(), from.heading.sin_cos());
         for along in &mut along[..lidar.beams] {
             *along = [x, y];
             (x, y) = (x * cos - y * sin, y * cos + x * sin);
         }
-        Self { from: *from, count: lidar.beams, range: lidar.range, along, ends: [lidar.range; MOST] }
+        Self { from: *from, count: lidar.beams, range: lidar.range, along, ends: [lidar.range; Lidar::MOST] }
     }
 
     /// Ends beams within `wide` radians counter-clockwise from `first`, which counts from straight ahead, where `hit` says for their

@@ -170,7 +170,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
                 encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
                 lidar: Lidar {
-                    beams: self.whole_or(observation, "lidarBeams", 0, 360)? as usize,
+                    beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)? as usize,
                     range: match observation.attribute("lidarRange") {
                         None => Lidar::default().range,
                         Some(_) => {

@@ -260,6 +260,11 @@ pub struct Lidar {
     pub range: f64,
 }
 
+impl Lidar {
+    /// Most beams.
+    pub const MOST: usize = 360;
+}
+
 impl Default for Lidar {
     fn default() -> Self {
         Self { beams: 0, range: 50.0 }

@@ -342,7 +342,7 @@ impl World {
         if own.status != Status::Active {
             return 0.0;
         }
-        let on_road = |(j, other): &(usize, &Slot)| *j != slot && other.status != Status::Empty;
+        let on_road = |(j, other): &(usize, &Slot)| *j != slot && other.departed && other.status != Status::Empty;
         let others = self.traffic.slots.iter().enumerate().filter(on_road);
         let soonest = others.map(|(_, other)| time_to_collision(own, other)).fold(Self::DANGER, f64::min);
         1.0 - soonest / Self::DANGER
