@@ -302,7 +302,7 @@ fn maddpg() {
 #[test]
 fn decisions_and_values() {
     let of_icp = ["dec", "sum", "monotonic"].map(|kind| ("icp", format!("icp-{kind}"), format!("value_{kind}")));
-    let others = ["magic_crew", "im_iwol", "ex_iwol", "maddpg_iwol"];
+    let others = ["mappo", "mat_crew", "magic_crew", "commformer_crew", "im_iwol", "ex_iwol", "maddpg_iwol"];
     let others = others.map(|case| (case, case.trim_end_matches("_crew").replace('_', "-"), "value".to_owned()));
     for (name, method, value) in of_icp.into_iter().chain(others) {
         let mut case = Case::new(name);
@@ -310,6 +310,8 @@ fn decisions_and_values() {
         let spec = EnvSpec { agents: 3, actions, observation: features(4), state: features(3) };
         let mut settings = small();
         (settings.network.hidden, settings.iwol.message) = (16, 8);
+        // Two links of three.
+        settings.commformer.sparsity = 0.7;
         if method != "icp-monotonic" {
             case.arrays.retain(|(key, _)| !key.starts_with("param/critic/mixer."));
         }

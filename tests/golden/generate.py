@@ -705,6 +705,103 @@ def magic_crew():
 
 
 @redrawn
+def mappo():
+    """Each policy on its own, and the value of what each sees and of the privileged state."""
+    people = present, comm, observation, state, start = crew()
+    hidden = 16
+    encoder, head = mlp_modules(4, hidden), linear(hidden, 2)
+    eyes, value = mlp_modules(4 + 3, hidden), linear(hidden, 1)
+    actor = under("encoder.mlp", encoder) | {"head.mean": head}
+    critic = under("encoder.mlp", eyes) | {"value": value}
+    own_value = value(mlp_forward(eyes, torch.cat([observation, state], -1))).squeeze(-1)
+    of_a_crew("mappo", people, actor, critic, action=head(mlp_forward(encoder, observation)), value=in_units_of_reward(own_value))
+
+
+def in_turn(m, own, cross, attend, head, representation, heard):
+    """Actions of one environment's agents, one after another as transformer_act.py has it: what stands before each is the action
+    of the one before it, zeros where that one is not heard."""
+    agents, actions = len(heard), []
+    for i in range(agents):
+        before = [actions[k - 1] * heard[k] if k > 0 else torch.zeros(head.out_features) for k in range(i + 1)]
+        read = decode(m, own, cross, attend, torch.stack(before).unsqueeze(0), representation[:, : i + 1])
+        actions.append(head(read[0, i]))
+    return torch.stack(actions)
+
+
+def of_a_sequence(case, block, represent, related, says_enough, actions=2, hidden=16):
+    """MAT or CommFormer: `represent` is one environment's encoder block, from its agents to what they know, who hears whom, and what
+    attends in the decoder; those who are gone are not in the sequence at all."""
+    people = present, comm, observation, state, start = crew()
+    encoder = mlp_modules(4, hidden)
+    names = {"input_norm": norm(hidden), "input": linear(hidden, hidden), "embed_norm": norm(hidden)}
+    first, value_norm, second = linear(hidden + 3, hidden), norm(hidden), linear(hidden, 1)
+    m, own, cross = decoder_modules(actions, hidden, related)
+    head = linear(hidden, actions)
+    action, value = torch.zeros(3, 3, actions), torch.zeros(3, 3)
+    for e in range(3):
+        there = present[e] > 0
+        x = mlp_forward(encoder, observation[e, there])
+        x = names["embed_norm"](F.gelu(names["input"](names["input_norm"](x)))).unsqueeze(0)
+        representation, graph, attend = represent(x, comm[e][there][:, there], there)
+        known = torch.cat([representation[0], state[e, there]], -1)
+        value[e, there] = second(value_norm(F.gelu(first(known)))).squeeze(-1)
+        heard = [float(k > 0 and graph[k, k - 1] > 0) for k in range(len(graph))]
+        action[e, there] = in_turn(m, own, cross, attend, head, representation, heard)
+    if not says_enough():
+        raise Redraw
+    actor = under("encoder.mlp", encoder) | names | under("blocks.0", block) | {"head.mean": head}
+    actor |= under("value", {"first": first, "norm": value_norm, "second": second})
+    decoder_params = m | attention_params("blocks.0.own", own) | attention_params("blocks.0.cross", cross)
+    of_a_crew(case, people, actor | under("decoder", decoder_params), {}, action=action, value=in_units_of_reward(value))
+
+
+@redrawn
+def mat_crew():
+    """The encoder is everyone's, in range or not; agents act one after another."""
+    hidden, heads = 16, 4
+    attention, layers = multihead(hidden, heads), [norm(hidden), linear(hidden, hidden), linear(hidden, hidden), norm(hidden)]
+
+    def represent(x, comm, there):
+        x = layers[0](x + attention(x, x, x, need_weights=False)[0])
+        x = layers[3](x + layers[2](F.gelu(layers[1](x))))
+        everyone = torch.ones_like(comm)
+        seen = lambda q: everyone[: q.shape[1], : q.shape[1]].tril().unsqueeze(0)
+        return x, everyone, lambda layers, q, among: mat_attention(layers, heads, q, among, seen(q))
+
+    block = dict(zip(("attention_norm", "up", "down", "mlp_norm"), layers)) | multihead_params("attention", attention)
+    of_a_sequence("mat_crew", block, represent, False, lambda: True)
+
+
+@redrawn
+def commformer_crew():
+    """Each agent's two best links, as far as there are agents within range: in the encoder, in the decoder, and to the action before."""
+    hidden, heads, links = 16, 4, 2
+    edges, table = torch.randn(3, 3), torch.randn(2, hidden)
+    chosen = torch.zeros(3, 3).scatter(-1, edges.topk(links, -1).indices, 1.0)
+    attention = attention_layers(hidden, True)
+    layers = [norm(hidden), linear(hidden, hidden), linear(hidden, hidden), norm(hidden)]
+    heard, cut = [], []  # of the actions before one's own, and of the links
+
+    def represent(x, comm, there):
+        kinds = (chosen[there][:, there] * comm).unsqueeze(0)
+        graph = kinds.maximum(torch.eye(len(comm)))
+        heard.extend(graph[0].diagonal(-1).tolist())
+        cut.append(float((chosen[there][:, there] - kinds[0]).sum()))
+        x = layers[0](x + relation_attention(attention, heads, x, x, graph, kinds, table))
+        x = layers[3](x + layers[2](F.relu(layers[1](x))))
+
+        def attend(layers, q, among):
+            n = q.shape[1]
+            return relation_attention(layers, heads, q, among, graph[:, :n, :n].tril(), kinds[:, :n, :n], table)
+
+        return x, graph[0], attend
+
+    block = dict(zip(("attention_norm", "up", "down", "mlp_norm"), layers)) | attention_params("attention", attention)
+    of_a_sequence("commformer_crew", block, represent, True, lambda: 0 < sum(heard) < len(heard) and sum(cut) > 0)
+    put_params("commformer_crew", {"actor/relations": table, "graph/edges": edges})
+
+
+@redrawn
 def trunk(people, hidden, width):
     """IWoL's message path with one round of one head: its modules, messages and embeddings, zeros for those who are gone."""
     present, comm, observation, state, start = people
@@ -799,6 +896,7 @@ def write(path):
 
 cases = (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer, maddpg)
 of_crews = (icp, magic_crew, lambda: iwol_crew("im_iwol"), lambda: iwol_crew("ex_iwol"), maddpg_iwol)
-for case in (*cases, *of_crews):
+of_more_crews = (mappo, mat_crew, commformer_crew)  # last, so that the others' draws stay
+for case in (*cases, *of_crews, *of_more_crews):
     case()
 write(pathlib.Path(__file__).parent / "golden.safetensors")
