@@ -4,9 +4,12 @@
 //! the run, and is itself a valid `--config`. Every mistake names the file, line and column, and the nearest valid key.
 
 mod defaults;
+mod flat;
 mod older;
 mod rules;
 
+pub(crate) use flat::between;
+pub use flat::{Change, changes, flatten, plain};
 pub use older::complete_older;
 
 use std::collections::HashMap;

@@ -3,6 +3,8 @@
 //! All randomness comes from the seed tree by iteration number, and a checkpoint is taken between iterations with the
 //! worlds' action histories, so that stopping and resuming changes nothing.
 
+mod collect;
+mod files;
 mod noise;
 mod run_dir;
 mod schedule;
@@ -12,22 +14,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use rand::RngExt as _;
 use serde::Serialize;
-use serde_json::Value;
 use tch::Tensor;
 
-use crate::algo::{self, ActMode, Algorithm, Losses, Observation, Pace, settings::NoiseMode};
+use crate::algo::{self, Algorithm, Losses, Pace};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::{self, Config};
-use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, World, WorldState};
+use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
 use crate::evaluate::{Evaluation, Onlooker, Policy, evaluate};
-use crate::record::{self, JsonLines, JsonObject, TensorBoard};
-use crate::rng::{self, Seed};
+use crate::record;
+use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
 
-use noise::CorrelatedNoise;
+use files::Files;
 pub use run_dir::RunDir;
 
 /// How training ended.
@@ -237,120 +237,6 @@ impl Trainer {
         }
     }
 
-    fn collect(&mut self, seed: Seed) -> Result<(), Error> {
-        let s = self.rollout.sizes;
-        let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
-        let mut noise = vec![0.0; s.envs * s.agents * s.actions];
-        // Each iteration begins anew: what it draws depends on its number alone.
-        let mut correlated =
-            CorrelatedNoise::new(s.envs * s.agents, s.actions, schedule::correlation(&self.config, &self.progress));
-        let quiet = Tensor::from_slice(&self.rollout.quiet);
-        // An imposed schedule is for all noise there is.
-        let imposed = self.config.exploration.mode == NoiseMode::Schedule;
-        let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
-        let taught = schedule::pace(&self.config, &self.progress).imitation > 0.0;
-        self.rollout.teacher.resize(if taught { self.rollout.action.len() } else { 0 }, 0.0);
-        for t in 0..s.steps {
-            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
-            self.store_potential(t);
-            if taught {
-                self.ask_teacher(t);
-            }
-            let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
-            for (e, late) in late.iter().enumerate() {
-                self.rollout.sampled[t * s.envs + e] = f32::from(u8::from(!late));
-            }
-            let decision = timed(&mut self.timers.act, || {
-                let mut rng = seed.index(t as u64).rng();
-                noise.copy_from_slice(correlated.next(&mut rng));
-                let width = s.agents * s.actions;
-                for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
-                    noise.fill(0.0);
-                }
-                let cell = self.rollout.at(t, s.agents * s.graphs);
-                let graph = if s.graphs > 0 {
-                    if self.learner.graph_lasts() {
-                        rng = seed.child("graph").rng();
-                    }
-                    rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
-                    // Quiet worlds are as close to the most likely graph as to the mean action.
-                    for (e, late) in late.iter().enumerate() {
-                        let of_world = self.rollout.cell(t, e, s.agents * s.graphs);
-                        let scale = f32::from(u8::from(!late)) * (self.rollout.quiet[e] + schedule).exp();
-                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
-                    }
-                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
-                } else {
-                    Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
-                };
-                let action = Tensor::from_slice(&noise).view([e, n, a]);
-                let observation = Observation {
-                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)])
-                        .view([e, n, -1]),
-                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)]).view([e, n, n]),
-                    start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
-                    memory: self.memory.shallow_clone(),
-                };
-                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
-            });
-            timed(&mut self.timers.copy, || {
-                copy_out(&decision.action, &mut self.rollout.action, t);
-                copy_out(&decision.log_prob, &mut self.rollout.log_prob, t);
-            });
-            self.memory = decision.memory;
-            let actions = self.rollout.at(t, s.actions);
-            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
-            self.finished.extend(self.env.take_finished());
-            timed(&mut self.timers.copy, || {
-                for (e, world) in self.env.worlds().enumerate() {
-                    let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
-                    self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
-                    self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
-                    self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
-                }
-            });
-        }
-        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
-        self.store_potential(s.steps);
-        Ok(())
-    }
-
-    /// The potential that shapes rewards, of what is observed at step `t` of the rollout.
-    fn store_potential(&mut self, t: usize) {
-        let weight = self.config.train.shaping;
-        if weight == 0.0 {
-            return;
-        }
-        self.rollout.potential.resize(self.rollout.active.len(), 0.0);
-        for (e, world) in self.env.worlds().enumerate() {
-            let cell = self.rollout.cell(t, e, 1);
-            for (i, potential) in self.rollout.potential[cell].iter_mut().enumerate() {
-                *potential = (-weight * world.danger(i)) as f32;
-            }
-        }
-    }
-
-    /// What the teacher would do at step `t` of the rollout.
-    fn ask_teacher(&mut self, t: usize) {
-        let (speed, actions) = (self.config.train.imitate_speed, self.rollout.sizes.actions);
-        for (e, world) in self.env.worlds().enumerate() {
-            let cell = self.rollout.cell(t, e, actions);
-            for (i, action) in self.rollout.teacher[cell].chunks_mut(actions).enumerate() {
-                let wanted = world.pursuit(i, speed);
-                // Who is on rails has no steering.
-                let wanted = &wanted[2 - actions..];
-                action.iter_mut().zip(wanted).for_each(|(to, from)| *to = *from as f32);
-            }
-        }
-    }
-
-    /// Whether a world's episode still goes without noise.
-    fn is_late(&self, world: &World) -> bool {
-        let late = self.config.exploration.late_steps;
-        let mut rng = self.seed.child("late").index(world.turn()).rng();
-        late > 0 && rng.random_bool(0.5) && world.step_count() < rng.random_range(0..late)
-    }
-
     /// Deterministic evaluation of the averaged weights on the validation seeds, which are the same in every call.
     ///
     /// # Errors
@@ -480,172 +366,12 @@ impl Trainer {
     }
 }
 
-/// The open files of a run.
-struct Files {
-    metrics: JsonLines,
-    episodes: JsonLines,
-    board: TensorBoard,
-}
-
-#[derive(Serialize)]
-struct EpisodeLine<'a> {
-    step: u64,
-    #[serde(flatten)]
-    record: &'a EpisodeRecord,
-}
-
-impl Files {
-    /// Opens or creates them; lines beyond `step`, and validations beyond the step of the last one that counts, are from a future
-    /// that is played again.
-    fn open(dir: &RunDir, config: &Config, step: u64, validated: u64) -> Result<Self, Error> {
-        std::fs::create_dir_all(dir.path().join("checkpoints"))
-            .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
-        record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
-        let resumed = step > 0;
-        let open = |path: PathBuf, future: &dyn Fn(&JsonObject) -> bool| -> Result<JsonLines, record::Error> {
-            if !resumed {
-                return JsonLines::create(&path);
-            }
-            let mut lines = JsonLines::resume(&path)?;
-            lines.remove_where(future)?;
-            Ok(lines)
-        };
-        let beyond =
-            |line: &JsonObject, step: u64| line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step);
-        let validation = |line: &JsonObject| line.contains_key("validation/success");
-        Ok(Self {
-            metrics: open(dir.metrics(), &|line| beyond(line, if validation(line) { validated } else { step }))?,
-            episodes: open(dir.episodes(), &|line| beyond(line, validated))?,
-            board: TensorBoard::create(dir.path(), resumed.then_some(step))?,
-        })
-    }
-
-    /// Forces all lines to disk, before a checkpoint that presumes them.
-    fn sync(&self) -> Result<(), Error> {
-        self.metrics.sync()?;
-        Ok(self.episodes.sync()?)
-    }
-
-    fn write(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), Error> {
-        let mut line = serde_json::Map::new();
-        line.insert("step".to_owned(), step.into());
-        for (key, value) in values {
-            line.insert((*key).to_owned(), (*value).into());
-        }
-        self.metrics.append(&line)?;
-        self.board.write(step, values.iter().copied())?;
-        Ok(())
-    }
-
-    /// Gives the success of the episodes that the iteration finished.
-    fn iteration(&mut self, trainer: &Trainer, losses: &Losses, steps_per_second: f64) -> Result<Option<f64>, Error> {
-        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
-        let mean = |of: fn(&EpisodeRecord) -> f64| episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64;
-        let mut values: Vec<(&str, f64)> = losses.clone();
-        if !episodes.is_empty() {
-            values.extend([
-                ("episode/success", mean(|r| r.success)),
-                ("episode/safety", mean(|r| r.safety)),
-                ("episode/reward", mean(|r| r.reward)),
-                ("episode/length", mean(|r| f64::from(r.episode_length))),
-                ("episode/sumo_collisions", mean(|r| f64::from(r.sumo_collisions))),
-                ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
-            ]);
-        }
-        let (timers, resets) = (&trainer.timers, trainer.env.resets());
-        values.extend([
-            ("iteration", trainer.progress.iteration as f64),
-            ("steps_per_second", steps_per_second),
-            ("weights/restarts", trainer.progress.restarts as f64),
-            ("resets/respawns", resets.respawns as f64),
-            ("resets/loads", resets.loads as f64),
-            ("resets/restarts", resets.restarts as f64),
-            ("time/total_s", trainer.progress.seconds),
-            ("time/simulate_s", timers.simulate),
-            ("time/act_s", timers.act),
-            ("time/copy_s", timers.copy),
-            ("time/update_s", timers.update),
-        ]);
-        self.write(trainer.progress.step, &values)?;
-        Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
-    }
-
-    fn validation(
-        &mut self,
-        progress: &Progress,
-        evaluation: &Evaluation,
-        success: f64,
-        safety: f64,
-        window: f64,
-    ) -> Result<(), Error> {
-        for record in &evaluation.episodes {
-            self.episodes.append(&EpisodeLine { step: progress.step, record })?;
-        }
-        let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
-            / evaluation.episodes.len().max(1) as f64;
-        let mut values = vec![
-            ("validation/success", success),
-            ("validation/safety", safety),
-            ("validation/window_reward", window),
-            ("validation/episode_length", length),
-            ("time/total_s", progress.seconds),
-        ];
-        for r in &evaluation.reconstruction {
-            let keys = match r.name {
-                "world" => ("validation/world_error", "validation/world_explained"),
-                _ => ("validation/interaction_error", "validation/interaction_explained"),
-            };
-            values.extend([(keys.0, r.error), (keys.1, r.explained)]);
-        }
-        self.write(progress.step, &values)
-    }
-}
-
 /// Refuses to resume a run whose worlds would not be brought back to where they stood.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
-    let table = |text: &str| {
-        let mut table = toml::from_str::<toml::Table>(text).unwrap_or_default();
-        config::complete_older(&mut table);
-        table
-    };
-    let (now, then) = (table(&config.to_toml()), table(&stored.config));
-    for key in ["algorithm", "agents", "seed", "env"] {
-        if now.get(key) != then.get(key) {
-            return Err(Error::OtherRun { key: key.to_owned() });
-        }
-    }
-    let train = |table: &toml::Table, key: &str| table.get("train").and_then(|t| t.get(key)).cloned();
-    for key in ["envs", "segment", "fewest_agents"] {
-        if train(&now, key) != train(&then, key) {
-            return Err(Error::OtherRun { key: format!("train.{key}") });
-        }
-    }
-    Ok(())
-}
-
-/// Row `t` of the rollout: what the worlds show before decision `t`, and the memory that comes with it.
-fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
-    let s = rollout.sizes;
-    for (e, world) in env.worlds().enumerate() {
-        let frame = world.frame();
-        let cell = |width| rollout.cell(t, e, width);
-        let (observation, state, comm, active) = (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
-        rollout.observation[observation].copy_from_slice(&frame.observation);
-        rollout.state[state].copy_from_slice(&frame.state);
-        rollout.comm[comm].copy_from_slice(&frame.comm);
-        rollout.active[active].copy_from_slice(&frame.active);
-        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
-    }
-    if s.memory > 0 {
-        let range = rollout.at(t, s.memory);
-        let count = range.len();
-        memory.reshape([-1]).copy_data(&mut rollout.memory[range], count);
-    }
-}
-
-fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
-    let count = tensor.numel();
-    tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
+    const ONCE: [&str; 6] = ["algorithm", "agents", "seed", "train.envs", "train.segment", "train.fewest_agents"];
+    let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
+    let changed = config::changes(&stored.config, &config.to_toml());
+    changed.into_iter().find(|c| other(&c.key)).map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
 }
 
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {

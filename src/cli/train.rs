@@ -9,7 +9,7 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
 use iwol_sumo::{record, sumo};
 use toml::Value;
@@ -180,7 +180,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         if checkpoint.algorithm != config.algorithm {
             bail!("`{}` is a run of {}, not of {}", dir.path().display(), checkpoint.algorithm, config.algorithm);
         }
-        Trainer::resume(config.clone(), scenario, &checkpoint)?
+        let trainer = Trainer::resume(config.clone(), scenario, &checkpoint)?;
+        for change in config::changes(&checkpoint.config, &config.to_toml()) {
+            say!("goes on with another setting: {change}");
+        }
+        trainer
     } else {
         Trainer::new(config.clone(), scenario)?
     };

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Error, Evaluate, label, plain, value_of};
+use super::{Error, Evaluate, label, value_of};
 use crate::config::{self, Config};
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
@@ -160,8 +160,7 @@ impl Cell {
             table.remove("simulation");
             table.remove("device");
             config::remove_untold(&mut table, &self.config.algorithm);
-            let mut flat = std::collections::BTreeMap::new();
-            super::flatten(&table, "", &mut flat);
+            let mut flat = config::flatten(&table);
             // Of a run that is over it does not matter; one that goes on would teach its decoders other samples.
             if self.trained().is_some() {
                 flat.remove("ppo.shards");
@@ -175,19 +174,13 @@ impl Cell {
         {
             was.insert("init_from".to_owned(), is["init_from"].clone());
         }
-        let differs = was.keys().chain(is.keys()).find(|key| was.get(*key) != is.get(*key));
         if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
             return Err(Error::Scenario { folder: self.folder.clone(), path: self.config.scenario.clone() });
         }
-        differs.map_or(Ok(()), |key| {
-            let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
-            Err(Error::Changed {
-                folder: self.folder.clone(),
-                key: key.clone(),
-                was: show(was.get(key)),
-                is: show(is.get(key)),
-            })
-        })
+        match config::between(&was, &is).into_iter().next() {
+            None => Ok(()),
+            Some(config::Change { key, was, is }) => Err(Error::Changed { folder: self.folder.clone(), key, was, is }),
+        }
     }
 
     /// The next thing to do; `None` when all is done. A failure is forgotten by [`Cell::retry`] alone.

@@ -32,7 +32,8 @@ use toml::{Table, Value};
 
 pub use cell::{Cell, Job, State};
 
-use crate::config::{self, Config, Document, Layers};
+pub use crate::config::plain;
+use crate::config::{self, Config, Document, Layers, flatten};
 
 /// A sweep file.
 #[derive(Debug, Clone)]
@@ -384,9 +385,7 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
 
 /// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
 fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
-    let mut flat = BTreeMap::new();
-    flatten(change, "", &mut flat);
-    let change = flat;
+    let change = flatten(change);
     for (key, wanted) in &change {
         let all = grid.get(key).and_then(Value::as_array);
         if all.is_none_or(|all| !all.contains(wanted)) {
@@ -403,14 +402,12 @@ fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Resul
 
 /// The common settings, those of the rules that match in order, and the cell's own.
 fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], matched: &mut [bool]) -> Table {
-    let mut flat = BTreeMap::new();
-    flatten(common, "", &mut flat);
+    let mut flat = flatten(common);
     flat.extend(values.iter().cloned());
     for (rule, matched) in rules.iter().zip(matched) {
         if holds(&rule.when, |key| flat.get(key)) {
             *matched = true;
-            let mut set = BTreeMap::new();
-            flatten(&rule.set, "", &mut set);
+            let mut set = flatten(&rule.set);
             // What the grid says of a cell is what its name says.
             set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
             flat.extend(set);
@@ -434,21 +431,6 @@ fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], match
         }
     }
     nested
-}
-
-fn flatten(table: &Table, prefix: &str, out: &mut BTreeMap<String, Value>) {
-    for (key, value) in table {
-        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
-        match value {
-            Value::Table(inner) => flatten(inner, &name, out),
-            _ => _ = out.insert(name, value.clone()),
-        }
-    }
-}
-
-/// A value as people write it: strings without quotes.
-pub fn plain(value: &Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
 /// `key=value` pairs with the last part of each key, joined by `_`, fit for a file name; the algorithm by itself.

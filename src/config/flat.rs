@@ -1,0 +1,85 @@
+//! Configurations as settings by their full names.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use toml::{Table, Value};
+
+use super::complete_older;
+
+/// The settings of a table and of those in it, by names such as `ppo.gamma`.
+pub fn flatten(table: &Table) -> BTreeMap<String, Value> {
+    let mut flat = BTreeMap::new();
+    collect(table, "", &mut flat);
+    flat
+}
+
+fn collect(table: &Table, prefix: &str, out: &mut BTreeMap<String, Value>) {
+    for (key, value) in table {
+        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            Value::Table(inner) => collect(inner, &name, out),
+            _ => _ = out.insert(name, value.clone()),
+        }
+    }
+}
+
+/// A value as people write it: strings without quotes.
+pub fn plain(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+/// A setting that two configurations do not have in common.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Change {
+    /// Its full name.
+    pub key: String,
+    /// What it was, or `nothing`.
+    pub was: String,
+    /// What it is, or `nothing`.
+    pub is: String,
+}
+
+impl std::fmt::Display for Change {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} = {} (was {})", self.key, self.is, self.was)
+    }
+}
+
+/// How the TOML text `is` of a configuration differs from `was`, by name. Settings that one is too old for have the values that say what
+/// was done before there were any.
+pub fn changes(was: &str, is: &str) -> Vec<Change> {
+    let flat = |text: &str| {
+        let mut table = text.parse().unwrap_or_default();
+        complete_older(&mut table);
+        flatten(&table)
+    };
+    between(&flat(was), &flat(is))
+}
+
+/// As [`changes`], of flat settings.
+pub(crate) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
+    let keys: BTreeSet<_> = was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();
+    let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
+    keys.into_iter().map(|key| Change { key: key.clone(), was: show(was.get(key)), is: show(is.get(key)) }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changes_name_the_settings_that_differ_and_nothing_else() {
+        let said = |was: &str, is: &str| changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>();
+        let was = "algorithm = \"mat\"\nsteps = 5\n[ppo]\ngamma = 0.99\nclip = 0.2\n";
+        assert!(said(was, was).is_empty());
+        let is = "algorithm = \"magic\"\nsteps = 5\n[ppo]\ngamma = 0.5\nclip = 0.2\nepochs = 3\n";
+        let found = said(was, is);
+        assert_eq!(
+            found,
+            ["algorithm = magic (was mat)", "ppo.epochs = 3 (was nothing)", "ppo.gamma = 0.5 (was 0.99)"]
+        );
+        // What is older than a setting did what its neutral value says.
+        assert!(said("[ppo]", "[ppo]\nbounds = 0.0").is_empty());
+        assert_eq!(said("[ppo]", "[ppo]\nbounds = 0.1"), ["ppo.bounds = 0.1 (was 0.0)"]);
+    }
+}

@@ -1,0 +1,157 @@
+//! Filling a rollout: what the worlds show, what the policy does with noise, what comes of it.
+
+use rand::RngExt as _;
+use tch::Tensor;
+
+use super::noise::CorrelatedNoise;
+use super::{Error, Trainer, schedule, timed};
+use crate::algo::settings::NoiseMode;
+use crate::algo::{ActMode, Observation};
+use crate::env::{VecEnv, World};
+use crate::rng::{self, Seed};
+use crate::rollout::Rollout;
+
+impl Trainer {
+    /// Plays as many steps as the rollout has, in all worlds.
+    ///
+    /// # Errors
+    /// When SUMO fails twice in a row.
+    pub(super) fn collect(&mut self, seed: Seed) -> Result<(), Error> {
+        let s = self.rollout.sizes;
+        let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
+        let mut noise = vec![0.0; s.envs * s.agents * s.actions];
+        // Each iteration begins anew: what it draws depends on its number alone.
+        let mut correlated =
+            CorrelatedNoise::new(s.envs * s.agents, s.actions, schedule::correlation(&self.config, &self.progress));
+        let quiet = Tensor::from_slice(&self.rollout.quiet);
+        // An imposed schedule is for all noise there is.
+        let imposed = self.config.exploration.mode == NoiseMode::Schedule;
+        let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
+        let taught = schedule::pace(&self.config, &self.progress).imitation > 0.0;
+        self.rollout.teacher.resize(if taught { self.rollout.action.len() } else { 0 }, 0.0);
+        for t in 0..s.steps {
+            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            self.store_potential(t);
+            if taught {
+                self.ask_teacher(t);
+            }
+            let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
+            for (e, late) in late.iter().enumerate() {
+                self.rollout.sampled[t * s.envs + e] = f32::from(u8::from(!late));
+            }
+            let decision = timed(&mut self.timers.act, || {
+                let mut rng = seed.index(t as u64).rng();
+                noise.copy_from_slice(correlated.next(&mut rng));
+                let width = s.agents * s.actions;
+                for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
+                    noise.fill(0.0);
+                }
+                let cell = self.rollout.at(t, s.agents * s.graphs);
+                let graph = if s.graphs > 0 {
+                    if self.learner.graph_lasts() {
+                        rng = seed.child("graph").rng();
+                    }
+                    rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
+                    // Quiet worlds are as close to the most likely graph as to the mean action.
+                    for (e, late) in late.iter().enumerate() {
+                        let of_world = self.rollout.cell(t, e, s.agents * s.graphs);
+                        let scale = f32::from(u8::from(!late)) * (self.rollout.quiet[e] + schedule).exp();
+                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
+                    }
+                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
+                } else {
+                    Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
+                };
+                let action = Tensor::from_slice(&noise).view([e, n, a]);
+                let observation = Observation {
+                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)])
+                        .view([e, n, -1]),
+                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)]).view([e, n, n]),
+                    start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
+                    memory: self.memory.shallow_clone(),
+                };
+                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
+            });
+            timed(&mut self.timers.copy, || {
+                copy_out(&decision.action, &mut self.rollout.action, t);
+                copy_out(&decision.log_prob, &mut self.rollout.log_prob, t);
+            });
+            self.memory = decision.memory;
+            let actions = self.rollout.at(t, s.actions);
+            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
+            self.finished.extend(self.env.take_finished());
+            timed(&mut self.timers.copy, || {
+                for (e, world) in self.env.worlds().enumerate() {
+                    let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
+                    self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
+                    self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
+                    self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
+                }
+            });
+        }
+        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
+        self.store_potential(s.steps);
+        Ok(())
+    }
+
+    /// The potential that shapes rewards, of what is observed at step `t` of the rollout.
+    fn store_potential(&mut self, t: usize) {
+        let weight = self.config.train.shaping;
+        if weight == 0.0 {
+            return;
+        }
+        self.rollout.potential.resize(self.rollout.active.len(), 0.0);
+        for (e, world) in self.env.worlds().enumerate() {
+            let cell = self.rollout.cell(t, e, 1);
+            for (i, potential) in self.rollout.potential[cell].iter_mut().enumerate() {
+                *potential = (-weight * world.danger(i)) as f32;
+            }
+        }
+    }
+
+    /// What the teacher would do at step `t` of the rollout.
+    fn ask_teacher(&mut self, t: usize) {
+        let (speed, actions) = (self.config.train.imitate_speed, self.rollout.sizes.actions);
+        for (e, world) in self.env.worlds().enumerate() {
+            let cell = self.rollout.cell(t, e, actions);
+            for (i, action) in self.rollout.teacher[cell].chunks_mut(actions).enumerate() {
+                let wanted = world.pursuit(i, speed);
+                // Who is on rails has no steering.
+                let wanted = &wanted[2 - actions..];
+                action.iter_mut().zip(wanted).for_each(|(to, from)| *to = *from as f32);
+            }
+        }
+    }
+
+    /// Whether a world's episode still goes without noise.
+    fn is_late(&self, world: &World) -> bool {
+        let late = self.config.exploration.late_steps;
+        let mut rng = self.seed.child("late").index(world.turn()).rng();
+        late > 0 && rng.random_bool(0.5) && world.step_count() < rng.random_range(0..late)
+    }
+}
+
+/// Row `t` of the rollout: what the worlds show before decision `t`, and the memory that comes with it.
+fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
+    let s = rollout.sizes;
+    for (e, world) in env.worlds().enumerate() {
+        let frame = world.frame();
+        let cell = |width| rollout.cell(t, e, width);
+        let (observation, state, comm, active) = (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
+        rollout.observation[observation].copy_from_slice(&frame.observation);
+        rollout.state[state].copy_from_slice(&frame.state);
+        rollout.comm[comm].copy_from_slice(&frame.comm);
+        rollout.active[active].copy_from_slice(&frame.active);
+        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
+    }
+    if s.memory > 0 {
+        let range = rollout.at(t, s.memory);
+        let count = range.len();
+        memory.reshape([-1]).copy_data(&mut rollout.memory[range], count);
+    }
+}
+
+fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
+    let count = tensor.numel();
+    tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
+}

@@ -1,0 +1,140 @@
+//! The lines that a run writes: metrics, episodes of validations, and `TensorBoard`'s.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::{Error, RunDir, Trainer};
+use crate::algo::Losses;
+use crate::checkpoint::Progress;
+use crate::config::Config;
+use crate::env::EpisodeRecord;
+use crate::evaluate::Evaluation;
+use crate::record::{self, JsonLines, JsonObject, TensorBoard};
+
+/// The open files of a run.
+pub(super) struct Files {
+    metrics: JsonLines,
+    episodes: JsonLines,
+    board: TensorBoard,
+}
+
+#[derive(Serialize)]
+struct EpisodeLine<'a> {
+    step: u64,
+    #[serde(flatten)]
+    record: &'a EpisodeRecord,
+}
+
+impl Files {
+    /// Opens or creates them; lines beyond `step`, and validations beyond the step of the last one that counts, are from a future
+    /// that is played again.
+    pub(super) fn open(dir: &RunDir, config: &Config, step: u64, validated: u64) -> Result<Self, Error> {
+        std::fs::create_dir_all(dir.path().join("checkpoints"))
+            .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
+        record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
+        let resumed = step > 0;
+        let open = |path: PathBuf, future: &dyn Fn(&JsonObject) -> bool| -> Result<JsonLines, record::Error> {
+            if !resumed {
+                return JsonLines::create(&path);
+            }
+            let mut lines = JsonLines::resume(&path)?;
+            lines.remove_where(future)?;
+            Ok(lines)
+        };
+        let beyond =
+            |line: &JsonObject, step: u64| line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step);
+        let validation = |line: &JsonObject| line.contains_key("validation/success");
+        Ok(Self {
+            metrics: open(dir.metrics(), &|line| beyond(line, if validation(line) { validated } else { step }))?,
+            episodes: open(dir.episodes(), &|line| beyond(line, validated))?,
+            board: TensorBoard::create(dir.path(), resumed.then_some(step))?,
+        })
+    }
+
+    /// Forces all lines to disk, before a checkpoint that presumes them.
+    pub(super) fn sync(&self) -> Result<(), Error> {
+        self.metrics.sync()?;
+        Ok(self.episodes.sync()?)
+    }
+
+    fn write(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), Error> {
+        let mut line = serde_json::Map::new();
+        line.insert("step".to_owned(), step.into());
+        for (key, value) in values {
+            line.insert((*key).to_owned(), (*value).into());
+        }
+        self.metrics.append(&line)?;
+        self.board.write(step, values.iter().copied())?;
+        Ok(())
+    }
+
+    /// Gives the success of the episodes that the iteration finished.
+    pub(super) fn iteration(
+        &mut self,
+        trainer: &Trainer,
+        losses: &Losses,
+        steps_per_second: f64,
+    ) -> Result<Option<f64>, Error> {
+        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
+        let mean = |of: fn(&EpisodeRecord) -> f64| episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64;
+        let mut values: Vec<(&str, f64)> = losses.clone();
+        if !episodes.is_empty() {
+            values.extend([
+                ("episode/success", mean(|r| r.success)),
+                ("episode/safety", mean(|r| r.safety)),
+                ("episode/reward", mean(|r| r.reward)),
+                ("episode/length", mean(|r| f64::from(r.episode_length))),
+                ("episode/sumo_collisions", mean(|r| f64::from(r.sumo_collisions))),
+                ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
+            ]);
+        }
+        let (timers, resets) = (&trainer.timers, trainer.env.resets());
+        values.extend([
+            ("iteration", trainer.progress.iteration as f64),
+            ("steps_per_second", steps_per_second),
+            ("weights/restarts", trainer.progress.restarts as f64),
+            ("resets/respawns", resets.respawns as f64),
+            ("resets/loads", resets.loads as f64),
+            ("resets/restarts", resets.restarts as f64),
+            ("time/total_s", trainer.progress.seconds),
+            ("time/simulate_s", timers.simulate),
+            ("time/act_s", timers.act),
+            ("time/copy_s", timers.copy),
+            ("time/update_s", timers.update),
+        ]);
+        self.write(trainer.progress.step, &values)?;
+        Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
+    }
+
+    pub(super) fn validation(
+        &mut self,
+        progress: &Progress,
+        evaluation: &Evaluation,
+        success: f64,
+        safety: f64,
+        window: f64,
+    ) -> Result<(), Error> {
+        for record in &evaluation.episodes {
+            self.episodes.append(&EpisodeLine { step: progress.step, record })?;
+        }
+        let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
+            / evaluation.episodes.len().max(1) as f64;
+        let mut values = vec![
+            ("validation/success", success),
+            ("validation/safety", safety),
+            ("validation/window_reward", window),
+            ("validation/episode_length", length),
+            ("time/total_s", progress.seconds),
+        ];
+        for r in &evaluation.reconstruction {
+            let keys = match r.name {
+                "world" => ("validation/world_error", "validation/world_explained"),
+                _ => ("validation/interaction_error", "validation/interaction_explained"),
+            };
+            values.extend([(keys.0, r.error), (keys.1, r.explained)]);
+        }
+        self.write(progress.step, &values)
+    }
+}
