@@ -195,6 +195,11 @@ fn damaged_checkpoints_are_refused() {
     2
     error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 67], but this network needs [16, 67]; check the configuration
     "#);
+    // Another discount is another way to learn, which is said.
+    let mut discounted = iwol(&["train", "--resume", "--set", "ppo.gamma=0.5", "--out"]);
+    let output = discounted.arg(&run).output().expect("it ran");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("another setting: ppo.gamma = 0.5 (was 0.997)"), "{said}");
     // Truncated.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");

@@ -175,16 +175,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         format!("{} agents", config.agents)
     };
     let mixed = scenario.traffic.is_mixed(config.agents);
+    let mut changes = Vec::new();
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
         if checkpoint.algorithm != config.algorithm {
             bail!("`{}` is a run of {}, not of {}", dir.path().display(), checkpoint.algorithm, config.algorithm);
         }
-        let trainer = Trainer::resume(config.clone(), scenario, &checkpoint)?;
-        for change in config::changes(&checkpoint.config, &config.to_toml()) {
-            say!("goes on with another setting: {change}");
-        }
-        trainer
+        changes = config::changes(&checkpoint.config, &config.to_toml());
+        Trainer::resume(config.clone(), scenario, &checkpoint)?
     } else {
         Trainer::new(config.clone(), scenario)?
     };
@@ -197,6 +195,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         all,
         deployed
     );
+    for change in changes {
+        say!("goes on with another setting: {change}");
+    }
     let hosting = config.hosting();
     let worlds = if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
     say!("{worlds}");
