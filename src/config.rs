@@ -188,6 +188,8 @@ pub struct Env {
     pub stream_vehicles: usize,
     /// Vehicles on crossing or merging routes in the observation.
     pub encounters: usize,
+    /// How far ahead they tell when the two would touch if both kept to their ways and speeds \[s\]; 0: they do not.
+    pub foresight: f64,
     /// Beams of the lidar.
     pub lidar_beams: usize,
     /// How far they reach \[m\].
@@ -230,6 +232,7 @@ impl Env {
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
+            foresight: seen.foresight,
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
             communication_range: scenario.communication.range,
@@ -254,6 +257,7 @@ impl Env {
         seen.conflict_streams = self.conflict_streams;
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;
+        seen.foresight = self.foresight;
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;
@@ -292,15 +296,17 @@ impl Document {
     /// # Errors
     /// [`Error::Read`].
     pub fn read_run(path: &Path) -> Result<Self, Error> {
-        let mut document = Self::read(path)?;
-        // One that cannot be parsed is refused where it is resolved.
-        if let Ok(mut table) = toml::from_str::<Table>(&document.text) {
-            // Otherwise the text stays as it is, so that mistakes in it are told with their lines.
-            if complete_older(&mut table) {
-                document.text = table.to_string();
-            }
-        }
-        Ok(document)
+        let Self { name, text } = Self::read(path)?;
+        Ok(Self::of_run(name, text))
+    }
+
+    /// The configuration that a run was made with, from its text.
+    pub fn of_run(name: String, text: String) -> Self {
+        // One that cannot be parsed is refused where it is resolved; one that is not older stays as it is, so that mistakes in it are
+        // told with their lines.
+        let mut table = toml::from_str::<Table>(&text).unwrap_or_default();
+        let text = if complete_older(&mut table) { table.to_string() } else { text };
+        Self { name, text }
     }
 }
 

@@ -103,8 +103,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
     let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
     if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
-        layers.document =
-            Document { name: format!("{} (stored settings)", run.display()), text: checkpoint.config.clone() };
+        layers.document = Document::of_run(format!("{} (stored settings)", run.display()), checkpoint.config.clone());
     }
     if let Some(path) = &args.scenario {
         layers.flags.push(("scenario", Value::String(path.display().to_string())));

@@ -18,7 +18,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 103] = [
+        let rules: [(&'static [&'static str], bool, &'static str); 104] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -153,6 +153,7 @@ impl Config {
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
+            (&["env.foresight"], (0.0..=10.0).contains(&e.foresight), "0 to 10"),
             (&["env.lidar_beams"], e.lidar_beams <= Lidar::MOST, "0 to 360"),
             (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),

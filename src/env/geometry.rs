@@ -35,6 +35,18 @@ impl Pose {
 /// Length and width of a box \[m\].
 pub type Size = [f64; 2];
 
+/// How far two boxes are apart along the axis that separates them best, of the four along which their sides lie \[m\]: no more than the
+/// distance between them; below 0 where they overlap.
+pub(super) fn separation((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> f64 {
+    let (dx, dy) = (b.x - a.x, b.y - a.y);
+    let apart = |heading: f64, [along, across]: [f64; 2]| {
+        let (s, c) = heading.sin_cos();
+        ((dx * c + dy * s).abs() - along).max((dy * c - dx * s).abs() - across)
+    };
+    let turned = b.heading - a.heading;
+    apart(a.heading, reaches(turned, a_size, b_size)).max(apart(b.heading, reaches(turned, b_size, a_size)))
+}
+
 /// Whether two boxes overlap (separating axes).
 pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);

@@ -8,6 +8,7 @@ mod audit;
 mod comm;
 mod dynamics;
 mod failures;
+mod foresight;
 mod geometry;
 mod lidar;
 mod metrics;

@@ -11,6 +11,7 @@
 
 use std::f64::consts::PI;
 
+use super::foresight::{Course, DRIVING, passing};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
 use super::task::Task;
@@ -37,7 +38,7 @@ const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-pub(super) const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
+const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
     ("ahead", "flag: on the agent's way, own_* is the gap", 0.0, 1.0),
     ("own_far", "50 m", -1.0, 1.0),
     ("own_near", "15 m", -1.0, 1.0),
@@ -49,6 +50,21 @@ pub(super) const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
 ];
+
+/// Before its flags, where a scenario has foresight.
+const FORESEEN: [(&str, &str, f32, f32); 4] = [
+    ("close", "1 touching, 0 no closer than 3 m, if both keep to their ways and speeds", 0.0, 1.0),
+    ("soon", "1 closest now, 0 at the end of the foresight", 0.0, 1.0),
+    ("close_driving", "likewise, if the agent drives 6 m/s at least", 0.0, 1.0),
+    ("soon_driving", "likewise", 0.0, 1.0),
+];
+
+/// Describes `count` encounters.
+pub(super) fn describe_encounters(features: &mut Features, count: usize, foresight: f64) {
+    let (seen, flags) = ENCOUNTER.split_at(8);
+    let foreseen: &[_] = if foresight > 0.0 { &FORESEEN } else { &[] };
+    features.push("encounter", count, &[seen, foreseen, flags].concat());
+}
 
 pub(super) fn describe(scenario: &Scenario) -> Features {
     let settings = &scenario.observation;
@@ -94,7 +110,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         };
         features.push("neighbour", settings.neighbours, tokens);
     }
-    features.push("encounter", settings.encounters, &ENCOUNTER);
+    describe_encounters(&mut features, settings.encounters, settings.foresight);
     if settings.groups.conflict() {
         describe_streams(settings, &mut features);
     }
@@ -204,7 +220,8 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    put_encounters(&mut w, routes, traffic, slot, scenario.observation.encounters, |j| view.seen(j));
+    let encounters = Encounters { count: scenario.observation.encounters, foresight: scenario.observation.foresight };
+    put_encounters(&mut w, routes, traffic, slot, encounters, |j| view.seen(j));
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -321,14 +338,21 @@ impl View<'_> {
     }
 }
 
-/// The `count` vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
+/// How many encounters are described, and how far ahead their contacts are foreseen \[s\].
+#[derive(Clone, Copy)]
+pub(super) struct Encounters {
+    pub(super) count: usize,
+    pub(super) foresight: f64,
+}
+
+/// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
 /// meet: at the end of the gap between them, and a flag says so.
 pub(super) fn put_encounters(
     w: &mut Writer,
     routes: &[RouteGeometry],
     traffic: &Traffic,
     slot: usize,
-    count: usize,
+    Encounters { count, foresight }: Encounters,
     seen: impl Fn(usize) -> bool,
 ) {
     let own = &traffic.slots[slot];
@@ -355,7 +379,7 @@ pub(super) fn put_encounters(
     }
     for &(_, own_way, other_way, ahead, j) in &soonest[..count] {
         let Some(other) = traffic.slots.get(j) else {
-            w.skip(ENCOUNTER.len());
+            w.skip(ENCOUNTER.len() + if foresight > 0.0 { FORESEEN.len() } else { 0 });
             continue;
         };
         let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
@@ -368,9 +392,14 @@ pub(super) fn put_encounters(
             other.speed / SPEED,
             cos,
             sin,
-            moving(other.status),
-            1.0,
         ]);
+        if foresight > 0.0 {
+            let its = Course::new(routes, other, other.speed);
+            for speed in [own.speed, own.speed.max(DRIVING)] {
+                w.put(passing(Course::new(routes, own, speed), its, foresight));
+            }
+        }
+        w.put([moving(other.status), 1.0]);
     }
 }
 

@@ -4,7 +4,7 @@
 //! vehicles next to every meeting point with their speeds, last actions and fates. Its size depends on the scenario's
 //! settings only, never on the number of vehicles, so that one checkpoint serves any number.
 
-use super::observation::{COUNT, ENCOUNTER, SPEED, moving, put_encounters};
+use super::observation::{COUNT, Encounters, SPEED, describe_encounters, moving, put_encounters};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
 use super::{Features, Writer};
@@ -48,7 +48,8 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         features.push(&format!("stream{stream}"), PER_STREAM, &VEHICLE);
         features.push(&format!("stream{stream}_count"), 1, &COUNTS);
     }
-    features.push("encounter", if scenario.observation.encounters > 0 { ENCOUNTERS } else { 0 }, &ENCOUNTER);
+    let encounters = if scenario.observation.encounters > 0 { ENCOUNTERS } else { 0 };
+    describe_encounters(&mut features, encounters, 0.0);
     features.push("apart", PER_STREAM, &VEHICLE);
     features.push("apart_count", 1, &COUNTS);
     features
@@ -96,7 +97,9 @@ pub(super) fn write(
         put_counts(&mut w, traffic, queue.iter().copied());
     }
     if scenario.observation.encounters > 0 {
-        put_encounters(&mut w, routes, traffic, slot, ENCOUNTERS, |_| true);
+        // What is foreseen stands in the observation, which values read as well.
+        let encounters = Encounters { count: ENCOUNTERS, foresight: 0.0 };
+        put_encounters(&mut w, routes, traffic, slot, encounters, |_| true);
     }
     let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
     put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);

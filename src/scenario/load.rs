@@ -49,6 +49,7 @@ const OBSERVATION: Names = &[
     "conflictStreams",
     "streamVehicles",
     "encounters",
+    "foresight",
     "lidarBeams",
     "lidarRange",
 ];
@@ -169,6 +170,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
                 encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
+                foresight: match observation.attribute("foresight") {
+                    None => 0.0,
+                    Some(_) => self.number(observation, "foresight", "0 to 10", |v| (0.0..=10.0).contains(&v))?,
+                },
                 lidar: Lidar {
                     beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)? as usize,
                     range: match observation.attribute("lidarRange") {

@@ -83,6 +83,9 @@ impl Scenario {
         if o.encounters > 0 {
             write!(xml, " encounters=\"{}\"", o.encounters)?;
         }
+        if o.foresight > 0.0 {
+            write!(xml, " foresight=\"{}\"", o.foresight)?;
+        }
         if o.lidar != Lidar::default() {
             write!(xml, " lidarBeams=\"{}\" lidarRange=\"{}\"", o.lidar.beams, o.lidar.range)?;
         }

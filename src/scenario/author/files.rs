@@ -157,6 +157,7 @@ impl Layout {
                 conflict_streams: streams,
                 stream_vehicles: longest_row.min(3) as usize,
                 encounters: 0,
+                foresight: 0.0,
                 lidar: Lidar::default(),
             },
             reward: Reward {
@@ -204,6 +205,7 @@ fn on_road(scenario: Scenario) -> Scenario {
             conflict_streams: 0,
             stream_vehicles: 0,
             encounters: 6,
+            foresight: 4.0,
             ..scenario.observation
         },
         termination: Termination { border: Border::Kerb, ..scenario.termination },

@@ -1,0 +1,152 @@
+//! When two vehicles would touch if both kept to their ways and speeds: what a driver foresees.
+
+use super::geometry::{Pose, separation};
+use super::routes::RouteGeometry;
+use super::slots::Slot;
+use crate::sumo::net::Path;
+
+/// Speed at which an agent that stands or crawls would drive \[m/s\].
+pub(super) const DRIVING: f64 = 6.0;
+/// Who passes no closer than this is not foreseen \[m\].
+const CLOSE: f64 = 3.0;
+/// Between two looks at vehicles that are close they drive this far together \[m\], but for these bounds of the time between \[s\].
+const LOOK: (f64, f64, f64) = (0.6, 0.1, 0.4);
+
+/// A vehicle that keeps to its way, as far beside its middle as it is, and to a speed \[m/s\].
+#[derive(Clone, Copy)]
+pub(super) struct Course<'a> {
+    path: &'a Path,
+    slot: &'a Slot,
+    speed: f64,
+}
+
+impl<'a> Course<'a> {
+    pub(super) fn new(routes: &'a [RouteGeometry], slot: &'a Slot, speed: f64) -> Self {
+        Self { path: &routes[slot.route].path, slot, speed }
+    }
+
+    /// Where the middle of its way is that it is beside, and how the way leads there.
+    fn way(&self, time: f64) -> ([f64; 2], f64) {
+        self.path.at(self.slot.s + self.speed * time)
+    }
+
+    /// Pose, where [`Course::way`] is such.
+    fn beside(&self, (point, heading): ([f64; 2], f64)) -> Pose {
+        Pose::beside(point, heading, self.slot.lateral)
+    }
+
+    /// How far from its way it reaches \[m\].
+    fn reach(&self) -> f64 {
+        self.slot.size[0].hypot(self.slot.size[1]) / 2.0 + self.slot.lateral.abs()
+    }
+}
+
+/// How closely two vehicles pass each other within `horizon` seconds, from 0, [`CLOSE`] or farther apart, to 1, touching; and how soon
+/// they are closest, or touch, from 1 now to 0 at the horizon, where they pass closely.
+pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
+    let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
+    let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
+    let (mut least, mut when, mut time) = (CLOSE, horizon, 0.0);
+    while time < horizon && least > 0.0 {
+        let (own, other) = (a.way(time), b.way(time));
+        let far = (own.0[0] - other.0[0]).hypot(own.0[1] - other.0[1]) - reach;
+        // Few pairs are so close that it matters how they stand.
+        let apart =
+            if far < least { separation((&a.beside(own), a.slot.size), (&b.beside(other), b.slot.size)) } else { far };
+        if apart < least {
+            (least, when) = (apart.max(0.0), time);
+        }
+        if closing <= 0.0 {
+            break;
+        }
+        // Until then they cannot be closer than they have been.
+        time += ((apart - least) / closing).max(step);
+    }
+    [1.0 - least / CLOSE, 1.0 - when / horizon]
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path as File;
+
+    use proptest::prelude::*;
+
+    use super::super::Task;
+    use super::super::slots::EMPTY;
+    use super::*;
+    use crate::scenario::Scenario;
+
+    const SIZE: [f64; 2] = [4.5, 1.85];
+    const HORIZON: f64 = 4.0;
+
+    /// Places and speeds on two ways that cross at right angles, 50 m from both starts.
+    fn crossing(s: [f64; 2], speed: [f64; 2]) -> [f64; 2] {
+        let points = [[[0.0, 0.0], [100.0, 0.0]], [[50.0, -50.0], [50.0, 50.0]]];
+        let paths = points.map(|points| Path::from_points(points, 3.5).expect("two points"));
+        let slots = s.map(|s| Slot { s, size: [4.0, 2.0], ..EMPTY });
+        let course = |i: usize| Course { path: &paths[i], slot: &slots[i], speed: speed[i] };
+        passing(course(0), course(1), HORIZON)
+    }
+
+    #[test]
+    fn a_crossing_is_foreseen_from_the_ways_that_are_left() {
+        // They touch when both are 3 m from the crossing.
+        let touching =
+            [([27.0, 27.0], [10.0, 10.0], 2.0), ([37.0, 7.0], [5.0, 20.0], 2.0), ([47.0, 47.0], [0.0, 8.0], 0.0)];
+        for (s, speed, time) in touching {
+            let [close, soon] = crossing(s, speed);
+            let found = HORIZON * (1.0 - soon);
+            assert!(close == 1.0 && (time..=time + LOOK.2).contains(&found), "{close}, {found} s, and not {time}");
+        }
+        // One drives by before the other, which stands 2 m beside its way.
+        let [close, soon] = crossing([30.0, 45.0], [10.0, 0.0]);
+        assert!((close - 1.0 / 3.0).abs() < 1e-9 && soon > 0.4, "{close} {soon}");
+        // One passes long before; one that stands is not reached; nobody moves; beyond the horizon.
+        for (s, speed) in [
+            ([27.0, 0.0], [10.0, 10.0]),
+            ([30.0, 47.0], [0.0, 8.0]),
+            ([40.0, 40.0], [0.0, 0.0]),
+            ([2.0, 2.0], [10.0, 10.0]),
+        ] {
+            assert_eq!(crossing(s, speed), [0.0; 2], "{s:?} {speed:?}");
+        }
+    }
+
+    proptest! {
+        /// On all routes of an intersection with turns, against looking every hundredth of a second.
+        #[test]
+        fn what_is_foreseen_is_what_a_close_look_finds(
+            routes in [0usize..12, 0usize..12],
+            s in [5.0..60.0, 5.0..60.0],
+            speed in [-1.0..12.0, 0.0..12.0],
+            lateral in [-0.4..0.4, -0.4..0.4],
+        ) {
+            let path = File::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
+            let task = Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task");
+            let slots = [0, 1].map(|i| Slot { route: routes[i], s: s[i], lateral: lateral[i], size: SIZE, ..EMPTY });
+            let [a, b] = [0, 1].map(|i| Course::new(&task.routes, &slots[i], speed[i]));
+            let [close, soon] = passing(a, b, HORIZON);
+            prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");
+            let (apart, when) = (CLOSE * (1.0 - close), HORIZON * (1.0 - soon));
+            let at = |time: f64| separation((&a.beside(a.way(time)), SIZE), (&b.beside(b.way(time)), SIZE));
+            // Up to where they touch, if they do.
+            let (mut least, mut touched) = (CLOSE, None);
+            for i in 0..400 {
+                let time = f64::from(i) * 0.01;
+                least = least.min(at(time).max(0.0));
+                if least <= 0.0 {
+                    touched = Some(time);
+                    break;
+                }
+            }
+            // Between two looks they come closer by what both drive, and by what a turn of the way moves their corners.
+            let together = a.speed.abs() + b.speed.abs();
+            let between = 1.5 * LOOK.0.max(together * LOOK.1) + 0.3;
+            prop_assert!((least - 0.2..=least + between).contains(&apart), "{apart} m instead of {least}");
+            if let Some(touched) = touched.filter(|_| close == 1.0) {
+                prop_assert!(when > touched - 0.02, "foreseen in {when} s, seen in {touched} s");
+            }
+            prop_assert!(close == 0.0 || at(when).max(0.0) - apart < 1e-9, "they are as close as that then");
+        }
+    }
+}
