@@ -220,6 +220,7 @@ fn on_lot(scenario: Scenario) -> Scenario {
     let steering = steering.map(|steering| Steering { reverse: true, ..steering });
     Scenario {
         control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering, ..scenario.control },
+        observation: Observation { foresight: 0.0, ..scenario.observation },
         reward: Reward { arrive: 100.0, cooperation: 0.5, ..scenario.reward },
         ..scenario
     }
