@@ -188,7 +188,7 @@ pub struct Env {
     pub stream_vehicles: usize,
     /// Vehicles on crossing or merging routes in the observation.
     pub encounters: usize,
-    /// How far ahead they tell when the two would touch if both kept to their ways and speeds \[s\]; 0: they do not.
+    /// How far ahead they tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
     pub foresight: f64,
     /// Beams of the lidar.
     pub lidar_beams: usize,

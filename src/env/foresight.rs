@@ -1,4 +1,4 @@
-//! When two vehicles would touch if both kept to their ways and speeds: what a driver foresees.
+//! How closely two vehicles will pass each other if both keep to their ways and speeds: what a driver foresees.
 
 use super::geometry::{Pose, separation};
 use super::routes::RouteGeometry;

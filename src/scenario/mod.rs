@@ -247,7 +247,7 @@ pub struct Observation {
     /// Vehicles described one by one whose routes cross or merge with the agent's, or that are ahead of it, those first that will
     /// soonest be with it where they meet.
     pub encounters: usize,
-    /// How far ahead encounters tell when the two would touch if both kept to their ways and speeds \[s\]; 0: they do not.
+    /// How far ahead encounters tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
     pub foresight: f64,
     /// Distances to whatever is around.
     pub lidar: Lidar,
