@@ -561,11 +561,18 @@ proptest! {
 
     /// Those who will soonest be with an agent where their ways meet, as the routes' geometry has them.
     #[test]
-    fn encounters_come_in_order(agents in 4u32..17, seed in any::<u64>(), steps in 1usize..80, count in 1usize..6) {
+    fn encounters_come_in_order(
+        agents in 4u32..17,
+        seed in any::<u64>(),
+        steps in 1usize..80,
+        count in 1usize..6,
+        foresight in prop_oneof![Just(0.0), Just(4.0)],
+    ) {
         let task = task(agents, |s| {
             s.observation.groups = ObservationGroups::Nearest;
             s.observation.neighbours = 0;
             s.observation.encounters = count;
+            s.observation.foresight = foresight;
         });
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -590,13 +597,20 @@ proptest! {
                 expected.extend(ways.filter(|ways| ways.iter().all(|way| *way >= -CLEARED)));
             }
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
-            let seen = &world.frame().observation[i * width + width - 10 * count..(i + 1) * width];
-            for (k, token) in seen.chunks(10).enumerate() {
+            let token = if foresight > 0.0 { 14 } else { 10 };
+            let seen = &world.frame().observation[i * width + width - token * count..(i + 1) * width];
+            for (k, token) in seen.chunks(token).enumerate() {
                 let Some(ways) = expected.get(k) else {
                     prop_assert!(token.iter().all(|x| *x == 0.0), "padding: {token:?}");
                     continue;
                 };
-                prop_assert_eq!(token[9], 1.0);
+                prop_assert_eq!(token[token.len() - 1], 1.0);
+                for passing in token[8..token.len() - 2].chunks(2) {
+                    prop_assert!(passing.iter().all(|x| (0.0..=1.0).contains(x)), "{token:?}");
+                    // Who is near ahead will be as near at least.
+                    let near = 1.0 - 15.0 * token[2] / 3.0;
+                    prop_assert!(token[0] == 0.0 || passing[0] >= near.min(1.0) - 1e-4, "{token:?}");
+                }
                 prop_assert_eq!(token[0] > 0.0, ways[1] == 0.0);
                 for (way, at) in ways.iter().zip([1, 3]) {
                     prop_assert!((f64::from(token[at]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {ways:?}");
