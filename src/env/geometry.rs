@@ -51,15 +51,7 @@ pub(super) fn separation((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size))
 pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let reach = a_size[0].hypot(a_size[1]) / 2.0 + b_size[0].hypot(b_size[1]) / 2.0;
-    if dx * dx + dy * dy > reach * reach {
-        return false;
-    }
-    let separated = |heading: f64, [along, across]: [f64; 2]| {
-        let (s, c) = heading.sin_cos();
-        (dx * c + dy * s).abs() > along || (dy * c - dx * s).abs() > across
-    };
-    let turned = b.heading - a.heading;
-    !separated(a.heading, reaches(turned, a_size, b_size)) && !separated(b.heading, reaches(turned, b_size, a_size))
+    dx * dx + dy * dy <= reach * reach && separation((a, a_size), (b, b_size)) <= 0.0
 }
 
 /// Distances of two centres along the axes of one box, below which another box, turned to it, reaches into it \[m\].
