@@ -247,9 +247,9 @@ impl Shard {
         if chosen.numel() == 0 { x.shallow_clone() } else { x.index_select(0, &chosen) }
     }
 
-    /// Places of the active samples among those of a packing of this shard's rows.
-    pub(super) fn positions(&self, packing: &Packing) -> Tensor {
-        packing.positions(&self.samples)
+    /// The active samples of tensors of the filled places of a packing of this shard's rows, `[P, …]` to `[B, …]`.
+    pub(super) fn unpacked<const K: usize>(&self, packing: &Packing, tensors: [&Tensor; K]) -> [Tensor; K] {
+        packing.take(tensors, &self.samples)
     }
 
     /// The active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to `[B, …]`.

@@ -110,9 +110,8 @@ impl Networks for ExIwol {
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
         let messages = self.trunk.forward(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
-        let positions = shard.positions(&messages.packing);
-        let m = messages.message.index_select(0, &positions);
-        let input = Tensor::cat(&[&m, &messages.embedding.index_select(0, &positions)], -1);
+        let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
+        let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let world = self.world.loss(batch, shard, &m);
 

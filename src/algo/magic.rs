@@ -167,9 +167,8 @@ impl Networks for Magic {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let value = ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
         let heard = self.hear(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
-        let positions = shard.positions(&heard.packing);
-        let message = heard.message.index_select(0, &positions);
-        let read = Tensor::cat(&[&heard.embedding.index_select(0, &positions), &message], -1);
+        let [message, embedding] = shard.unpacked(&heard.packing, [&heard.message, &heard.embedding]);
+        let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
         let mut report = vec![("loss/value", value.detach())];
         report.extend(policy.report());

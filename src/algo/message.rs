@@ -133,9 +133,8 @@ impl MessageCritic {
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
-        let positions = shard.positions(&messages.packing);
-        let message = messages.message.index_select(0, &positions);
-        (self.head(&messages).index_select(0, &positions), message)
+        let [values, message] = shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
+        (values, message)
     }
 
     /// The messages at one decision, over the most likely graph, `[E, N, D]`. Only without memory: that of the value is

@@ -46,7 +46,8 @@ impl CommGraph {
     }
 
     fn leaky(&self, sum: &Tensor) -> Tensor {
-        sum * self.slope + sum.relu() * (1.0 - self.slope) + self.bias
+        let scores = sum.prelu(&Tensor::from(self.slope as f32).to_device(sum.device()));
+        if self.bias == 0.0 { scores } else { scores + self.bias }
     }
 
     /// The graph `G: [B, N, N]` for features `f: [P, H]`, with values exactly 0 or 1 and the gradient of the
@@ -74,7 +75,7 @@ impl CommGraph {
 /// A graph from scores, as [`CommGraph::forward`] describes it; all arguments `[B, N, N]`.
 pub fn sample_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>, temperature: f64) -> Tensor {
     let scores = noise.map_or_else(|| scores.shallow_clone(), |noise| scores + noise);
-    let soft = (&scores / temperature).sigmoid();
+    let soft = if temperature == 1.0 { scores.sigmoid() } else { (&scores / temperature).sigmoid() };
     let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
     with_self_loops(&(learned * physical.to_kind(Kind::Float)))
 }

@@ -43,17 +43,18 @@ impl Packing {
         flat.view([self.rows, self.places, width])
     }
 
-    /// Numbers among the packed places of `samples: [S]`, which are numbers among all places and filled.
-    pub fn positions(&self, samples: &Tensor) -> Tensor {
-        match &self.filled {
-            None => samples.shallow_clone(),
-            Some(filled) => {
-                let device = samples.device();
-                let numbers = Tensor::arange(filled.size()[0], (Kind::Int64, device));
-                let empty = Tensor::zeros([self.rows * self.places], (Kind::Int64, device));
-                empty.index_copy(0, filled, &numbers).index_select(0, samples)
-            }
+    /// Of tensors of the filled places, `[P, ..]`, what stands in `samples: [S]`, which are ascending numbers among all places, and filled.
+    pub fn take<const K: usize>(&self, tensors: [&Tensor; K], samples: &Tensor) -> [Tensor; K] {
+        let count = self.filled.as_ref().map_or(self.rows * self.places, |filled| filled.size()[0]);
+        if samples.size()[0] == count {
+            return tensors.map(Tensor::shallow_clone);
         }
+        let positions = self.filled.as_ref().map(|filled| {
+            let numbers = Tensor::arange(count, (Kind::Int64, filled.device()));
+            let empty = Tensor::zeros([self.rows * self.places], (Kind::Int64, filled.device()));
+            empty.index_copy(0, filled, &numbers).index_select(0, samples)
+        });
+        tensors.map(|x| x.index_select(0, positions.as_ref().unwrap_or(samples)))
     }
 
     /// Rows and places.
@@ -76,9 +77,16 @@ mod tests {
         let packed = packing.pack(&x);
         assert_eq!(Vec::<f32>::try_from(packed.flatten(0, 1)).unwrap(), [1.0, 2.0, 5.0, 6.0, 11.0, 12.0]);
         assert!(packing.unpack(&packed).equal(&(&x * present.unsqueeze(-1))));
-        let positions = packing.positions(&Tensor::from_slice(&[5_i64, 0]));
-        assert_eq!(Vec::<i64>::try_from(positions).unwrap(), [2, 0]);
+        let standing = |in_these: &[i64]| {
+            let [of_first] = packing.take([&packed.select(1, 0)], &Tensor::from_slice(in_these));
+            Vec::<f32>::try_from(of_first).unwrap()
+        };
+        assert_eq!(standing(&[0, 5]), [1.0, 11.0]);
+        assert_eq!(standing(&[2]), [5.0]);
+        assert_eq!(standing(&[0, 2, 5]), [1.0, 5.0, 11.0]);
         let full = Packing::full(2, 3);
+        let [second] = full.take([&full.pack(&x)], &Tensor::from_slice(&[1_i64]));
+        assert!(second.equal(&x.get(0).narrow(0, 1, 1)));
         assert!(full.unpack(&full.pack(&x)).equal(&x));
     }
 }

@@ -157,13 +157,15 @@ impl GraphTransformer {
     }
 }
 
-/// The logarithm of the graph as a bias `[B, 1, N, N]` on logits: 0 on edges, minus infinity elsewhere.
+/// The logarithm of the graph as a bias `[B, 1, N, N]` on logits: 0 on edges, and elsewhere so low that the softmax is exactly 0, which is what its
+/// gradient is then, too.
 ///
 /// On edges it is written `G - 1`, which has the value of `ln G` and its derivative at 1. Thus the softmax of the biased
 /// logits equals `softmax(masked logits) * G`, renormalised over each row, in value and in the gradient of `G`:
 /// `∂out_i/∂G_ij = att_ij (v_j - out_i)`.
 fn hard_bias(graph: &Tensor) -> Tensor {
-    (graph - 1.0).masked_fill(&graph.le(0.5), f64::NEG_INFINITY).unsqueeze(1)
+    let cut = (graph.detach() - 1.0) * 1e30;
+    (graph - 1.0 + cut).unsqueeze(1)
 }
 
 #[cfg(test)]
