@@ -1,0 +1,465 @@
+//! From where settings come, in what order, and what is wrong with them.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
+
+use super::{Config, DEFAULT_ALGORITHM, complete_older, flatten};
+use crate::algo;
+use crate::scenario::{self, Scenario};
+use crate::suggest::nearest;
+
+/// A TOML text and what to call it in messages.
+#[derive(Debug, Clone, Default)]
+pub struct Document {
+    /// File name, or another description of where it is from.
+    pub name: String,
+    /// The text.
+    pub text: String,
+}
+
+impl Document {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        Ok(Self { name: path.display().to_string(), text })
+    }
+
+    /// Reads the configuration that a run was made with, which may be older than some settings.
+    ///
+    /// # Errors
+    /// [`Error::Read`].
+    pub fn read_run(path: &Path) -> Result<Self, Error> {
+        let Self { name, text } = Self::read(path)?;
+        Ok(Self::of_run(name, text))
+    }
+
+    /// The configuration that a run was made with, from its text.
+    pub fn of_run(name: String, text: String) -> Self {
+        // One that cannot be parsed is refused where it is resolved; one that is not older stays as it is, so that mistakes in it are
+        // told with their lines.
+        let mut table = toml::from_str::<Table>(&text).unwrap_or_default();
+        let text = if complete_older(&mut table) { table.to_string() } else { text };
+        Self { name, text }
+    }
+}
+
+/// Where settings come from, in rising priority.
+#[derive(Debug, Clone, Default)]
+pub struct Layers {
+    /// `--config`, or the configuration that a checkpoint holds.
+    pub document: Document,
+    /// `--set key=value`, in order.
+    pub sets: Vec<String>,
+    /// Flags, as `(key, TOML value)`.
+    pub flags: Vec<(&'static str, Value)>,
+}
+
+impl Config {
+    /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
+    ///
+    /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
+    /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
+    /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Below 8, failed episodes are
+    /// played again (`train.replay_failed`), annealing goes on from 97 % of success, training stops at 99.7 %, and `ppo.gamma` is
+    /// 0.997. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
+    /// (`train.restart_steps`).
+    /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
+    /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
+    /// which batches grow (`train.growth`) and the view gets longer (`ppo.gamma_explored`; neither of methods that replay), in runs four
+    /// times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8, `train.replay_failed` that of fewer, and
+    /// `train.anneal_success` 0.9. Minibatches of methods that replay are half as large (`ppo.minibatch`).
+    /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
+    /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
+    ///
+    /// # Errors
+    /// [`Error`], naming the place.
+    pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
+        let Document { name, text } = &layers.document;
+        let parsed = DeTable::parse(text).map_err(|e| {
+            let place = Place::At { file: name.clone(), text, offset: e.span().map_or(0, |span| span.start) };
+            Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
+        })?;
+
+        // The scenario decides the defaults of `[env]` and of the number of agents; that number and the method decide those of
+        // learning. So they are looked up first.
+        let first = |key: &str| {
+            let bare = |text: &str| parse_value(text).unwrap_or_else(|| Value::String(text.to_owned()));
+            let flag = layers.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| v.clone());
+            let sets = layers.sets.iter().rev().filter_map(|set| set.split_once('='));
+            let set = || sets.clone().find(|(own, _)| own.trim() == key).map(|(_, text)| bare(text.trim()));
+            let file = || parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
+            flag.or_else(set).or_else(|| file().and_then(|(_, v)| parse_value(text.get(v.span())?)))
+        };
+        let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
+        let mut scenario = Scenario::load(Path::new(&word("scenario").ok_or(Error::NoScenario)?))?;
+
+        let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
+        let agents = agents.unwrap_or(scenario.agents.default);
+        let trained = word("init_from").is_some_and(|from| !from.is_empty());
+        let algorithm = word("algorithm");
+        let mut table = Self::defaults(&scenario, algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM), agents, trained);
+        let mut places = HashMap::new();
+        merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
+        for set in &layers.sets {
+            let place = Place::Set(set).to_string();
+            let (key, value) = set.split_once('=').ok_or_else(|| Error::Value {
+                place: place.clone(),
+                key: set.clone(),
+                message: "write it as key=value".to_owned(),
+            })?;
+            // Bare words are strings: `network.encoder=mlp` needs no quotes.
+            let value = parse_value(value.trim()).unwrap_or_else(|| Value::String(value.trim().to_owned()));
+            let keys: Vec<&str> = key.trim().split('.').collect();
+            assign(&mut table, &mut places, &keys, value, place)?;
+        }
+        for (key, value) in &layers.flags {
+            let place = Place::Flag(key).to_string();
+            assign(&mut table, &mut places, &key.split('.').collect::<Vec<_>>(), value.clone(), place)?;
+        }
+        let config: Self = Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
+            place: name.clone(),
+            key: String::new(),
+            message: e.message().to_owned(),
+        })?;
+        if let Some((keys, allowed)) = config.out_of_range() {
+            // The first key is the one that breaks the rule; another of the rule may be the one that was set.
+            let place = keys.iter().find_map(|key| places.get(*key)).unwrap_or(name);
+            return Err(Error::Value {
+                place: place.clone(),
+                key: keys[0].to_owned(),
+                message: format!("allowed: {allowed}"),
+            });
+        }
+        config.env.apply(&mut scenario);
+        scenario.net_for(config.agents)?;
+        Ok((config, scenario))
+    }
+}
+
+/// Where a setting stands.
+enum Place<'a> {
+    At { file: String, text: &'a str, offset: usize },
+    Set(&'a str),
+    Flag(&'a str),
+}
+
+impl std::fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::At { file, text, offset } => {
+                let before = text.get(..*offset).unwrap_or(text);
+                let line = before.matches('\n').count() + 1;
+                let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+                write!(f, "{file}:{line}:{column}")
+            }
+            Self::Set(set) => write!(f, "--set {set}"),
+            Self::Flag(key) => write!(f, "--{}", key.rsplit('.').next().unwrap_or(key)),
+        }
+    }
+}
+
+/// Where each key was set last.
+type SetAt = HashMap<String, String>;
+
+fn merge(
+    table: &mut Table,
+    places: &mut SetAt,
+    layer: &DeTable<'_>,
+    prefix: &[&str],
+    file: &str,
+    text: &str,
+) -> Result<(), Error> {
+    for (key, value) in layer {
+        let mut keys = prefix.to_vec();
+        keys.push(key.get_ref());
+        let place = |offset| Place::At { file: file.to_owned(), text, offset }.to_string();
+        if let DeValue::Table(inner) = value.get_ref() {
+            check_key(table, &keys, &place(key.span().start))?;
+            merge(table, places, inner, &keys, file, text)?;
+        } else {
+            check_key(table, &keys, &place(key.span().start))?;
+            let parsed = parse_value(&text[value.span()]).ok_or_else(|| Error::Syntax {
+                place: place(value.span().start),
+                message: "this value cannot be read".to_owned(),
+            })?;
+            assign(table, places, &keys, parsed, place(value.span().start))?;
+        }
+    }
+    Ok(())
+}
+
+fn parse_value(text: &str) -> Option<Value> {
+    let mut table: Table = toml::from_str(&format!("v = {text}")).ok()?;
+    if table.len() == 1 { table.remove("v") } else { None }
+}
+
+/// The table of defaults knows every valid key.
+fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
+    let mut here = table;
+    for (depth, key) in keys.iter().enumerate() {
+        let next = here.get(*key);
+        match next {
+            Some(Value::Table(inner)) => here = inner,
+            Some(_) if depth + 1 == keys.len() => {}
+            _ => {
+                let valid = flatten(table);
+                let name = keys.join(".");
+                let similar = nearest(&name, valid.keys().map(String::as_str))
+                    .or_else(|| nearest(key, here.keys().map(String::as_str)))
+                    .map(str::to_owned);
+                return Err(Error::UnknownKey { place: place.to_owned(), key: name, nearest: similar });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Sets a key and checks its type, so that a bad value is reported where it stands; ranges are checked at the end, since
+/// some depend on other keys.
+fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, place: String) -> Result<(), Error> {
+    check_key(table, keys, &place)?;
+    let (last, folders) = keys.split_last().expect("a key has a name");
+    let mut here = &mut *table;
+    for key in folders {
+        here = here.get_mut(*key).and_then(Value::as_table_mut).expect("checked above");
+    }
+    let value = match (&here[*last], value) {
+        (Value::Float(_), Value::Integer(i)) => Value::Float(i as f64),
+        (_, value) => value,
+    };
+    here.insert((*last).to_owned(), value);
+    let bad = |message: String| Error::Value { place: place.clone(), key: keys.join("."), message };
+    let config: Config =
+        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
+    if !algo::NAMES.contains(&config.algorithm.as_str()) {
+        let similar =
+            nearest(&config.algorithm, algo::NAMES).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+        return Err(bad(format!(
+            "there is no algorithm `{}` (there are {}){similar}",
+            config.algorithm,
+            algo::NAMES.join(", ")
+        )));
+    }
+    places.insert(keys.join("."), place);
+    Ok(())
+}
+
+/// What can be wrong with a configuration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read `{}`", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is not TOML.
+    #[error("{place}: {message}")]
+    Syntax {
+        /// File, line and column.
+        place: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// No setting has this name.
+    #[error("{place}: there is no setting `{key}`{}", nearest.as_ref().map(|n| format!("; did you mean `{n}`?")).unwrap_or_default())]
+    UnknownKey {
+        /// Where it stands.
+        place: String,
+        /// The name.
+        key: String,
+        /// The nearest valid one.
+        nearest: Option<String>,
+    },
+    /// The value does not fit.
+    #[error("{place}: bad value for `{key}`: {message}")]
+    Value {
+        /// Where it stands.
+        place: String,
+        /// The setting.
+        key: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// Nothing says which scenario to run.
+    #[error("no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml")]
+    NoScenario,
+    /// The scenario is not valid.
+    #[error(transparent)]
+    Scenario(#[from] scenario::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::algo::settings;
+    use crate::config::Train;
+
+    fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
+        resolve_on("intersection", text, sets)
+    }
+
+    fn resolve_on(scenario: &str, text: &str, sets: &[&str]) -> Result<Config, Error> {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
+        let layers = Layers {
+            document: Document { name: "c.toml".to_owned(), text: text.to_owned() },
+            sets: sets.iter().map(|s| (*s).to_owned()).collect(),
+            flags: vec![("scenario", Value::String(scenario.display().to_string()))],
+        };
+        Config::resolve(&layers).map(|(config, _)| config)
+    }
+
+    fn message(text: &str, sets: &[&str]) -> String {
+        resolve(text, sets).expect_err("must be refused").to_string()
+    }
+
+    #[test]
+    fn later_layers_win() {
+        let config =
+            resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
+        assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
+        assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
+    }
+
+    #[test]
+    fn a_run_that_is_older_than_a_setting_goes_on_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("config.toml");
+        let now = resolve_on("parking_lot", "", &[]).unwrap();
+        let mut table: Table = toml::from_str(&now.to_toml()).unwrap();
+        for (group, setting) in [("ppo", "gamma_explored"), ("train", "growth"), ("train", "imitate_steps")] {
+            table[group].as_table_mut().unwrap().remove(setting).unwrap();
+        }
+        std::fs::write(&file, table.to_string()).unwrap();
+        let of = |document: Document| Config::resolve(&Layers { document, ..Layers::default() }).unwrap().0;
+        let resumed = of(Document::read_run(&file).unwrap());
+        assert_eq!((resumed.ppo.gamma_explored, resumed.train.growth, resumed.train.imitate_steps), (0.0, 1, 0));
+        // Otherwise it would change at a resume.
+        assert!(now.ppo.gamma_explored > 0.0 && now.train.growth > 1 && now.train.imitate_steps > 0);
+        assert_eq!(of(Document::read(&file).unwrap()), now);
+        // What lacks nothing stays as somebody wrote it, lines and all.
+        let text = format!("# mine\n\n{}", now.to_toml());
+        std::fs::write(&file, &text).unwrap();
+        assert_eq!(Document::read_run(&file).unwrap().text, text);
+    }
+
+    #[test]
+    fn lengths_follow_the_number_of_agents() {
+        let at = |agents: u32| {
+            let config = resolve(&format!("agents = {agents}"), &[]).unwrap();
+            for set in [format!("agents={agents}"), format!(" agents = {agents:#x} ")] {
+                assert_eq!(config, resolve("agents = 7", &[&set]).unwrap());
+            }
+            config
+        };
+        let samples = |c: &Config| c.train.envs * c.agents as usize;
+        let (four, eight, most) = (at(4), at(8), at(48));
+        assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
+        assert_eq!((samples(&four), four.steps), (2 * samples(&eight), 2 * eight.steps));
+        assert!([&four, &most].iter().all(|c| c.ppo.minibatch == eight.ppo.minibatch));
+        let replays = resolve("agents = 8", &["algorithm=maddpg"]).unwrap();
+        assert_eq!(2 * replays.ppo.minibatch, eight.ppo.minibatch);
+        assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
+        assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
+        assert_eq!(most.train.validation_episodes, 16);
+        assert_eq!(at(16).train.envs, eight.train.envs);
+        // The reward of each other agent weighs the same beside one's own.
+        let weight = |c: &Config| {
+            let (n, shared) = (f64::from(c.agents), c.env.cooperation);
+            shared / n / (1.0 - shared + shared / n)
+        };
+        assert_eq!(eight.env.cooperation, 0.35);
+        assert!([&four, &at(16), &most].iter().all(|c| (weight(c) - weight(&eight)).abs() < 1e-6));
+        // What is written down is not changed.
+        assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
+        let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
+        let own = settings::Exploration::default().spread;
+        assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
+        let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
+        let (few, more) = ((0.5, 0.97, 0.997, 0.997), (0.0, 0.95, 0.99, 0.99));
+        assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
+        assert_eq!(four.train.validation_episodes, 128);
+        let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
+        assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.35, 0.35, 0.0, 0.0]);
+        assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
+    }
+
+    #[test]
+    fn vehicles_that_steer_begin_by_imitating() {
+        let teaches = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().train.imitate_steps;
+        assert_eq!(resolve("", &[]).unwrap().train.imitate_steps, 0);
+        assert!(teaches(&[]) > 0);
+        assert_eq!(teaches(&["init_from=runs/any"]), 0, "a trained policy can drive");
+        assert_eq!(teaches(&["algorithm=maddpg"]), 0);
+        let refused =
+            resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"]).expect_err("replays");
+        assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
+        let five = resolve_on("parking_lot", "", &[]).unwrap();
+        assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.train.envs), (0.8, 0, 25));
+        assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
+        let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
+        assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
+        assert_eq!((five.train.replay_failed, five.train.anneal_success), (0.5, 0.9));
+    }
+
+    #[test]
+    fn a_trained_policy_begins_with_less_noise() {
+        let start = |sets: &[&str]| resolve("", sets).unwrap().exploration.log_std_start;
+        let noise = settings::Exploration::default();
+        assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
+        assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
+        let restart = |sets: &[&str]| resolve("agents = 16", sets).unwrap().train.restart_steps;
+        assert!(restart(&[]) > 0 && restart(&["init_from=runs/any"]) == 0, "it would throw the policy away");
+        assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
+    }
+
+    #[test]
+    fn the_resolved_configuration_is_a_configuration() {
+        // Some settings are valid only together: the order in which they are read must not matter.
+        for sets in [
+            ["env.cooperation=0.25", "train.envs=3"],
+            ["iwol.message=96", "iwol.heads=3"],
+            ["network.token_width=24", "network.token_heads=3"],
+            ["train.segment=256", "network.chunk_length=200"],
+        ] {
+            let config = resolve("", &sets).unwrap();
+            assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
+        }
+    }
+
+    #[test]
+    fn mistakes_name_place_key_and_neighbour() {
+        assert_eq!(
+            message("seed = 1\n\n[ppo]\n  gama = 0.9\n", &[]),
+            "c.toml:4:3: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
+        );
+        assert_eq!(message("[ppo]\ngamma = 1.5\n", &[]), "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1");
+        assert!(
+            message("[ppo]\ngamma = \"x\"\n", &[]).starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type")
+        );
+        assert!(message("[ppo\n", &[]).starts_with("c.toml:1:"));
+        assert!(
+            message("", &["iwol.mask=soft"])
+                .starts_with("--set iwol.mask=soft: bad value for `iwol.mask`: unknown variant")
+        );
+        assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
+        assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
+        assert_eq!(
+            message("[iwol]\nmessage = 6\n", &[]),
+            "c.toml:2:11: bad value for `iwol.heads`: allowed: a divisor of iwol.message"
+        );
+        assert!(message("", &["device=gpu"]).contains("write cpu, cuda or cuda:<number>"));
+        assert!(message("", &["env.observation=all"]).contains("unknown variant"));
+        assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
+        assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
+    }
+}
