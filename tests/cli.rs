@@ -133,7 +133,7 @@ fn damaged_checkpoints_are_refused() {
             .contains("tfevents"))
     );
 
-    // The run evaluates, also on another number of agents, and the JSON is what the README promises.
+    // The run evaluates, also on another number of agents, and the JSON is what docs/evaluation.md promises.
     let output = iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"])
         .arg(&run)
         .output()

@@ -1,4 +1,4 @@
-//! Settings of the learners. Each field says meaning, unit and what turning it does; `Default` is what the README reports.
+//! Settings of the learners. Each field says meaning, unit and what turning it does; `Default` is what docs/settings.md reports.
 
 use serde::{Deserialize, Serialize};
 
