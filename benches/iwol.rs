@@ -15,8 +15,14 @@ use iwol_sumo::sumo::{Batch, Hosting, Simulation as _, TraciSimulation};
 use tch::{Device, Kind, Tensor};
 
 fn task(agents: u32) -> Arc<Task> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
-    Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), agents).expect("a task"))
+    task_of("intersection", agents, 0)
+}
+
+fn task_of(scenario: &str, agents: u32, lidar_beams: usize) -> Arc<Task> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
+    let mut scenario = Scenario::load(&path).expect("a shipped scenario");
+    scenario.observation.lidar.beams = lidar_beams;
+    Arc::new(Task::new(&scenario, agents).expect("a task"))
 }
 
 fn env(agents: u32, worlds: usize) -> VecEnv {
@@ -50,9 +56,13 @@ fn step(c: &mut Criterion) {
 fn world(c: &mut Criterion) {
     const STEPS: usize = 60;
     let mut group = c.benchmark_group("env/world, beside SUMO");
-    for agents in [8, 24, 48] {
-        let task = task(agents);
-        let actions = vec![0.4; agents as usize];
+    let turns = "intersection_turns";
+    for (scenario, agents, lidar_beams) in
+        [("intersection", 8, 0), ("intersection", 24, 0), ("intersection", 48, 0), (turns, 48, 0), (turns, 48, 72)]
+    {
+        let task = task_of(scenario, agents, lidar_beams);
+        let per_agent = if task.scenario.control.steering.is_some() { &[0.0, 0.4][..] } else { &[0.4] };
+        let actions = per_agent.repeat(agents as usize);
         let mut simulation =
             TraciSimulation::start(task.simulation_config(0, 1, &Hosting::default())).expect("SUMO runs");
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, u64::MAX);
@@ -65,7 +75,7 @@ fn world(c: &mut Criterion) {
             world.observe(0, snapshots.last().expect("one")).expect("no vehicle is lost");
         }
         group.throughput(Throughput::Elements(STEPS as u64));
-        group.bench_function(format!("{agents} vehicles, {STEPS} steps"), |b| {
+        group.bench_function(format!("{scenario}, {agents} vehicles, {lidar_beams} beams, {STEPS} steps"), |b| {
             b.iter(|| {
                 world.reset(0);
                 for snapshot in &snapshots {

@@ -1,6 +1,6 @@
 //! How closely two vehicles will pass each other if both keep to their ways and speeds: what a driver foresees.
 
-use super::geometry::{Pose, separation};
+use super::geometry::{Place, separation};
 use super::routes::RouteGeometry;
 use super::slots::Slot;
 use crate::sumo::net::Path;
@@ -25,19 +25,17 @@ impl<'a> Course<'a> {
         Self { path: &routes[slot.route].path, slot, speed }
     }
 
-    /// Where the middle of its way is that it is beside, and how the way leads there.
-    fn way(&self, time: f64) -> ([f64; 2], f64) {
-        self.path.at(self.slot.s + self.speed * time)
+    /// Where it is; looked for from a segment of its way on, which becomes that of the place.
+    fn place(&self, time: f64, segment: &mut usize) -> Place {
+        let (point, on) = self.path.locate_from(self.slot.s + self.speed * time, *segment);
+        *segment = on;
+        Place::beside(point, self.path.direction(on), self.slot.lateral)
     }
 
-    /// Pose, where [`Course::way`] is such.
-    fn beside(&self, (point, heading): ([f64; 2], f64)) -> Pose {
-        Pose::beside(point, heading, self.slot.lateral)
-    }
-
-    /// How far from its way it reaches \[m\].
+    /// How far from its middle it reaches \[m\].
     fn reach(&self) -> f64 {
-        self.slot.size[0].hypot(self.slot.size[1]) / 2.0 + self.slot.lateral.abs()
+        let [length, width] = self.slot.size;
+        (length * length + width * width).sqrt() / 2.0
     }
 }
 
@@ -47,12 +45,13 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
     let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
     let (mut least, mut when, mut time) = (CLOSE, horizon, 0.0);
+    let mut segments = [a.slot.segment, b.slot.segment];
     while time < horizon && least > 0.0 {
-        let (own, other) = (a.way(time), b.way(time));
-        let far = (own.0[0] - other.0[0]).hypot(own.0[1] - other.0[1]) - reach;
+        let (own, other) = (a.place(time, &mut segments[0]), b.place(time, &mut segments[1]));
+        let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
+        let far = (dx * dx + dy * dy).sqrt() - reach;
         // Few pairs are so close that it matters how they stand.
-        let apart =
-            if far < least { separation((&a.beside(own), a.slot.size), (&b.beside(other), b.slot.size)) } else { far };
+        let apart = if far < least { separation((own, a.slot.size), (other, b.slot.size)) } else { far };
         if apart < least {
             (least, when) = (apart.max(0.0), time);
         }
@@ -128,7 +127,7 @@ mod tests {
             let [close, soon] = passing(a, b, HORIZON);
             prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");
             let (apart, when) = (CLOSE * (1.0 - close), HORIZON * (1.0 - soon));
-            let at = |time: f64| separation((&a.beside(a.way(time)), SIZE), (&b.beside(b.way(time)), SIZE));
+            let at = |time: f64| separation((a.place(time, &mut 0), SIZE), (b.place(time, &mut 0), SIZE));
             // Up to where they touch, if they do.
             let (mut least, mut touched) = (CLOSE, None);
             for i in 0..400 {

@@ -28,7 +28,29 @@ impl Pose {
 
     /// Centre distance \[m\].
     pub fn distance(&self, other: &Pose) -> f64 {
-        (self.x - other.x).hypot(self.y - other.y)
+        let (dx, dy) = (self.x - other.x, self.y - other.y);
+        (dx * dx + dy * dy).sqrt()
+    }
+}
+
+/// Where the middle of a box is \[m\], and the unit vector along it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    pub(super) middle: [f64; 2],
+    pub(super) along: [f64; 2],
+}
+
+impl Place {
+    /// `lateral` metres to the left of a point.
+    pub(super) fn beside(point: [f64; 2], along: [f64; 2], lateral: f64) -> Self {
+        Self { middle: [point[0] - lateral * along[1], point[1] + lateral * along[0]], along }
+    }
+}
+
+impl From<&Pose> for Place {
+    fn from(pose: &Pose) -> Self {
+        let (sin, cos) = pose.heading.sin_cos();
+        Self { middle: [pose.x, pose.y], along: [cos, sin] }
     }
 }
 
@@ -37,48 +59,47 @@ pub type Size = [f64; 2];
 
 /// How far two boxes are apart along the axis that separates them best, of the four along which their sides lie \[m\]: no more than the
 /// distance between them; below 0 where they overlap.
-pub(super) fn separation((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> f64 {
-    let (dx, dy) = (b.x - a.x, b.y - a.y);
-    let apart = |heading: f64, [along, across]: [f64; 2]| {
-        let (s, c) = heading.sin_cos();
+pub(super) fn separation((a, a_size): (Place, Size), (b, b_size): (Place, Size)) -> f64 {
+    let (dx, dy) = (b.middle[0] - a.middle[0], b.middle[1] - a.middle[1]);
+    let apart = |[c, s]: [f64; 2], [along, across]: [f64; 2]| {
         ((dx * c + dy * s).abs() - along).max((dy * c - dx * s).abs() - across)
     };
-    let turned = b.heading - a.heading;
-    apart(a.heading, reaches(turned, a_size, b_size)).max(apart(b.heading, reaches(turned, b_size, a_size)))
+    let turned = turned(a.along, b.along);
+    apart(a.along, reaches(turned, a_size, b_size)).max(apart(b.along, reaches(turned, b_size, a_size)))
 }
 
 /// Whether two boxes overlap (separating axes).
 pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let reach = a_size[0].hypot(a_size[1]) / 2.0 + b_size[0].hypot(b_size[1]) / 2.0;
-    dx * dx + dy * dy <= reach * reach && separation((a, a_size), (b, b_size)) <= 0.0
+    dx * dx + dy * dy <= reach * reach && separation((a.into(), a_size), (b.into(), b_size)) <= 0.0
+}
+
+/// How far two directions are turned to each other: the size of the cosine and of the sine.
+fn turned(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [(a[0] * b[0] + a[1] * b[1]).abs(), (a[0] * b[1] - a[1] * b[0]).abs()]
 }
 
 /// Distances of two centres along the axes of one box, below which another box, turned to it, reaches into it \[m\].
-fn reaches(turned: f64, own: Size, other: Size) -> [f64; 2] {
-    let (sin, cos) = turned.sin_cos();
-    let (sin, cos) = (sin.abs(), cos.abs());
+fn reaches([cos, sin]: [f64; 2], own: Size, other: Size) -> [f64; 2] {
     let [own_l, own_w, half_l, half_w] = [own[0] / 2.0, own[1] / 2.0, other[0] / 2.0, other[1] / 2.0];
     [own_l + half_l * cos + half_w * sin, own_w + half_l * sin + half_w * cos]
 }
 
 /// Time until two boxes touch that go on straight ahead at their speeds \[m/s\]: 0 where they overlap, `None` where they pass.
 pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
-    let (dx, dy) = (b.0.x - a.0.x, b.0.y - a.0.y);
-    let velocity = |(pose, _, speed): (&Pose, Size, f64)| {
-        let (sin, cos) = pose.heading.sin_cos();
-        [speed * cos, speed * sin]
-    };
-    let (va, vb) = (velocity(a), velocity(b));
-    let (vx, vy) = (vb[0] - va[0], vb[1] - va[1]);
-    let (turned, axes) = (b.0.heading - a.0.heading, [a.0.heading, b.0.heading].map(f64::sin_cos));
-    let along = |x: f64, y: f64| {
-        let [own, other] = axes.map(|(sin, cos)| [x * cos + y * sin, y * cos - x * sin]);
+    let places = [a.0, b.0].map(Place::from);
+    let [own, other] = places.map(|place| place.along);
+    let [dx, dy] = [0, 1].map(|axis| places[1].middle[axis] - places[0].middle[axis]);
+    let [vx, vy] = [0, 1].map(|axis| b.2 * other[axis] - a.2 * own[axis]);
+    let onto = |x: f64, y: f64| {
+        let [own, other] = [own, other].map(|[c, s]| [x * c + y * s, y * c - x * s]);
         [own[0], own[1], other[0], other[1]]
     };
+    let turned = turned(own, other);
     let ([l, w], [other_l, other_w]) = (reaches(turned, a.1, b.1), reaches(turned, b.1, a.1));
     // They overlap while they do so along all four axes.
-    let [from, to] = stretch(along(dx, dy), along(vx, vy), [l, w, other_l, other_w])?;
+    let [from, to] = stretch(onto(dx, dy), onto(vx, vy), [l, w, other_l, other_w])?;
     (to >= 0.0).then_some(from.max(0.0))
 }
 

@@ -394,10 +394,11 @@ pub(super) fn put_encounters(
             sin,
         ]);
         if foresight > 0.0 {
-            let its = Course::new(routes, other, other.speed);
-            for speed in [own.speed, own.speed.max(DRIVING)] {
-                w.put(passing(Course::new(routes, own, speed), its, foresight));
-            }
+            let at_speed =
+                |speed| passing(Course::new(routes, own, speed), Course::new(routes, other, other.speed), foresight);
+            let foreseen = at_speed(own.speed);
+            w.put(foreseen);
+            w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
         }
         w.put([moving(other.status), 1.0]);
     }

@@ -32,6 +32,8 @@ pub struct Path {
     scale: Vec<f64>,
     /// Heading of each segment \[rad\].
     headings: Vec<f64>,
+    /// Unit vector of each segment.
+    directions: Vec<[f64; 2]>,
     /// Where each of [`Path::lanes`] begins in SUMO's count of the distance along the route \[m\].
     lane_position: Vec<f64>,
     /// `s` at which each of [`Path::lanes`] begins \[m\].
@@ -145,6 +147,7 @@ impl Path {
             lanes: Vec::new(),
             scale: Vec::new(),
             headings: Vec::new(),
+            directions: Vec::new(),
             lane_position: Vec::new(),
             lane_start: Vec::new(),
             lane_scale: Vec::new(),
@@ -155,7 +158,8 @@ impl Path {
         match self.points.last() {
             None => self.cumulative.push(0.0),
             Some(&[x, y]) => {
-                let distance = (point[0] - x).hypot(point[1] - y);
+                let [dx, dy] = [point[0] - x, point[1] - y];
+                let distance = dx.hypot(dy);
                 let s = self.length() + distance;
                 // At the far end of a very long path, short ways are lost in rounding.
                 if s - self.length() < SAME_POINT {
@@ -163,7 +167,8 @@ impl Path {
                 }
                 self.cumulative.push(s);
                 self.widths.push(width);
-                self.headings.push((point[1] - y).atan2(point[0] - x));
+                self.headings.push(dy.atan2(dx));
+                self.directions.push([dx / distance, dy / distance]);
             }
         }
         self.points.push(point);
@@ -210,9 +215,25 @@ impl Path {
     pub fn locate(&self, s: f64) -> ([f64; 2], usize) {
         let after = self.cumulative.partition_point(|&c| c <= s);
         let segment = after.saturating_sub(1).min(self.last_segment());
-        let ([x, y], [dx, dy]) = (self.points[segment], self.direction(segment));
+        (self.point_on(segment, s), segment)
+    }
+
+    /// As [`Path::locate`], looked for from the segment `hint` on: for places that follow upon one another.
+    pub fn locate_from(&self, s: f64, hint: usize) -> ([f64; 2], usize) {
+        let mut segment = hint.min(self.last_segment());
+        while segment < self.last_segment() && self.cumulative[segment + 1] <= s {
+            segment += 1;
+        }
+        while segment > 0 && self.cumulative[segment] > s {
+            segment -= 1;
+        }
+        (self.point_on(segment, s), segment)
+    }
+
+    fn point_on(&self, segment: usize, s: f64) -> [f64; 2] {
+        let ([x, y], [dx, dy]) = (self.points[segment], self.directions[segment]);
         let along = s - self.cumulative[segment];
-        ([x + along * dx, y + along * dy], segment)
+        [x + along * dx, y + along * dy]
     }
 
     /// Pose of a body of `length` metres whose front is at `s` and whose back follows on the path: the front point
@@ -285,22 +306,21 @@ impl Path {
     }
 
     /// Unit vector of a segment.
-    fn direction(&self, segment: usize) -> [f64; 2] {
-        let ([x0, y0], [x1, y1]) = (self.points[segment], self.points[segment + 1]);
-        let length = (x1 - x0).hypot(y1 - y0);
-        [(x1 - x0) / length, (y1 - y0) / length]
+    pub fn direction(&self, segment: usize) -> [f64; 2] {
+        self.directions[segment]
     }
 
     /// `s` and signed distance of the point of one segment next to `point`.
     fn project_on(&self, point: [f64; 2], segment: usize) -> (f64, f64) {
-        let ([x, y], [dx, dy]) = (self.points[segment], self.direction(segment));
+        let ([x, y], [dx, dy]) = (self.points[segment], self.directions[segment]);
         let length = self.cumulative[segment + 1] - self.cumulative[segment];
         let (px, py) = (point[0] - x, point[1] - y);
         let (along, left) = (px * dx + py * dy, dx * py - dy * px);
         let least = if segment == 0 { f64::NEG_INFINITY } else { 0.0 };
         let most = if segment == self.last_segment() { f64::INFINITY } else { length };
         let clamped = along.max(least).min(most);
-        let lateral = (along - clamped).hypot(left).copysign(left);
+        let beyond = along - clamped;
+        let lateral = (beyond * beyond + left * left).sqrt().copysign(left);
         (self.cumulative[segment] + clamped, lateral)
     }
 }

@@ -277,6 +277,16 @@ proptest! {
     }
 
     #[test]
+    fn a_place_is_the_same_wherever_the_search_for_it_begins(path in polyline(), at in -0.2..1.2_f64, hint in 0_usize..12) {
+        // A point of the path itself now and then: it belongs to the segment that begins there.
+        let s = at * path.length();
+        let corner = path.cumulative[hint % path.cumulative.len()];
+        for s in [s, corner] {
+            prop_assert_eq!(path.locate_from(s, hint), path.locate(s));
+        }
+    }
+
+    #[test]
     fn nearest_finds_no_worse_a_place_than_project(path in polyline(), x in -50.0..150.0, y in -50.0..150.0, hint in 0_usize..9) {
         prop_assert!(path.nearest([x, y]).1.abs() <= path.project([x, y], hint).1.abs());
     }
