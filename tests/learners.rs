@@ -255,6 +255,34 @@ fn without_a_learning_rate_nothing_moves() {
     });
 }
 
+/// The first pass that finds the policy too far away is the last: what follows is as if no more had been asked for.
+#[test]
+fn a_policy_that_moves_too_far_ends_its_update() {
+    const PASSES: usize = 4;
+    for name in algo::NAMES.iter().filter(|name| algo::capabilities(name).expect("known").on_policy) {
+        let update = |epochs: usize, target_kl: f64| {
+            let mut settings = small(EncoderKind::Mlp);
+            (settings.ppo.epochs, settings.ppo.target_kl) = (epochs, target_kl);
+            let mut learner = loud(name, &spec(4), &settings);
+            let rollout = random_rollout(&*learner, 4, 3);
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            let of = |what: &str| losses.iter().find(|(found, _)| *found == what).expect("is reported").1;
+            (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
+        };
+        // By default all passes are made; how far each moves follows from the means over all of them.
+        let whole: Vec<_> = (1..=PASSES).map(|passes| update(passes, 0.0)).collect();
+        let total = |passes: usize| if passes == 0 { 0.0 } else { passes as f64 * whole[passes - 1].1 };
+        let moved: Vec<f64> = (1..=PASSES).map(|pass| total(pass) - total(pass - 1)).collect();
+        let (least, most) = (moved.iter().copied().fold(f64::MAX, f64::min), moved.iter().copied().fold(0.0, f64::max));
+        assert!(least > 0.0 && most > 1.01 * least, "{name}: {moved:?}");
+        for target in [0.99 * least, f64::midpoint(least, most), 1.01 * most] {
+            let passes = moved.iter().position(|&moved| moved > target).map_or(PASSES, |last| last + 1);
+            assert_eq!(whole[passes - 1].0, passes as f64, "{name}");
+            assert_eq!(update(PASSES, target), whole[passes - 1], "{name}: {moved:?}, {target}");
+        }
+    }
+}
+
 #[test]
 fn the_dead_do_not_teach() {
     each(|name, encoder| {

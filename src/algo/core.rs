@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
-use super::head::GaussianHead;
+use super::head::{APPROX_KL, GaussianHead};
 use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_entry};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
@@ -304,7 +304,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, [pace.gamma, ppo.gae_lambda], N::TEAM);
-        let mut means = Means::default();
+        let (mut means, mut passes) = (Means::default(), 0);
         let size = ppo.minibatch * pace.growth;
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
@@ -319,9 +319,16 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
+            let mut pass = Means::default();
             for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order) {
                 let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
-                means.add(&self.step(&batch, shards, rate)?);
+                pass.add(&self.step(&batch, shards, rate)?);
+            }
+            passes += 1;
+            let moved = pass.mean(APPROX_KL);
+            means.merge(pass);
+            if ppo.target_kl > 0.0 && moved > ppo.target_kl {
+                break;
             }
         }
         let head = self.copies[0].head();
@@ -331,6 +338,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             ("ppo/explained_variance", batch.explained_variance),
             ("ppo/std", head.std()),
             ("ppo/learning_rate", pace.learning_rate),
+            ("ppo/passes", f64::from(passes)),
         ])
     }
 
@@ -412,6 +420,24 @@ impl Means {
             sum.1 += value.1;
         }
         self.count += 1.0;
+    }
+
+    /// Takes in those of other steps, of the same diagnostics.
+    fn merge(&mut self, other: Self) {
+        if self.sums.is_empty() {
+            *self = other;
+            return;
+        }
+        for (sum, other) in self.sums.iter_mut().zip(&other.sums) {
+            sum.1 += other.1;
+        }
+        self.count += other.count;
+    }
+
+    /// The mean of one of them so far; 0 where there is none.
+    fn mean(&self, name: &str) -> f64 {
+        let sum = self.sums.iter().find(|(found, _)| *found == name).map_or(0.0, |(_, sum)| *sum);
+        sum / self.count.max(1.0)
     }
 
     /// The means; an error when one is not finite.

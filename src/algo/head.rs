@@ -7,6 +7,9 @@ use super::settings::{Exploration, NoiseMode, Ppo};
 use super::{ActMode, ppo};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
+/// How far the policy is from the one that acted: a mean of (ρ - 1) - ln ρ.
+pub(super) const APPROX_KL: &str = "ppo/approx_kl";
+
 /// Mean and standard deviation of the actions.
 #[derive(Debug)]
 pub(super) struct GaussianHead {
@@ -147,7 +150,7 @@ impl PolicyTerms {
         [
             ("loss/policy", self.policy.detach()),
             ("loss/entropy", self.entropy.detach()),
-            ("ppo/approx_kl", self.approx_kl.shallow_clone()),
+            (APPROX_KL, self.approx_kl.shallow_clone()),
             ("ppo/clip_fraction", self.clip_fraction.shallow_clone()),
         ]
     }

@@ -111,8 +111,11 @@ pub struct Ppo {
     pub learning_rate_follows_noise: bool,
     /// Share of the rate that is left when annealing is over.
     pub learning_rate_end: f64,
-    /// Passes over a rollout.
+    /// Passes over a rollout, at most.
     pub epochs: usize,
+    /// A pass in which the policy has moved further than this from the one that acted (mean approximate KL divergence of the pass) is the
+    /// last over its rollout; 0: never. For policies whose steps turn out too large at the common learning rate.
+    pub target_kl: f64,
     /// Samples (agent × step) per minibatch (half as many for methods that replay); more gradient steps with smaller ones.
     pub minibatch: usize,
     /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
@@ -152,6 +155,7 @@ impl Default for Ppo {
             learning_rate_follows_noise: true,
             learning_rate_end: 0.02,
             epochs: 5,
+            target_kl: 0.0,
             minibatch: 2048,
             shards: 2,
             average: 0.9,

@@ -9,6 +9,7 @@ pub fn complete_older(table: &mut Table) -> bool {
     for (key, neutral) in [
         ("ppo.bounds", Value::Float(0.0)),
         ("ppo.gamma_explored", Value::Float(0.0)),
+        ("ppo.target_kl", Value::Float(0.0)),
         ("exploration.correlation", Value::Float(0.0)),
         ("exploration.correlation_steps", Value::Integer(0)),
         ("exploration.steering", Value::Float(-1.0)),

@@ -18,7 +18,7 @@ impl Config {
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
         let recurrent = n.encoder == settings::EncoderKind::Gru;
-        let rules: [(&'static [&'static str], bool, &'static str); 104] = [
+        let rules: [(&'static [&'static str], bool, &'static str); _] = [
             (&["agents"], self.agents >= 1, "at least 1"),
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
@@ -80,6 +80,7 @@ impl Config {
             (&["ppo.learning_rate"], finite_range(p.learning_rate), "0 or more"),
             (&["ppo.learning_rate_end"], share(p.learning_rate_end), "0 to 1"),
             (&["ppo.epochs"], (1..=1000).contains(&p.epochs), "1 to 1000"),
+            (&["ppo.target_kl"], finite_range(p.target_kl), "0 or more"),
             (&["ppo.shards"], (1..=64).contains(&p.shards), "1 to 64"),
             (&["ppo.average"], (0.0..1.0).contains(&p.average), "0 to below 1"),
             (&["ppo.minibatch"], p.minibatch >= 1, "at least 1"),
