@@ -300,9 +300,11 @@ pub enum Error {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
     use crate::algo::settings;
-    use crate::config::Train;
+    use crate::config::{Train, plain};
 
     fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
         resolve_on("intersection", text, sets)
@@ -320,6 +322,31 @@ mod tests {
 
     fn message(text: &str, sets: &[&str]) -> String {
         resolve(text, sets).expect_err("must be refused").to_string()
+    }
+
+    /// `docs/settings.md` has a row for each setting, with the default of 8 vehicles on the intersection.
+    #[test]
+    fn the_page_of_settings_has_all_of_them_with_their_defaults() {
+        let defaults = flatten(&toml::from_str(&resolve("", &[]).unwrap().to_toml()).unwrap());
+        let (_, tables) = include_str!("../../docs/settings.md").split_once("## The run\n").unwrap();
+        let quoted = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
+        let mut found = BTreeSet::new();
+        for row in tables.lines().filter(|line| line.starts_with("| `")) {
+            let cells: Vec<&str> = row.split(" | ").collect();
+            let said = quoted(cells[1]).into_iter().next();
+            for key in quoted(cells[0]).into_iter().filter(|key| !key.starts_with("--")) {
+                let is = plain(defaults.get(&key).unwrap_or_else(|| panic!("`{key}` of the page is no setting")));
+                let same = match &said {
+                    // A file has no default.
+                    None => key == "scenario" || is.is_empty(),
+                    Some(said) => *said == is || said.parse::<f64>().is_ok_and(|said| is.parse() == Ok(said)),
+                };
+                assert!(same, "{key}: {said:?} on the page, {is} by default");
+                assert!(found.insert(key.clone()), "{key}: twice on the page");
+            }
+        }
+        let missing: Vec<&String> = defaults.keys().filter(|key| !found.contains(*key)).collect();
+        assert!(missing.is_empty(), "not in docs/settings.md: {missing:?}");
     }
 
     #[test]
