@@ -97,6 +97,9 @@ pub struct Train {
     pub imitate_steps: u64,
     /// Speed of the pursuit that is imitated \[m/s\].
     pub imitate_speed: f64,
+    /// A run folder or checkpoint of a policy without memory, trained on the same scenario with any number of agents, that is imitated
+    /// instead of pursuit. It sees what it saw when it was trained, which may be more than the pupil sees. Empty: pursuit.
+    pub teacher: PathBuf,
     /// Weight of the danger of a crash as a potential (Ng et al., 1999): a step that brings an agent closer to one costs it in
     /// training what a step away from it gives back, so that the best policy stays the best. Danger is 1 at a crash and falls to 0
     /// where vehicles that go straight on do not touch within [`World::DANGER`](crate::env::World::DANGER). 0: none.
@@ -134,6 +137,7 @@ impl Default for Train {
             replay_failed: 0.0,
             imitate_steps: 0,
             imitate_speed: 6.0,
+            teacher: PathBuf::new(),
             shaping: 0.0,
             validate_every: 16_384,
             validation_episodes: 64,

@@ -8,6 +8,7 @@ mod files;
 mod noise;
 mod run_dir;
 mod schedule;
+mod teacher;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ use crate::scenario::Scenario;
 
 use files::Files;
 pub use run_dir::RunDir;
+use teacher::Teacher;
 
 /// How training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,6 +84,8 @@ pub struct Trainer {
     task: Arc<Task>,
     env: VecEnv,
     learner: Box<dyn Algorithm>,
+    /// Whom the policy imitates at first.
+    teacher: Teacher,
     rollout: Rollout,
     /// Memory of the policy before the coming decision, `[E, N, M]`.
     memory: Tensor,
@@ -124,6 +128,7 @@ impl Trainer {
         let device = config.device.find()?;
         let mut learner =
             algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
+        let teacher = Teacher::new(&config)?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,
@@ -186,6 +191,7 @@ impl Trainer {
             task,
             env,
             learner,
+            teacher,
             progress,
             seed,
             finished: Vec::new(),
@@ -414,6 +420,9 @@ pub enum Error {
         /// What does not fit.
         source: algo::Error,
     },
+    /// Nobody can be imitated.
+    #[error(transparent)]
+    Teacher(#[from] teacher::Error),
     /// The run folder cannot be made.
     #[error("cannot make the run folder `{}`", path.display())]
     Folder {

@@ -18,6 +18,7 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("train.growth", Value::Integer(1)),
         ("train.imitate_speed", Value::Float(6.0)),
         ("train.imitate_steps", Value::Integer(0)),
+        ("train.teacher", Value::String(String::new())),
         ("train.replay_failed", Value::Float(0.0)),
         ("train.restart_steps", Value::Integer(0)),
         ("train.shaping", Value::Float(0.0)),

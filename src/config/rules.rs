@@ -39,6 +39,11 @@ impl Config {
             (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
+            (
+                &["train.imitate_steps", "train.teacher"],
+                t.imitate_steps > 0 || t.teacher.as_os_str().is_empty(),
+                "1 or more, where train.teacher names whom to imitate",
+            ),
             (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
             (
                 &["train.imitate_steps", "algorithm"],

@@ -317,6 +317,16 @@ impl World {
         Ok(())
     }
 
+    /// What an agent would see with the observation settings of another task on the same scenario: `seen: [O]` of that task's; zeros where
+    /// it is gone.
+    pub fn observe_as(&self, task: &Task, agent: usize, seen: &mut [f32]) {
+        if self.present[agent] {
+            observation::write(task, &self.traffic, agent, seen);
+        } else {
+            seen.fill(0.0);
+        }
+    }
+
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
     pub fn interrupt(&mut self) {
         self.abandon();

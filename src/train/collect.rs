@@ -33,7 +33,8 @@ impl Trainer {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             self.store_potential(t);
             if taught {
-                self.ask_teacher(t);
+                let actions = self.rollout.at(t, s.actions);
+                timed(&mut self.timers.act, || self.teacher.show(&self.env, &mut self.rollout.teacher[actions]));
             }
             let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
             for (e, late) in late.iter().enumerate() {
@@ -105,20 +106,6 @@ impl Trainer {
             let cell = self.rollout.cell(t, e, 1);
             for (i, potential) in self.rollout.potential[cell].iter_mut().enumerate() {
                 *potential = (-weight * world.danger(i)) as f32;
-            }
-        }
-    }
-
-    /// What the teacher would do at step `t` of the rollout.
-    fn ask_teacher(&mut self, t: usize) {
-        let (speed, actions) = (self.config.train.imitate_speed, self.rollout.sizes.actions);
-        for (e, world) in self.env.worlds().enumerate() {
-            let cell = self.rollout.cell(t, e, actions);
-            for (i, action) in self.rollout.teacher[cell].chunks_mut(actions).enumerate() {
-                let wanted = world.pursuit(i, speed);
-                // Who is on rails has no steering.
-                let wanted = &wanted[2 - actions..];
-                action.iter_mut().zip(wanted).for_each(|(to, from)| *to = *from as f32);
             }
         }
     }
