@@ -84,8 +84,8 @@ pub struct Trainer {
     task: Arc<Task>,
     env: VecEnv,
     learner: Box<dyn Algorithm>,
-    /// Whom the policy imitates at first.
-    teacher: Teacher,
+    /// Whom the policy imitates at first; none where that is over.
+    teacher: Option<Teacher>,
     rollout: Rollout,
     /// Memory of the policy before the coming decision, `[E, N, M]`.
     memory: Tensor,
@@ -128,7 +128,6 @@ impl Trainer {
         let device = config.device.find()?;
         let mut learner =
             algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
-        let teacher = Teacher::new(&config)?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,
@@ -179,6 +178,7 @@ impl Trainer {
                 (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
             }
         };
+        let teacher = schedule::may_imitate(&config, &progress).then(|| Teacher::new(&config)).transpose()?;
         let mut rollout = Rollout::new(sizes);
         for (e, quiet) in rollout.quiet.iter_mut().enumerate() {
             *quiet = -(config.exploration.spread * e as f64 / (worlds - 1).max(1) as f64) as f32;

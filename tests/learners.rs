@@ -260,15 +260,17 @@ fn without_a_learning_rate_nothing_moves() {
 fn a_policy_that_moves_too_far_ends_its_update() {
     const PASSES: usize = 4;
     for name in algo::NAMES.iter().filter(|name| algo::capabilities(name).expect("known").on_policy) {
-        let update = |epochs: usize, target_kl: f64| {
+        let update_at = |epochs: usize, target_kl: f64, imitation: f64| {
             let mut settings = small(EncoderKind::Mlp);
             (settings.ppo.epochs, settings.ppo.target_kl) = (epochs, target_kl);
             let mut learner = loud(name, &spec(4), &settings);
-            let rollout = random_rollout(&*learner, 4, 3);
-            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            rollout.teacher = vec![0.5; rollout.action.len()];
+            let losses = learner.update(&rollout, &Pace { imitation, ..PACE }, Seed::new(4)).expect("finite");
             let of = |what: &str| losses.iter().find(|(found, _)| *found == what).expect("is reported").1;
             (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
         };
+        let update = |epochs, target_kl| update_at(epochs, target_kl, 0.0);
         // By default all passes are made; how far each moves follows from the means over all of them.
         let whole: Vec<_> = (1..=PASSES).map(|passes| update(passes, 0.0)).collect();
         let total = |passes: usize| if passes == 0 { 0.0 } else { passes as f64 * whole[passes - 1].1 };
@@ -280,6 +282,8 @@ fn a_policy_that_moves_too_far_ends_its_update() {
             assert_eq!(whole[passes - 1].0, passes as f64, "{name}");
             assert_eq!(update(PASSES, target), whole[passes - 1], "{name}: {moved:?}, {target}");
         }
+        // Who imitates is to move.
+        assert_eq!(update_at(PASSES, 1e-9, 0.1), update_at(PASSES, 0.0, 0.1), "{name}");
     }
 }
 

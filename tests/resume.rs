@@ -34,10 +34,10 @@ fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     if algo::capabilities(algorithm).is_ok_and(|c| c.on_policy) {
         config.train.growth = 2;
     }
-    // One of them imitates a policy that sees more, for three iterations.
+    // One of them imitates a policy that sees more, before and after it is resumed.
     if (algorithm, encoder) == ("ex-iwol", "mlp") {
         config.train.teacher = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/scalability/mappo-48");
-        config.train.imitate_steps = 360;
+        config.train.imitate_steps = 1000;
     }
     (config, scenario)
 }

@@ -314,6 +314,14 @@ fn the_experiments_that_come_along_load() {
         if text.contains("[grid]") {
             let sweep = Sweep::load(&path, Path::new("runs")).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert!(!sweep.cells.is_empty(), "{}", path.display());
+            for cell in &sweep.cells {
+                let teacher = &cell.config.train.teacher;
+                assert!(
+                    teacher.as_os_str().is_empty() || RunDir::checkpoint(teacher).is_file(),
+                    "{}",
+                    teacher.display()
+                );
+            }
             sweeps += 1;
         } else {
             let document = Document { name: path.display().to_string(), text };

@@ -327,7 +327,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             passes += 1;
             let moved = pass.mean(APPROX_KL);
             means.merge(pass);
-            if ppo.target_kl > 0.0 && moved > ppo.target_kl {
+            // Who imitates is to move.
+            if ppo.target_kl > 0.0 && moved > ppo.target_kl && pace.imitation == 0.0 {
                 break;
             }
         }

@@ -114,7 +114,7 @@ pub struct Ppo {
     /// Passes over a rollout, at most.
     pub epochs: usize,
     /// A pass in which the policy has moved further than this from the one that acted (mean approximate KL divergence of the pass) is the
-    /// last over its rollout; 0: never. For policies whose steps turn out too large at the common learning rate.
+    /// last over its rollout, unless it imitates then; 0: never. For policies whose steps turn out too large at the common learning rate.
     pub target_kl: f64,
     /// Samples (agent × step) per minibatch (half as many for methods that replay); more gradient steps with smaller ones.
     pub minibatch: usize,

@@ -40,9 +40,14 @@ impl Config {
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
             (
-                &["train.imitate_steps", "train.teacher"],
-                t.imitate_steps > 0 || t.teacher.as_os_str().is_empty(),
-                "1 or more, where train.teacher names whom to imitate",
+                &["train.teacher", "algorithm"],
+                t.teacher.as_os_str().is_empty() || able.is_none_or(|able| able.on_policy),
+                "nobody with MADDPG, which learns from replayed steps",
+            ),
+            (
+                &["train.teacher", "train.imitate_steps"],
+                t.teacher.as_os_str().is_empty() || t.imitate_steps > 0,
+                "nobody where train.imitate_steps is 0",
             ),
             (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
             (
@@ -129,6 +134,11 @@ impl Config {
                 &["commformer.graph_every", "ppo.epochs", "algorithm"],
                 (2..=p.epochs.max(2)).contains(&former.graph_every) || self.algorithm != "commformer",
                 "2 to ppo.epochs: in every so many passes over a rollout, one trains the graph",
+            ),
+            (
+                &["ppo.target_kl", "algorithm"],
+                p.target_kl == 0.0 || self.algorithm != "commformer",
+                "0 with CommFormer, whose last pass over a rollout trains the graph",
             ),
             (&["commformer.graph_rate"], finite_range(former.graph_rate), "0 or more"),
             (&["commformer.lambda_world"], finite_range(former.lambda_world), "0 or more"),

@@ -1,6 +1,6 @@
 //! How closely two vehicles will pass each other if both keep to their ways and speeds: what a driver foresees.
 
-use super::geometry::{Place, separation};
+use super::geometry::{Stance, separation};
 use super::routes::RouteGeometry;
 use super::slots::Slot;
 use crate::sumo::net::Path;
@@ -25,11 +25,11 @@ impl<'a> Course<'a> {
         Self { path: &routes[slot.route].path, slot, speed }
     }
 
-    /// Where it is; looked for from a segment of its way on, which becomes that of the place.
-    fn place(&self, time: f64, segment: &mut usize) -> Place {
+    /// Where it is; looked for from a segment of its way on, which becomes the one that it is on.
+    fn at(&self, time: f64, segment: &mut usize) -> Stance {
         let (point, on) = self.path.locate_from(self.slot.s + self.speed * time, *segment);
         *segment = on;
-        Place::beside(point, self.path.direction(on), self.slot.lateral)
+        Stance::beside(point, self.path.direction(on), self.slot.lateral)
     }
 
     /// How far from its middle it reaches \[m\].
@@ -47,11 +47,11 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let (mut least, mut when, mut time) = (CLOSE, horizon, 0.0);
     let mut segments = [a.slot.segment, b.slot.segment];
     while time < horizon && least > 0.0 {
-        let (own, other) = (a.place(time, &mut segments[0]), b.place(time, &mut segments[1]));
+        let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
         let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
         let far = (dx * dx + dy * dy).sqrt() - reach;
-        // Few pairs are so close that it matters how they stand.
-        let apart = if far < least { separation((own, a.slot.size), (other, b.slot.size)) } else { far };
+        // Both are at most the distance between them. Few pairs are so close that it matters how they stand.
+        let apart = if far < least { far.max(separation((own, a.slot.size), (other, b.slot.size))) } else { far };
         if apart < least {
             (least, when) = (apart.max(0.0), time);
         }
@@ -127,7 +127,7 @@ mod tests {
             let [close, soon] = passing(a, b, HORIZON);
             prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");
             let (apart, when) = (CLOSE * (1.0 - close), HORIZON * (1.0 - soon));
-            let at = |time: f64| separation((a.place(time, &mut 0), SIZE), (b.place(time, &mut 0), SIZE));
+            let at = |time: f64| separation((a.at(time, &mut 0), SIZE), (b.at(time, &mut 0), SIZE));
             // Up to where they touch, if they do.
             let (mut least, mut touched) = (CLOSE, None);
             for i in 0..400 {

@@ -35,19 +35,19 @@ impl Pose {
 
 /// Where the middle of a box is \[m\], and the unit vector along it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct Stance {
     pub(super) middle: [f64; 2],
     pub(super) along: [f64; 2],
 }
 
-impl Place {
+impl Stance {
     /// `lateral` metres to the left of a point.
     pub(super) fn beside(point: [f64; 2], along: [f64; 2], lateral: f64) -> Self {
         Self { middle: [point[0] - lateral * along[1], point[1] + lateral * along[0]], along }
     }
 }
 
-impl From<&Pose> for Place {
+impl From<&Pose> for Stance {
     fn from(pose: &Pose) -> Self {
         let (sin, cos) = pose.heading.sin_cos();
         Self { middle: [pose.x, pose.y], along: [cos, sin] }
@@ -59,7 +59,7 @@ pub type Size = [f64; 2];
 
 /// How far two boxes are apart along the axis that separates them best, of the four along which their sides lie \[m\]: no more than the
 /// distance between them; below 0 where they overlap.
-pub(super) fn separation((a, a_size): (Place, Size), (b, b_size): (Place, Size)) -> f64 {
+pub(super) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size)) -> f64 {
     let (dx, dy) = (b.middle[0] - a.middle[0], b.middle[1] - a.middle[1]);
     let apart = |[c, s]: [f64; 2], [along, across]: [f64; 2]| {
         ((dx * c + dy * s).abs() - along).max((dy * c - dx * s).abs() - across)
@@ -88,9 +88,9 @@ fn reaches([cos, sin]: [f64; 2], own: Size, other: Size) -> [f64; 2] {
 
 /// Time until two boxes touch that go on straight ahead at their speeds \[m/s\]: 0 where they overlap, `None` where they pass.
 pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
-    let places = [a.0, b.0].map(Place::from);
-    let [own, other] = places.map(|place| place.along);
-    let [dx, dy] = [0, 1].map(|axis| places[1].middle[axis] - places[0].middle[axis]);
+    let stances = [a.0, b.0].map(Stance::from);
+    let [own, other] = stances.map(|stance| stance.along);
+    let [dx, dy] = [0, 1].map(|axis| stances[1].middle[axis] - stances[0].middle[axis]);
     let [vx, vy] = [0, 1].map(|axis| b.2 * other[axis] - a.2 * own[axis]);
     let onto = |x: f64, y: f64| {
         let [own, other] = [own, other].map(|[c, s]| [x * c + y * s, y * c - x * s]);

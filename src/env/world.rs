@@ -317,14 +317,17 @@ impl World {
         Ok(())
     }
 
-    /// What an agent would see with the observation settings of another task on the same scenario: `seen: [O]` of that task's; zeros where
-    /// it is gone.
-    pub fn observe_as(&self, task: &Task, agent: usize, seen: &mut [f32]) {
-        if self.present[agent] {
-            observation::write(task, &self.traffic, agent, seen);
-        } else {
-            seen.fill(0.0);
+    /// What agents would see and hear with the settings of another task of the same scenario: `seen: [N, O]` of that task's, zeros where
+    /// an agent is gone, and the physical mask `comm: [N, N]`.
+    pub(crate) fn observe_as(&self, task: &Task, seen: &mut [f32], comm: &mut [f32]) {
+        for (i, seen) in seen.chunks_mut(task.spec.observation.len()).enumerate() {
+            if self.present[i] {
+                observation::write(task, &self.traffic, i, seen);
+            } else {
+                seen.fill(0.0);
+            }
         }
+        physical_mask(&self.poses, &self.present, task.scenario.communication.range, comm);
     }
 
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.

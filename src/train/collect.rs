@@ -32,9 +32,9 @@ impl Trainer {
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
             self.store_potential(t);
-            if taught {
+            if let Some(teacher) = self.teacher.as_ref().filter(|_| taught) {
                 let actions = self.rollout.at(t, s.actions);
-                timed(&mut self.timers.act, || self.teacher.show(&self.env, &mut self.rollout.teacher[actions]));
+                timed(&mut self.timers.act, || teacher.show(&self.env, &mut self.rollout.teacher[actions]));
             }
             let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
             for (e, late) in late.iter().enumerate() {

@@ -31,6 +31,12 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     }
 }
 
+/// Whether the policy imitates a teacher, or new weights in its place still may.
+pub(super) fn may_imitate(config: &Config, progress: &Progress) -> bool {
+    let begins_again = config.train.restart_steps > 0 && !progress.found;
+    fading(config.train.imitate_steps, progress) > 0.0 || (config.train.imitate_steps > 0 && begins_again)
+}
+
 /// Correlation of the noise from step to step: none once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     let noise = &config.exploration;
@@ -158,6 +164,13 @@ mod tests {
         assert_eq!(at(&config, 100), 0.0, "by default nobody is imitated");
         config.train.imitate_steps = 200;
         assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
+        let may = |config: &Config, step, found| {
+            may_imitate(config, &Progress { step, begun: 100, found, ..Progress::default() })
+        };
+        assert_eq!([(150, false), (300, false)].map(|(step, found)| may(&config, step, found)), [true, false]);
+        config.train.restart_steps = 1000;
+        assert!(may(&config, 300, false), "new weights may come, and imitate again");
+        assert!(!may(&config, 300, true), "unless these have found a way");
     }
 
     #[test]

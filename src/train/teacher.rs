@@ -56,11 +56,9 @@ impl Teacher {
                 let (e, n) = (env.len() as i64, spec.agents as i64);
                 let width = task.spec.observation.len();
                 let mut seen = vec![0.0; env.len() * spec.agents * width];
-                let mut comm = Vec::with_capacity(env.len() * spec.agents * spec.agents);
-                for (world, seen) in env.worlds().zip(seen.chunks_mut(spec.agents * width)) {
-                    seen.chunks_mut(width).enumerate().for_each(|(i, seen)| world.observe_as(task, i, seen));
-                    comm.extend_from_slice(&world.frame().comm);
-                }
+                let mut comm = vec![0.0; env.len() * spec.agents * spec.agents];
+                let views = seen.chunks_mut(spec.agents * width).zip(comm.chunks_mut(spec.agents * spec.agents));
+                env.worlds().zip(views).for_each(|(world, (seen, comm))| world.observe_as(task, seen, comm));
                 let decision = learner.act(
                     &Observation {
                         observation: Tensor::from_slice(&seen).view([e, n, -1]),
@@ -90,8 +88,10 @@ fn load(path: &Path, config: &Config) -> Result<(Box<dyn Algorithm>, Task), Unfi
             ("env.penetration", Value::Float(config.env.penetration)),
         ],
     };
-    let (taught, scenario) = Config::resolve(&layers).map_err(Box::new)?;
+    let (mut taught, scenario) = Config::resolve(&layers).map_err(Box::new)?;
     let task = Task::new(&scenario, config.agents)?;
+    // It learns nothing any more.
+    taught.ppo.shards = 1;
     let mut learner = algo::build(&stored.algorithm, &task.spec, &taught.settings(), Seed::new(0), Device::Cpu)?;
     learner.load_weights(&stored.learner)?;
     if learner.memory() > 0 {
@@ -120,7 +120,9 @@ enum Unfit {
     Task(#[from] env::Error),
     #[error(transparent)]
     Algorithm(#[from] algo::Error),
-    #[error("it has a memory, which would be lost when training is resumed; choose one of another encoder")]
+    #[error(
+        "it has a memory, which would be lost when training is resumed; choose one of another method than ICP, without `network.encoder = \"gru\"`"
+    )]
     Memory,
 }
 
