@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::sweep::Sweep;
+use iwol_sumo::train::RunDir;
 use serde_json::Value;
 
 const FILE: &str = r#"
