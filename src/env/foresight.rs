@@ -50,8 +50,8 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
         let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
         let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
         let far = (dx * dx + dy * dy).sqrt() - reach;
-        // Both are at most the distance between them. Few pairs are so close that it matters how they stand.
-        let apart = if far < least { far.max(separation((own, a.slot.size), (other, b.slot.size))) } else { far };
+        // Few pairs are so close that it matters how they stand.
+        let apart = if far < least { separation((own, a.slot.size), (other, b.slot.size)) } else { far };
         if apart < least {
             (least, when) = (apart.max(0.0), time);
         }
