@@ -783,7 +783,8 @@ fn messages_help_where_they_are_needed() {
     let without = play("mappo", Game::Other, 60);
     assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
     for name in algo::NAMES.into_iter().filter(|name| !matches!(hears(name), Hears::Nobody | Hears::InRangeLater)) {
-        let with = play(name, Game::Other, 120);
+        // On another processor sums are rounded otherwise, and a run takes another course.
+        let with = play(name, Game::Other, 240);
         assert!(with > -0.2, "{name}: but it can be told: {with}");
     }
 }
