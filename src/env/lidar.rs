@@ -27,9 +27,10 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
         if apart > lidar.range + reach {
             continue;
         }
-        // The beams that may hit its box: those that hit the circle around it.
-        let middle = (other.pose.y - own.y).atan2(other.pose.x - own.x) - own.heading;
-        let wide = if apart > reach { (reach / apart).asin() } else { TAU / 2.0 };
+        // The beams that may hit its box: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
+        let middle = bearing([other.pose.x - own.x, other.pose.y - own.y]) - own.heading;
+        let clear = apart * apart - reach * reach;
+        let wide = if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
         beams.between(middle - wide, 2.0 * wide, to_box(own, &other.pose, half));
     }
     for (seen, distance) in out.iter_mut().zip(beams.ends) {
@@ -72,7 +73,7 @@ impl Beams {
 
     /// Ends beams at kerbs and lines.
     fn end_with_road(&mut self, road: &Road) {
-        /// Beams through the end of a line hit it, whatever rounding says \[rad\].
+        /// Beams through the end of a line hit it, whatever rounding says: by how much of its length it is longer.
         const EDGE: f64 = 1e-9;
         let own = [self.from.x, self.from.y];
         for (end, along) in self.ends[..self.count].iter_mut().zip(self.along) {
@@ -87,17 +88,30 @@ impl Beams {
             if apart * apart > range * range * (way[0] * way[0] + way[1] * way[1]) {
                 return;
             }
-            let bearing = |p: [f64; 2]| p[1].atan2(p[0]) - self.from.heading;
-            let (from, to) = (bearing(a), bearing(b));
-            let turn = (to - from + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
-            let first = if turn > 0.0 { from } else { to };
-            self.between(first - EDGE, turn.abs() + 2.0 * EDGE, |along| {
+            // Who is on the left of a line sees it go counter-clockwise.
+            let [first, last] = if apart > 0.0 { [a, b] } else { [b, a] }.map(bearing);
+            let wide = (last - first + SLACK).rem_euclid(TAU);
+            self.between(first - SLACK - self.from.heading, wide + SLACK, |along| {
                 let across = cross(along, way);
-                let distance = apart / across;
-                (across != 0.0 && distance >= 0.0).then_some(distance)
+                let (distance, place) = (apart / across, cross(a, along) / across);
+                (distance >= 0.0 && (-EDGE..=1.0 + EDGE).contains(&place)).then_some(distance)
             });
         });
     }
+}
+
+/// More than [`bearing`] may be off \[rad\].
+const SLACK: f64 = 1e-3;
+
+/// The angle of a vector, to within 0.0003 rad, in a fraction of the time that `atan2` takes. It says which beams may hit something, no more.
+fn bearing([x, y]: [f64; 2]) -> f64 {
+    let (along, across) = (x.abs(), y.abs());
+    let ratio = along.min(across) / along.max(across).max(f64::MIN_POSITIVE);
+    let square = ratio * ratio;
+    let octant = (((-0.046_496_474_9 * square + 0.159_314_22) * square - 0.327_622_764) * square + 1.0) * ratio;
+    let quadrant = if across > along { TAU / 4.0 - octant } else { octant };
+    let half = if x < 0.0 { TAU / 2.0 - quadrant } else { quadrant };
+    half.copysign(y)
 }
 
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -129,6 +143,11 @@ mod tests {
     const HALF: [f64; 2] = [2.2575, 0.926];
 
     proptest! {
+        #[test]
+        fn bearings_are_near_the_angle(angle in -3.1415..3.1415f64, length in 1e-3..200.0f64) {
+            prop_assert!((bearing([length * angle.cos(), length * angle.sin()]) - angle).abs() < 3e-4);
+        }
+
         /// Beams end where the road does: at its lines, or on the parking lot at the line between the directions and at the kerb, where a
         /// corner has left.
         #[test]
