@@ -113,7 +113,8 @@ pub(super) fn stretch<const N: usize>(at: [f64; N], way: [f64; N], half: [f64; N
             }
             continue;
         }
-        let times = [(-half - at) / way, (half - at) / way];
+        let per_way = way.recip();
+        let times = [(-half - at) * per_way, (half - at) * per_way];
         (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
     }
     (from <= to).then_some([from, to])

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::Features;
-use super::geometry::{Pose, stretch};
+use super::geometry::{Stance, stretch};
 use super::road::Road;
 use super::slots::{Status, Traffic};
 use crate::scenario::Lidar;
@@ -14,8 +14,9 @@ pub(super) fn describe(lidar: Lidar, features: &mut Features) {
 
 /// Writes one distance per beam, counter-clockwise from straight ahead; 1 where nothing is in range.
 pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
-    let own = &traffic.slots[slot].pose;
-    let mut beams = Beams::new(lidar, own);
+    let own = traffic.stance(slot);
+    let (mut along, mut ends) = ([[0.0; 2]; Lidar::MOST], [0.0; Lidar::MOST]);
+    let mut beams = Beams::new(lidar, own, &mut along[..lidar.beams], &mut ends[..lidar.beams]);
     beams.end_with_road(road);
     for (j, other) in traffic.slots.iter().enumerate() {
         if j == slot || other.status == Status::Empty {
@@ -28,46 +29,63 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
             continue;
         }
         // The beams that may hit its box: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
-        let middle = bearing([other.pose.x - own.x, other.pose.y - own.y]) - own.heading;
+        let there = traffic.stance(j);
+        let middle = beams.bearing([0, 1].map(|axis| there.middle[axis] - own.middle[axis]));
         let clear = apart * apart - reach * reach;
         let wide = if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
-        beams.between(middle - wide, 2.0 * wide, to_box(own, &other.pose, half));
+        beams.between(middle - wide, 2.0 * wide, apart - reach, to_box(own.middle, there, half));
     }
-    for (seen, distance) in out.iter_mut().zip(beams.ends) {
+    for (seen, distance) in out.iter_mut().zip(ends) {
         *seen = (distance / lidar.range) as f32;
     }
 }
 
 /// Where the beams of a vehicle lead, and how far \[m\].
-struct Beams {
-    from: Pose,
-    count: usize,
+struct Beams<'a> {
+    from: Stance,
+    /// Beams per radian.
+    density: f64,
     range: f64,
-    along: [[f64; 2]; Lidar::MOST],
-    ends: [f64; Lidar::MOST],
+    along: &'a [[f64; 2]],
+    ends: &'a mut [f64],
 }
 
-impl Beams {
-    fn new(lidar: Lidar, from: &Pose) -> Self {
-        let mut along = [[0.0; 2]; Lidar::MOST];
-        let ((sin, cos), (mut y, mut x)) = ((TAU / lidar.beams as f64).sin_cos(), from.heading.sin_cos());
-        for along in &mut along[..lidar.beams] {
+impl<'a> Beams<'a> {
+    /// They end where their range does.
+    fn new(lidar: Lidar, from: Stance, along: &'a mut [[f64; 2]], ends: &'a mut [f64]) -> Self {
+        ends.fill(lidar.range);
+        let density = lidar.beams as f64 / TAU;
+        let ((sin, cos), [mut x, mut y]) = (density.recip().sin_cos(), from.along);
+        for along in &mut *along {
             *along = [x, y];
             (x, y) = (x * cos - y * sin, y * cos + x * sin);
         }
-        Self { from: *from, count: lidar.beams, range: lidar.range, along, ends: [lidar.range; Lidar::MOST] }
+        Self { from, density, range: lidar.range, along, ends }
+    }
+
+    /// Angle of a vector from straight ahead \[rad\].
+    fn bearing(&self, [x, y]: [f64; 2]) -> f64 {
+        let [cos, sin] = self.from.along;
+        bearing([x * cos + y * sin, y * cos - x * sin])
     }
 
     /// Ends beams within `wide` radians counter-clockwise from `first`, which counts from straight ahead, where `hit` says for their
-    /// direction.
-    fn between(&mut self, first: f64, wide: f64, hit: impl Fn([f64; 2]) -> Option<f64>) {
-        let spacing = TAU / self.count as f64;
-        let (from, to) = ((first / spacing).ceil() as i64, ((first + wide) / spacing).floor() as i64);
-        for beam in from..=to.min(from + self.count as i64 - 1) {
-            let beam = beam.rem_euclid(self.count as i64) as usize;
-            if let Some(distance) = hit(self.along[beam]) {
-                self.ends[beam] = self.ends[beam].min(distance);
+    /// direction: nowhere nearer than `nearest`.
+    fn between(&mut self, first: f64, wide: f64, nearest: f64, hit: impl Fn([f64; 2]) -> Option<f64>) {
+        // Conversion rounds towards zero, and is quicker than `f64::ceil`.
+        let up = |x: f64| x as i64 + i64::from(x > (x as i64) as f64);
+        let count = self.along.len() as i64;
+        let (from, to) = (up(first * self.density), -up(-(first + wide) * self.density));
+        let mut beam = from.rem_euclid(count) as usize;
+        for _ in from..=to.min(from + count - 1) {
+            let end = &mut self.ends[beam];
+            // Most have ended before.
+            if *end > nearest
+                && let Some(distance) = hit(self.along[beam])
+            {
+                *end = end.min(distance);
             }
+            beam = if beam + 1 == self.along.len() { 0 } else { beam + 1 };
         }
     }
 
@@ -75,25 +93,27 @@ impl Beams {
     fn end_with_road(&mut self, road: &Road) {
         /// Beams through the end of a line hit it, whatever rounding says: by how much of its length it is longer.
         const EDGE: f64 = 1e-9;
-        let own = [self.from.x, self.from.y];
-        for (end, along) in self.ends[..self.count].iter_mut().zip(self.along) {
-            *end = road.to_kerb(own, along, self.range);
+        let own = self.from.middle;
+        for (end, along) in self.ends.iter_mut().zip(self.along) {
+            *end = road.to_kerb(own, *along, self.range);
         }
         let range = self.range;
         road.lines_around(own, range, |line| {
             let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
             let way = [b[0] - a[0], b[1] - a[1]];
             let apart = cross(a, way);
-            // Even the straight line through it is out of range.
-            if apart * apart > range * range * (way[0] * way[0] + way[1] * way[1]) {
+            // How far the straight line through it is.
+            let nearest = apart.abs() / (way[0] * way[0] + way[1] * way[1]).sqrt();
+            if nearest > range {
                 return;
             }
             // Who is on the left of a line sees it go counter-clockwise.
-            let [first, last] = if apart > 0.0 { [a, b] } else { [b, a] }.map(bearing);
-            let wide = (last - first + SLACK).rem_euclid(TAU);
-            self.between(first - SLACK - self.from.heading, wide + SLACK, |along| {
-                let across = cross(along, way);
-                let (distance, place) = (apart / across, cross(a, along) / across);
+            let [first, last] = if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end));
+            let wide = last - first + SLACK;
+            let wide = if wide < 0.0 { wide + TAU } else { wide };
+            self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
+                let across = cross(along, way).recip();
+                let (distance, place) = (apart * across, cross(a, along) * across);
                 (distance >= 0.0 && (-EDGE..=1.0 + EDGE).contains(&place)).then_some(distance)
             });
         });
@@ -119,10 +139,10 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 /// Tells the distance from a point along a unit vector to a box \[m\]; 0 from inside.
-fn to_box(from: &Pose, target: &Pose, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
-    let (sin, cos) = target.heading.sin_cos();
+fn to_box(from: [f64; 2], target: Stance, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
+    let [cos, sin] = target.along;
     let own = move |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
-    let at = own([from.x - target.x, from.y - target.y]);
+    let at = own([from[0] - target.middle[0], from[1] - target.middle[1]]);
     move |along| {
         let [enter, leave] = stretch(at, own(along), half)?;
         (leave >= 0.0).then_some(enter.max(0.0))
@@ -135,6 +155,7 @@ mod tests {
 
     use proptest::prelude::*;
 
+    use super::super::geometry::Pose;
     use super::super::routes::crossing;
     use super::*;
     use crate::scenario::Border;
@@ -164,14 +185,14 @@ mod tests {
             let from = [own.x, own.y];
             let mut lines = Vec::new();
             road.lines_around([0.0, 0.0], 1e3, |line| lines.push(line));
-            let mut found = Beams::new(Lidar { beams, range }, &own);
-            found.end_with_road(&road);
+            let (mut along, mut ends) = (vec![[0.0; 2]; beams], vec![0.0; beams]);
+            Beams::new(Lidar { beams, range }, (&own).into(), &mut along, &mut ends).end_with_road(&road);
             for beam in 0..beams {
                 let angle = heading + TAU * beam as f64 / beams as f64;
                 let at = |distance: f64| [from[0] + distance * angle.cos(), from[1] + distance * angle.sin()];
                 let line = lines.iter().filter_map(|&[a, b]| crossing(from, at(range), a, b)).map(|(t, _)| t * range);
                 let line = line.fold(range, f64::min);
-                let end = found.ends[beam];
+                let end = ends[beam];
                 prop_assert!(end <= line + 1e-6, "{beam}: {end}, but a line after {line}");
                 if kerb && end < line - 1e-6 {
                     prop_assert!(road.on_lane(at(end - 1e-6)) && !road.on_lane(at(end + 1e-6)), "{beam}: {end}");
@@ -187,20 +208,20 @@ mod tests {
         #[test]
         fn a_beam_ends_at_the_body(x in -20.0..20.0f64, y in -20.0..20.0f64, h in -4.0..4.0f64, direction in -4.0..4.0f64) {
             const DOT: f64 = 1e-3;
-            let (from, target) = (Pose::default(), Pose { x, y, heading: h });
+            let (from, target) = ([0.0; 2], Stance::from(&Pose { x, y, heading: h }));
             let dot = |distance: f64| {
                 let (sin, cos) = direction.sin_cos();
                 let (sin_h, cos_h) = h.sin_cos();
                 let (dx, dy) = (distance * cos - x, distance * sin - y);
                 (dx * cos_h + dy * sin_h).abs() <= HALF[0] + DOT && (dy * cos_h - dx * sin_h).abs() <= HALF[1] + DOT
             };
-            let found = to_box(&from, &target, HALF)([direction.cos(), direction.sin()]);
+            let found = to_box(from, target, HALF)([direction.cos(), direction.sin()]);
             let first = (0..60_000).map(|k| f64::from(k) * 0.5e-3).find(|distance| dot(*distance));
             match (found, first) {
                 (Some(found), Some(first)) => prop_assert!((found - first).abs() < 0.15, "{found} {first}"),
                 (None, None) => {}
                 // It grazes the dot's margin.
-                (None, Some(_)) => prop_assert!(to_box(&from, &target, HALF.map(|h| h + 2.0 * DOT))([direction.cos(), direction.sin()]).is_some()),
+                (None, Some(_)) => prop_assert!(to_box(from, target, HALF.map(|h| h + 2.0 * DOT))([direction.cos(), direction.sin()]).is_some()),
                 (Some(found), None) => prop_assert!(found > 29.9, "{found}"),
             }
         }

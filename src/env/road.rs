@@ -16,7 +16,7 @@ use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 /// Cells of the grid in which lines and lanes are looked up \[m\].
 const CELL: f64 = 8.0;
 /// Blocks in which the lines that one sees are looked up, and the longest piece of a line in them \[m\].
-const BLOCK: f64 = 32.0;
+const BLOCK: f64 = 64.0;
 const PIECE: f64 = 32.0;
 /// Longest lanes and lines, together \[m\].
 const LONGEST: f64 = 5e6;

@@ -4,7 +4,7 @@
 //! while, then empty). No slot revives within an episode.
 
 use super::failures::Crash;
-use super::geometry::{Pose, Size};
+use super::geometry::{Pose, Size, Stance};
 use super::steering::Motion;
 
 /// A vehicle this far behind a meeting point has left it, body and all \[m\].
@@ -108,6 +108,7 @@ pub(super) struct Traffic {
     pub(super) by_route: Vec<Vec<usize>>,
     /// Centre distances, between all slots \[m\].
     distances: Vec<f64>,
+    stances: Vec<Stance>,
 }
 
 impl Traffic {
@@ -117,6 +118,7 @@ impl Traffic {
             slots: vec![EMPTY; slots],
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
+            stances: vec![(&EMPTY.pose).into(); slots],
         }
     }
 
@@ -125,7 +127,12 @@ impl Traffic {
         self.distances[i * self.slots.len() + j]
     }
 
-    /// Queues and distances from the slots' poses.
+    /// Where the vehicle of a slot is, and its direction.
+    pub(super) fn stance(&self, slot: usize) -> Stance {
+        self.stances[slot]
+    }
+
+    /// Queues, distances and directions from the slots' poses.
     pub(super) fn refresh(&mut self) {
         let n = self.slots.len();
         self.by_route.iter_mut().for_each(Vec::clear);
@@ -134,6 +141,7 @@ impl Traffic {
                 continue;
             }
             self.by_route[self.slots[i].route].push(i);
+            self.stances[i] = (&self.slots[i].pose).into();
             for j in 0..i {
                 let d = self.slots[i].pose.distance(&self.slots[j].pose);
                 self.distances[i * n + j] = d;

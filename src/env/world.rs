@@ -10,6 +10,8 @@ mod view;
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use self::others::Others;
 pub use self::view::{AgentView, Frame, OtherView};
 use super::audit::{Ours, Pairs, Sumos};
@@ -297,16 +299,25 @@ impl World {
         }
         physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
-        for i in 0..n {
-            let (seen, known) =
-                (&mut self.frame.observation[i * o..(i + 1) * o], &mut self.frame.state[i * s..(i + 1) * s]);
-            if self.present[i] {
-                observation::write(&self.task, &self.traffic, i, seen);
-                state::write(&self.task.scenario, &self.task.routes, self.task.bounds, &self.traffic, i, known);
+        let (task, traffic, present) = (&*self.task, &self.traffic, &self.present);
+        let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
+            if present[i] {
+                observation::write(task, traffic, i, seen);
+                state::write(&task.scenario, &task.routes, task.bounds, traffic, i, known);
             } else {
                 seen.fill(0.0);
                 known.fill(0.0);
             }
+        };
+        let (seen, known) = (&mut self.frame.observation, &mut self.frame.state);
+        let looks = &task.scenario.observation;
+        if looks.lidar.beams > 0 || looks.foresight > 0.0 {
+            // Fewer are not worth another core's while.
+            let views = seen.par_chunks_exact_mut(o).zip(known.par_chunks_exact_mut(s)).enumerate().with_min_len(16);
+            views.for_each(|(i, (seen, known))| view(i, seen, known));
+        } else {
+            let views = seen.chunks_exact_mut(o).zip(known.chunks_exact_mut(s)).enumerate();
+            views.for_each(|(i, (seen, known))| view(i, seen, known));
         }
         if acting == 0 && self.phase == Phase::Running {
             self.phase = Phase::Ended;
