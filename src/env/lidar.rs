@@ -165,7 +165,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bearings_are_near_the_angle(angle in -3.1415..3.1415f64, length in 1e-3..200.0f64) {
+        fn bearings_are_near_the_angle(half_turns in -0.9999..0.9999f64, length in 1e-3..200.0f64) {
+            let angle = half_turns * TAU / 2.0;
             prop_assert!((bearing([length * angle.cos(), length * angle.sin()]) - angle).abs() < 3e-4);
         }
 
@@ -187,12 +188,11 @@ mod tests {
             road.lines_around([0.0, 0.0], 1e3, |line| lines.push(line));
             let (mut along, mut ends) = (vec![[0.0; 2]; beams], vec![0.0; beams]);
             Beams::new(Lidar { beams, range }, (&own).into(), &mut along, &mut ends).end_with_road(&road);
-            for beam in 0..beams {
+            for (beam, &end) in ends.iter().enumerate() {
                 let angle = heading + TAU * beam as f64 / beams as f64;
                 let at = |distance: f64| [from[0] + distance * angle.cos(), from[1] + distance * angle.sin()];
                 let line = lines.iter().filter_map(|&[a, b]| crossing(from, at(range), a, b)).map(|(t, _)| t * range);
                 let line = line.fold(range, f64::min);
-                let end = ends[beam];
                 prop_assert!(end <= line + 1e-6, "{beam}: {end}, but a line after {line}");
                 if kerb && end < line - 1e-6 {
                     prop_assert!(road.on_lane(at(end - 1e-6)) && !road.on_lane(at(end + 1e-6)), "{beam}: {end}");
