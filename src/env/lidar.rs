@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::Features;
-use super::geometry::{Stance, stretch};
+use super::geometry::{Size, Stance, stretch};
 use super::road::Road;
 use super::slots::{Status, Traffic};
 use crate::scenario::Lidar;
@@ -22,18 +22,7 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
         if j == slot || other.status == Status::Empty {
             continue;
         }
-        let apart = traffic.distance(slot, j);
-        let half = other.size.map(|side| side / 2.0);
-        let reach = (half[0] * half[0] + half[1] * half[1]).sqrt();
-        if apart > lidar.range + reach {
-            continue;
-        }
-        // The beams that may hit its box: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
-        let there = traffic.stance(j);
-        let middle = beams.bearing([0, 1].map(|axis| there.middle[axis] - own.middle[axis]));
-        let clear = apart * apart - reach * reach;
-        let wide = if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
-        beams.between(middle - wide, 2.0 * wide, apart - reach, to_box(own.middle, there, half));
+        beams.end_with_body(traffic.stance(j), other.size);
     }
     for (seen, distance) in out.iter_mut().zip(ends) {
         *seen = (distance / lidar.range) as f32;
@@ -87,6 +76,22 @@ impl<'a> Beams<'a> {
             }
             beam = if beam + 1 == self.along.len() { 0 } else { beam + 1 };
         }
+    }
+
+    /// Ends beams at the box of another vehicle.
+    fn end_with_body(&mut self, body: Stance, size: Size) {
+        let half = size.map(|side| side / 2.0);
+        let reach = (half[0] * half[0] + half[1] * half[1]).sqrt();
+        let there = [0, 1].map(|axis| body.middle[axis] - self.from.middle[axis]);
+        let apart = (there[0] * there[0] + there[1] * there[1]).sqrt();
+        if apart > self.range + reach {
+            return;
+        }
+        // The beams that may hit it: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
+        let middle = self.bearing(there);
+        let clear = apart * apart - reach * reach;
+        let wide = if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
+        self.between(middle - wide, 2.0 * wide, apart - reach, to_box(self.from.middle, body, half));
     }
 
     /// Ends beams at kerbs and lines.
@@ -201,6 +206,26 @@ mod tests {
                     let on = (0..200).map(|k| end * f64::from(k) / 200.0).all(|distance| road.on_lane(at(distance)));
                     prop_assert!(on || !kerb, "{beam}: the kerb is before {end}");
                 }
+            }
+        }
+
+        /// Which beams may hit a body leaves none out that does: those of all directions, tried one by one, end where they do.
+        #[test]
+        fn no_beam_passes_through_a_body(
+            own in (-30.0..30.0f64, -30.0..30.0f64, -4.0..4.0f64), bodies in prop::collection::vec((-30.0..30.0f64, -30.0..30.0f64, -4.0..4.0f64), 1..6),
+            beams in 1_usize..90, range in 2.0..60.0f64,
+        ) {
+            let stance = |(x, y, heading): (f64, f64, f64)| Stance::from(&Pose { x, y, heading });
+            let own = stance(own);
+            let (mut along, mut ends) = (vec![[0.0; 2]; beams], vec![0.0; beams]);
+            let mut found = Beams::new(Lidar { beams, range }, own, &mut along, &mut ends);
+            for &body in &bodies {
+                found.end_with_body(stance(body), HALF.map(|half| 2.0 * half));
+            }
+            for (along, end) in along.iter().zip(&ends) {
+                let hits = bodies.iter().filter_map(|&body| to_box(own.middle, stance(body), HALF)(*along));
+                let nearest = hits.fold(range, f64::min);
+                prop_assert!((end - nearest).abs() < 1e-9, "{end} instead of {nearest}");
             }
         }
 
