@@ -15,6 +15,7 @@ pub mod checkpoint;
 pub mod config;
 pub mod env;
 pub mod evaluate;
+mod fnv;
 pub mod inspect;
 pub mod nn;
 pub mod plot;

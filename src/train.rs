@@ -31,6 +31,7 @@ use crate::scenario::Scenario;
 use files::Files;
 pub use run_dir::RunDir;
 use teacher::Teacher;
+pub use teacher::fingerprint as teacher_fingerprint;
 
 /// How training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

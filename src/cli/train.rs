@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
-use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
+use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration, teacher_fingerprint};
 use iwol_sumo::{record, sumo};
 use toml::Value;
 
@@ -115,6 +115,7 @@ fn write_meta(dir: &RunDir, config: &Config, fingerprint: &str, worlds: &str) ->
         "iwol": env!("CARGO_PKG_VERSION"),
         "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>(),
         "scenario": fingerprint,
+        "teacher": teacher_fingerprint(config),
         "started_unix_s": started,
         "sumo": sumo::sumo_version(&sumo)?,
         "worlds": worlds,
@@ -161,6 +162,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
              start a new run from this one's policy with --init-from",
             dir.path().display(),
             config.scenario.display()
+        );
+    }
+    if args.resume && dir.has_another_teacher(&config) {
+        bail!(
+            "`{}` began to imitate another policy than `{}` is now; put that back, or start a new run from this one's policy with --init-from",
+            dir.path().display(),
+            config.train.teacher.display()
         );
     }
     if !args.resume {

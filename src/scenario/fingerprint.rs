@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::Scenario;
+use crate::fnv::Fnv;
 
 impl Scenario {
     /// A number, in hexadecimal, that follows from the scenario's file and the net and route files that it names: from their elements
@@ -12,24 +13,15 @@ impl Scenario {
         let nets = self.nets.iter().map(|net| net.file.as_path());
         let files =
             std::iter::once(self.path.as_path()).chain(nets).chain(self.traffic.files.iter().map(AsRef::as_ref));
-        let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
+        let mut hash = Fnv::new();
         for file in files {
             hash.file(file);
         }
-        format!("{:016x}", hash.0)
+        hash.to_string()
     }
 }
 
-/// FNV-1a, which stays the same with any version of the compiler.
-struct Fnv(u64);
-
 impl Fnv {
-    fn text(&mut self, text: &str) {
-        for byte in text.bytes().chain([0]) {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-
     fn file(&mut self, path: &Path) {
         let text = std::fs::read_to_string(path).unwrap_or_default();
         let Ok(document) = roxmltree::Document::parse(&text) else { return self.text("no XML") };

@@ -147,7 +147,7 @@ impl Cell {
     /// Refuses a folder whose run has other settings than this cell (but for those that change no result), or another scenario.
     ///
     /// # Errors
-    /// [`Error::Changed`], [`Error::Scenario`].
+    /// [`Error::Changed`], [`Error::Scenario`], [`Error::Teacher`].
     pub fn check(&self) -> Result<(), Error> {
         let begun = self.run().last().exists() || self.trained().is_some();
         let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
@@ -176,6 +176,9 @@ impl Cell {
         }
         if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
             return Err(Error::Scenario { folder: self.folder.clone(), path: self.config.scenario.clone() });
+        }
+        if self.run().has_another_teacher(&self.config) {
+            return Err(Error::Teacher { folder: self.folder.clone(), path: self.config.train.teacher.clone() });
         }
         match config::between(&was, &is).into_iter().next() {
             None => Ok(()),

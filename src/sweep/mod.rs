@@ -19,9 +19,12 @@
 //! grid = { "env.communication_range" = [100.0, 10.0] }
 //! ```
 //!
+//! A file may name another as its `base`, and then says only what differs.
+//!
 //! What is done and what is not follows from the files in the cells' folders alone, so that a sweep can be cut off at any
 //! moment, divided over machines, and gone on with.
 
+mod base;
 mod cell;
 
 use std::collections::BTreeMap;
@@ -149,7 +152,7 @@ pub struct Reference {
     pub evaluate: Option<String>,
 }
 
-/// The file as it is written.
+/// The file as it is written, with what it leaves to its base.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -188,18 +191,17 @@ impl Sweep {
     /// # Errors
     /// [`Error`], naming file, cell and key.
     pub fn load(path: &Path, out: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = base::read(path)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Self::parse(&text, &path.display().to_string(), &name, out)
     }
 
-    /// As [`Sweep::load`], from text that messages call `file`.
+    /// As [`Sweep::load`], from text that messages call `file`, and from whose folder the path of its base begins.
     ///
     /// # Errors
     /// See [`Sweep::load`].
     pub fn parse(text: &str, file: &str, name: &str, out: &Path) -> Result<Self, Error> {
-        let parsed: File = toml::from_str(text)
-            .map_err(|e| Error::Syntax { file: file.to_owned(), message: e.to_string().trim_end().to_owned() })?;
+        let parsed: File = base::resolve(text, Path::new(file))?;
         let wrong = |message: String| Error::Content { file: file.to_owned(), message };
         for (key, value) in &parsed.grid {
             if value.as_array().is_none_or(Vec::is_empty) {
@@ -504,6 +506,17 @@ pub enum Error {
         /// The scenario's file.
         path: PathBuf,
     },
+    /// A cell's folder holds a run that was taught by other weights than the teacher's file holds now.
+    #[error(
+        "`{}` was taught by the policy in `{}` as it was before; change that back, or move the run away, or choose another --out",
+        folder.display(), path.display()
+    )]
+    Teacher {
+        /// The cell's folder.
+        folder: PathBuf,
+        /// The teacher.
+        path: PathBuf,
+    },
     /// What a report is made from would replace a run.
     #[error("`{}` holds a run with its weights; choose another folder to keep what reports are made from", folder.display())]
     Kept {
@@ -656,6 +669,26 @@ mod tests {
         check("{}").expect("older runs do not say");
         check(&format!("{{\"scenario\": \"{}\"}}", cell.fingerprint)).expect("the same");
         assert!(matches!(check("{\"scenario\": \"0\"}"), Err(Error::Scenario { .. })));
+    }
+
+    #[test]
+    fn a_run_whose_teacher_has_changed_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let teacher = folder.path().join("teacher.safetensors");
+        let taught = format!("[settings.train]\nteacher = {teacher:?}\nimitate_steps = 1000");
+        let sweep = Sweep::parse(&FILE.replace("[settings.train]", &taught), "s.toml", "s", folder.path()).unwrap();
+        let cell = &sweep.cells[0];
+        std::fs::create_dir_all(&cell.folder).unwrap();
+        std::fs::write(cell.run().config(), cell.config.to_toml()).unwrap();
+        cell.mark_trained().unwrap();
+        std::fs::write(&teacher, "weights").unwrap();
+        let is = crate::train::teacher_fingerprint(&cell.config).expect("it is there");
+        std::fs::write(cell.run().meta(), format!("{{\"teacher\": \"{is}\"}}")).unwrap();
+        cell.check().expect("the same");
+        std::fs::write(&teacher, "others").unwrap();
+        assert!(matches!(cell.check(), Err(Error::Teacher { .. })));
+        std::fs::remove_file(&teacher).unwrap();
+        cell.check().expect("a run that is over needs none");
     }
 
     #[test]

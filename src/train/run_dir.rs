@@ -3,7 +3,8 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
-use super::Error;
+use super::{Error, teacher_fingerprint};
+use crate::config::Config;
 
 /// Files of a run.
 #[derive(Debug, Clone)]
@@ -33,8 +34,19 @@ impl RunDir {
     /// [`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint) of the scenario that the run was begun with; none before it is
     /// begun, and of older runs.
     pub fn fingerprint(&self) -> Option<String> {
+        self.begun_with("scenario")
+    }
+
+    /// Whether the run began to imitate other weights than those that the settings' teacher has now; not where either cannot be told, as
+    /// of older runs.
+    pub fn has_another_teacher(&self, config: &Config) -> bool {
+        let is = teacher_fingerprint(config);
+        is.is_some() && self.begun_with("teacher").is_some_and(|was| Some(was) != is)
+    }
+
+    fn begun_with(&self, what: &str) -> Option<String> {
         let meta: serde_json::Value = serde_json::from_slice(&std::fs::read(self.meta()).ok()?).ok()?;
-        Some(meta["scenario"].as_str()?.to_owned())
+        Some(meta[what].as_str()?.to_owned())
     }
 
     /// A line per iteration, and one per validation.
@@ -57,16 +69,17 @@ impl RunDir {
         self.0.join("checkpoints/best.safetensors")
     }
 
-    /// Makes the folder and claims it for this process until the result is dropped, or the process is gone.
+    /// Makes the folder and claims it for this process until the result is dropped, or the process is gone. A folder in which nothing was
+    /// written goes with it.
     ///
     /// # Errors
     /// [`Error::Locked`] when another process trains there.
-    pub fn lock(&self) -> Result<File, Error> {
+    pub fn lock(&self) -> Result<Claim, Error> {
         std::fs::create_dir_all(&self.0).map_err(|source| Error::Folder { path: self.0.clone(), source })?;
         let failed = |source| Error::Folder { path: self.0.clone(), source };
         let file = File::options().create(true).append(true).open(self.lock_file()).map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => Ok(file),
+            Ok(()) => Ok(Claim { dir: self.clone(), _lock: file }),
             Err(TryLockError::WouldBlock) => Err(Error::Locked { path: self.0.clone() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
@@ -89,5 +102,43 @@ impl RunDir {
             () if dir.best().exists() => dir.best(),
             () => dir.last(),
         }
+    }
+}
+
+/// The right to train in a folder, which no other process has.
+#[derive(Debug)]
+pub struct Claim {
+    dir: RunDir,
+    _lock: File,
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        let alone = |entry: std::io::Result<std::fs::DirEntry>| entry.is_ok_and(|e| e.path() == self.dir.lock_file());
+        if std::fs::read_dir(self.dir.path()).is_ok_and(|mut entries| entries.all(alone)) {
+            // Whoever cannot tidy up has lost nothing.
+            let _ = std::fs::remove_file(self.dir.lock_file());
+            let _ = std::fs::remove_dir(self.dir.path());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_claim_leaves_no_empty_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = RunDir::new(folder.path().join("a/run"));
+        let claim = dir.lock().expect("nobody is there");
+        assert!(matches!(dir.lock(), Err(Error::Locked { .. })) && dir.is_locked());
+        drop(claim);
+        assert!(!dir.path().exists());
+
+        let claim = dir.lock().expect("nobody is there any more");
+        std::fs::write(dir.config(), "").unwrap();
+        drop(claim);
+        assert!(dir.config().exists() && !dir.is_locked(), "what was written stays");
     }
 }

@@ -10,9 +10,21 @@ use crate::algo::{self, ActMode, Algorithm, Observation};
 use crate::checkpoint::{self, Checkpoint};
 use crate::config::{self, Config, Document, Layers};
 use crate::env::{self, Task, VecEnv};
+use crate::fnv::Fnv;
 use crate::rng::Seed;
 
 use super::RunDir;
+
+/// A name for the weights of the policy that a run imitates, which other weights do not have; none where it imitates none, or they
+/// cannot be read.
+pub fn fingerprint(config: &Config) -> Option<String> {
+    let path = &config.train.teacher;
+    let named = config.train.imitate_steps > 0 && !path.as_os_str().is_empty();
+    let weights = named.then(|| std::fs::read(RunDir::checkpoint(path)).ok())??;
+    let mut hash = Fnv::new();
+    hash.bytes(&weights);
+    Some(hash.to_string())
+}
 
 /// Who shows what to do.
 pub(super) enum Teacher {

@@ -1,0 +1,116 @@
+//! Sweep files that build on another: `base = "other.toml"`.
+
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+use super::Error;
+
+/// The text of a file.
+pub(super) fn read(path: &Path) -> Result<String, Error> {
+    std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+}
+
+/// What `text` says, and its base where it says nothing. The base's path begins in the folder of `file`.
+pub(super) fn resolve<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
+    let own: Table = parse(text, file)?;
+    if !own.contains_key("base") {
+        // As text, so that messages have lines.
+        return parse(text, file);
+    }
+    let whole = with_base(own, file, &mut Vec::new())?;
+    whole.try_into().map_err(|e: toml::de::Error| Error::Syntax {
+        file: format!("{} with its base", file.display()),
+        message: e.to_string().trim_end().to_owned(),
+    })
+}
+
+fn parse<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
+    toml::from_str(text)
+        .map_err(|e| Error::Syntax { file: file.display().to_string(), message: e.to_string().trim_end().to_owned() })
+}
+
+fn with_base(mut own: Table, file: &Path, before: &mut Vec<PathBuf>) -> Result<Table, Error> {
+    let wrong = |message: String| Error::Content { file: file.display().to_string(), message };
+    let path = match own.remove("base") {
+        None => return Ok(own),
+        Some(Value::String(base)) => file.parent().unwrap_or(Path::new("")).join(base),
+        Some(other) => return Err(wrong(format!("base = {other}: give the path of a sweep file in quotes"))),
+    };
+    let text = read(&path)?;
+    let real = path.canonicalize().map_err(|source| Error::Read { path: path.clone(), source })?;
+    if before.contains(&real) {
+        return Err(wrong(format!("base goes round in a circle: `{}` is built on itself", path.display())));
+    }
+    before.push(real);
+    let mut whole = with_base(parse(&text, &path)?, &path, before)?;
+    merge(&mut whole, own);
+    Ok(whole)
+}
+
+/// Tables are merged, at any depth; whatever else `from` has, lists among it, replaces what was there.
+fn merge(to: &mut Table, from: Table) {
+    for (key, value) in from {
+        match (to.get_mut(&key), value) {
+            (Some(Value::Table(there)), Value::Table(value)) => merge(there, value),
+            (_, value) => _ = to.insert(key, value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        folder
+    }
+
+    fn resolved(folder: &tempfile::TempDir, name: &str) -> Result<Table, Error> {
+        let path = folder.path().join(name);
+        resolve(&read(&path).unwrap(), &path)
+    }
+
+    #[test]
+    fn a_file_says_what_differs_from_its_base() {
+        let folder = folder(&[
+            (
+                "first.toml",
+                "title = 'a'\n[settings]\nsteps = 1\nppo = { gamma = 0.9, clip = 0.2 }\n[grid]\nseed = [0, 1]",
+            ),
+            ("second.toml", "base = 'first.toml'\n[settings.ppo]\ngamma = 0.8\n[grid]\nagents = [4]"),
+            ("third.toml", "base = 'second.toml'\ntitle = 'c'\n[grid]\nseed = [2]\n[[skip]]\nwhen = {}"),
+        ]);
+        let expected: Table =
+            "title = 'c'\nsettings = { steps = 1, ppo = { gamma = 0.8, clip = 0.2 } }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
+                .parse()
+                .unwrap();
+        assert_eq!(resolved(&folder, "third.toml").unwrap(), expected);
+        let keys: Vec<_> =
+            resolved(&folder, "third.toml").unwrap()["grid"].as_table().unwrap().keys().cloned().collect();
+        assert_eq!(keys, ["seed", "agents"], "the grid keeps the base's order");
+    }
+
+    #[test]
+    fn a_base_that_is_none_is_refused() {
+        let folder = folder(&[
+            ("lost.toml", "base = 'nowhere.toml'"),
+            ("number.toml", "base = 3"),
+            ("round.toml", "base = 'about.toml'"),
+            ("about.toml", "base = 'round.toml'"),
+            ("broken.toml", "base = 'garbled.toml'"),
+            ("garbled.toml", "title ="),
+        ]);
+        let refused = |name: &str| resolved(&folder, name).expect_err("must be refused").to_string();
+        assert!(refused("lost.toml").contains("nowhere.toml"));
+        assert!(refused("number.toml").contains("base = 3: give the path"));
+        assert!(refused("round.toml").contains("goes round in a circle"));
+        let broken = refused("broken.toml");
+        assert!(broken.contains("garbled.toml: ") && broken.contains("line 1"), "{broken}");
+    }
+}
