@@ -44,6 +44,24 @@ pub struct Failures {
     pub speeds: f64,
     /// Those of `crossing` by the two routes, agents each.
     pub routes: BTreeMap<String, u32>,
+    /// Those of `out_of_road` by their route; older files do not say.
+    #[serde(default)]
+    pub off_road: BTreeMap<String, u32>,
+}
+
+/// Sums of counts by name.
+fn add(to: &mut BTreeMap<String, u32>, from: &BTreeMap<String, u32>) {
+    for (name, count) in from {
+        *to.entry(name.clone()).or_default() += count;
+    }
+}
+
+/// The most frequent, with their counts.
+fn most(counts: &BTreeMap<String, u32>) -> String {
+    let mut counts: Vec<_> = counts.iter().collect();
+    counts.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
+    let parts: Vec<String> = counts.iter().take(6).map(|(name, count)| format!("{name} {count}")).collect();
+    parts.join(", ")
 }
 
 impl Failures {
@@ -62,6 +80,12 @@ impl Failures {
         self.speeds += crash.speed;
     }
 
+    /// Adds an agent on this route that left the road, without a crash.
+    pub(super) fn leave(&mut self, route: &str) {
+        self.out_of_road += 1;
+        *self.off_road.entry(route.to_owned()).or_default() += 1;
+    }
+
     /// Agents that crashed.
     pub fn crashed(&self) -> u32 {
         self.crossing + self.rear_end + self.wreck
@@ -78,9 +102,8 @@ impl Failures {
         self.unfinished += other.unfinished;
         self.steps += other.steps;
         self.speeds += other.speeds;
-        for (routes, count) in &other.routes {
-            *self.routes.entry(routes.clone()).or_default() += count;
-        }
+        add(&mut self.routes, &other.routes);
+        add(&mut self.off_road, &other.off_road);
         self
     }
 
@@ -104,17 +127,32 @@ impl Failures {
             ));
         }
         if self.crossing > 0 {
-            let mut routes: Vec<_> = self.routes.iter().collect();
-            routes.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
-            let parts: Vec<String> = routes.iter().take(6).map(|(routes, count)| format!("{routes} {count}")).collect();
-            lines.push(format!("crossing: {}", parts.join(", ")));
+            lines.push(format!("crossing: {}", most(&self.routes)));
         }
         if self.out_of_road > 0 {
-            lines.push(format!("{} vehicles left the road", self.out_of_road));
+            let routes = if self.off_road.is_empty() { String::new() } else { format!(": {}", most(&self.off_road)) };
+            lines.push(format!("{} vehicles left the road{routes}", self.out_of_road));
         }
         if self.unfinished > 0 {
             lines.push(format!("{} vehicles had not arrived when their episode was cut off", self.unfinished));
         }
         lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_leaves_the_road_is_told_by_route() {
+        let mut first = Failures::default();
+        first.leave("b");
+        let mut second = first.clone();
+        second.leave("a");
+        second.leave("a");
+        assert_eq!(first.plus(&second).describe(), ["4 vehicles left the road: a 2, b 2"]);
+        let older = Failures { out_of_road: 3, ..Failures::default() };
+        assert_eq!(older.describe(), ["3 vehicles left the road"]);
     }
 }

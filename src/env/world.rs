@@ -532,7 +532,9 @@ impl World {
         let mut failures = Failures::default();
         for slot in slots {
             failures.unfinished += u32::from(slot.status == Status::Active);
-            failures.out_of_road += u32::from(slot.fate.out_of_road && slot.crash.is_none());
+            if slot.fate.out_of_road && slot.crash.is_none() {
+                failures.leave(&routes[slot.route]);
+            }
             if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
                 failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
             }
