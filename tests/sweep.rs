@@ -312,7 +312,7 @@ fn the_experiments_that_come_along_load() {
     for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")).expect("the folder") {
         let path = entry.expect("a file").path();
         let text = std::fs::read_to_string(&path).expect("text");
-        if text.contains("[grid]") {
+        if text.contains("[grid]") || text.contains("base = ") {
             let sweep = Sweep::load(&path, Path::new("runs")).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert!(!sweep.cells.is_empty(), "{}", path.display());
             for cell in &sweep.cells {

@@ -25,9 +25,10 @@ pub(super) struct Args {
     /// Only every n-th cell, beginning with the i-th: a part of the grid for each of n machines
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(usize, usize)>,
-    /// Only the cell with this name, or this number, as `--dry-run` shows them
+    /// Only cells with this name, or this number, as `--dry-run` shows them; `*` stands for any part of a name, e.g. 'mappo*/seed_0'; may be
+    /// repeated
     #[arg(long, value_name = "CELL", conflicts_with = "shard")]
-    cell: Option<String>,
+    cell: Vec<String>,
     /// Show the cells, how far they are and how long the rest will take; run nothing
     #[arg(long)]
     dry_run: bool,
@@ -53,22 +54,31 @@ fn parse_shard(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
+/// Whether a name is as wanted, where `*` stands for any part of it.
+fn matches(wanted: &str, name: &str) -> bool {
+    match wanted.split_once('*') {
+        None => wanted == name,
+        Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {
+            rest.char_indices().map(|(at, _)| at).chain([rest.len()]).any(|at| matches(after, &rest[at..]))
+        }),
+    }
+}
+
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.out)?;
-    let mine = |(number, cell): &(usize, &Cell)| match (args.shard, &args.cell) {
-        (Some((i, n)), _) => number % n == i - 1,
-        (_, Some(only)) => cell.id == *only || number.to_string() == *only,
-        _ => true,
+    let named = |wanted: &str, number: usize, cell: &Cell| wanted == number.to_string() || matches(wanted, &cell.id);
+    let mine = |(number, cell): &(usize, &Cell)| match args.shard {
+        Some((i, n)) => number % n == i - 1,
+        None => args.cell.is_empty() || args.cell.iter().any(|wanted| named(wanted, *number, cell)),
     };
+    let count = sweep.cells.len();
+    let unknown = |wanted: &&String| !sweep.cells.iter().enumerate().any(|(number, cell)| named(wanted, number, cell));
+    if let Some(wanted) = args.cell.iter().find(unknown) {
+        bail!("there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them");
+    }
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
-        let count = sweep.cells.len();
-        match &args.cell {
-            Some(wanted) => {
-                bail!("there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them")
-            }
-            None => bail!("this shard has no cell: the sweep has only {count}"),
-        }
+        bail!("this shard has no cell: the sweep has only {count}");
     }
     for (_, cell) in &cells {
         cell.check()?;
@@ -113,4 +123,28 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
     }
     Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_star_stands_for_any_part_of_a_name() {
+        for wanted in [
+            "mappo_agents=8/seed_0",
+            "*",
+            "mappo*",
+            "*seed_0",
+            "mappo*/seed_0",
+            "*agents=8*",
+            "m*p*8*0",
+            "mappo_agents=8/seed_0*",
+        ] {
+            assert!(matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
+        }
+        for wanted in ["", "mappo", "*seed_1", "mappo*/seed_", "mappo_agents=8/seed_0*0", "agents=8*"] {
+            assert!(!matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
+        }
+    }
 }
