@@ -5,7 +5,7 @@
 //! vehicle whose centre is on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line between two directions
 //! is left, and no corner of a vehicle may be beyond the kerb.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::Error;
 use super::geometry::{Pose, stretch};
@@ -107,6 +107,12 @@ impl Road {
             Border::Line => road.draw_all(net),
             Border::Kerb => road.draw_between_directions(net),
         }
+        // Roads that lie side by side have one line between them.
+        let mut drawn = HashSet::new();
+        road.lines.retain(|&[a, b]| {
+            let [a, b] = [a, b].map(|end| end.map(f64::to_bits));
+            drawn.insert(if a < b { [a, b] } else { [b, a] })
+        });
         let lengths = road.strips.iter().map(|strip| &strip.ends).chain(&road.lines);
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
         if metres.is_nan() || metres > LONGEST {
@@ -338,6 +344,14 @@ mod tests {
         }
         assert!(!left(0.0, 0.3) && left(0.0, 0.6), "a vehicle across its lane touches the lines");
         assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
+    }
+
+    #[test]
+    fn no_line_is_there_twice() {
+        let lines = road().lines;
+        for (i, &[a, b]) in lines.iter().enumerate() {
+            assert!(!lines[..i].contains(&[a, b]) && !lines[..i].contains(&[b, a]), "{a:?} {b:?}");
+        }
     }
 
     #[test]
