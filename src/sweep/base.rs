@@ -6,6 +6,7 @@ use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
 use super::Error;
+use crate::config::flatten;
 
 /// The text of a file.
 pub(super) fn read(path: &Path) -> Result<String, Error> {
@@ -45,6 +46,12 @@ fn with_base(mut own: Table, file: &Path, before: &mut Vec<PathBuf>) -> Result<T
     }
     before.push(real);
     let mut whole = with_base(parse(&text, &path)?, &path, before)?;
+    // A setting may be written in a table or with a dot.
+    for table in [&mut whole, &mut own] {
+        if let Some(Value::Table(settings)) = table.get_mut("settings") {
+            *settings = flatten(settings).into_iter().collect();
+        }
+    }
     merge(&mut whole, own);
     Ok(whole)
 }
@@ -81,13 +88,13 @@ mod tests {
         let folder = folder(&[
             (
                 "first.toml",
-                "title = 'a'\n[settings]\nsteps = 1\nppo = { gamma = 0.9, clip = 0.2 }\n[grid]\nseed = [0, 1]",
+                "title = 'a'\n[settings]\nsteps = 1\n\"ppo.gamma\" = 0.9\nppo.clip = 0.2\n[grid]\nseed = [0, 1]",
             ),
             ("second.toml", "base = 'first.toml'\n[settings.ppo]\ngamma = 0.8\n[grid]\nagents = [4]"),
             ("third.toml", "base = 'second.toml'\ntitle = 'c'\n[grid]\nseed = [2]\n[[skip]]\nwhen = {}"),
         ]);
         let expected: Table =
-            "title = 'c'\nsettings = { steps = 1, ppo = { gamma = 0.8, clip = 0.2 } }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
+            "title = 'c'\nsettings = { steps = 1, 'ppo.gamma' = 0.8, 'ppo.clip' = 0.2 }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
                 .parse()
                 .unwrap();
         assert_eq!(resolved(&folder, "third.toml").unwrap(), expected);
