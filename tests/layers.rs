@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 /// Modules of the library, and the ones that each may name.
 const ALLOWED: [(&str, &[&str]); 21] = [
     ("rng", &[]),
+    ("fnv", &[]),
     ("stats", &[]),
     ("suggest", &[]),
     ("sumo", &[]),
-    ("scenario", &["record", "sumo", "suggest"]),
+    ("scenario", &["fnv", "record", "sumo", "suggest"]),
     ("env", &["scenario", "sumo", "rng"]),
     ("nn", &["rng"]),
     ("rollout", &[]),
@@ -20,7 +21,7 @@ const ALLOWED: [(&str, &[&str]); 21] = [
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
     ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
-    ("train", &["algo", "checkpoint", "config", "env", "evaluate", "record", "rng", "rollout", "scenario"]),
+    ("train", &["algo", "checkpoint", "config", "env", "evaluate", "fnv", "record", "rng", "rollout", "scenario"]),
     ("sweep", &["config", "record", "train"]),
     ("report", &["plot", "record", "stats", "sweep"]),
     ("replay", &["env", "plot", "record", "sumo"]),
