@@ -27,8 +27,8 @@
 mod base;
 mod cell;
 mod error;
+mod file;
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
@@ -37,8 +37,9 @@ use toml::{Table, Value};
 pub use cell::{Cell, Job, State};
 pub use error::Error;
 
+use file::File;
+
 pub use crate::config::plain;
-use crate::config::{Config, Document, Layers, flatten};
 
 /// A sweep file.
 #[derive(Debug, Clone)]
@@ -154,39 +155,6 @@ pub struct Reference {
     pub evaluate: Option<String>,
 }
 
-/// The file as it is written, with what it leaves to its base.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct File {
-    #[serde(default)]
-    title: String,
-    settings: Table,
-    grid: Table,
-    #[serde(default)]
-    rule: Vec<Rule>,
-    #[serde(default)]
-    skip: Vec<Skip>,
-    #[serde(default)]
-    evaluate: Vec<Evaluate>,
-    #[serde(default)]
-    reference: Vec<Reference>,
-}
-
-/// Settings of the cells that match.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Rule {
-    when: Table,
-    set: Table,
-}
-
-/// Combinations that are no cells.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Skip {
-    when: Table,
-}
-
 impl Sweep {
     /// Reads a sweep file and resolves every cell; run folders are below `out`.
     ///
@@ -203,149 +171,19 @@ impl Sweep {
     /// # Errors
     /// See [`Sweep::load`].
     pub fn parse(text: &str, file: &str, name: &str, out: &Path) -> Result<Self, Error> {
-        let parsed: File = base::resolve(text, Path::new(file))?;
-        let wrong = |message: String| Error::Content { file: file.to_owned(), message };
-        for (key, value) in &parsed.grid {
-            if value.as_array().is_none_or(Vec::is_empty) {
-                let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
-                return Err(wrong(format!("[grid] {key}: give a list of values, e.g. {key} = [{example}]")));
-            }
-        }
-        let mut evaluations = parsed.evaluate;
-        if evaluations.is_empty() {
-            evaluations.push(toml::from_str("").expect("everything has a default"));
-        }
-        for (i, evaluate) in evaluations.iter().enumerate() {
-            if evaluations[..i].iter().any(|other| other.name == evaluate.name) {
-                return Err(wrong(format!("two evaluations are called `{}`; give each a name", evaluate.name)));
-            }
-            if evaluate.name.is_empty() || evaluate.name.contains(['/', ' ']) || evaluate.episodes == 0 {
-                return Err(wrong(format!(
-                    "[[evaluate]] `{}`: the name is part of a file name, and episodes are 1 or more",
-                    evaluate.name
-                )));
-            }
-            if let Some((key, _)) = evaluate.grid.iter().find(|(_, v)| v.as_array().is_none_or(Vec::is_empty)) {
-                return Err(wrong(format!("[[evaluate]] `{}`, grid: give a list of values for {key}", evaluate.name)));
-            }
-        }
-        for evaluate in &evaluations {
-            for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
-                let Some(key) = key else { continue };
-                let several = |table: &Table| table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1);
-                if !several(&parsed.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels {
-                    return Err(wrong(format!(
-                        "[[evaluate]] `{}`: {what} = \"{key}\" is no key of a grid that has several values, or is x and panels at once",
-                        evaluate.name
-                    )));
-                }
-            }
-        }
-        for reference in &parsed.reference {
-            let alone = reference.x.is_empty() && reference.y.len() == 1;
-            if !alone && reference.x.len() != reference.y.len() {
-                return Err(wrong(format!("[[reference]] `{}`: x and y differ in length", reference.label)));
-            }
-        }
-        for reference in &parsed.reference {
-            let known = reference.evaluate.as_ref().is_none_or(|name| evaluations.iter().any(|e| e.name == *name));
-            if !known || !METRICS.contains(&reference.metric.as_str()) {
-                return Err(wrong(format!(
-                    "[[reference]] `{}`: metric is one of {}, and evaluate the name of an evaluation",
-                    reference.label,
-                    METRICS.join(", ")
-                )));
-            }
-        }
-        let mut matched = vec![false; parsed.rule.len()];
-        let mut cells: Vec<Cell> = Vec::new();
-        let mut fingerprints = BTreeMap::new();
-        let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&parsed.grid)
-            .into_iter()
-            .partition(|values| parsed.skip.iter().any(|skip| holds(&skip.when, |key| value_of(values, key))));
-        let missed = |skip: &&Skip| !skipped.iter().any(|values| holds(&skip.when, |key| value_of(values, key)));
-        if let Some(skip) = parsed.skip.iter().find(missed) {
-            return Err(wrong(format!("[[skip]]: no combination has {}", listed(&skip.when))));
-        }
-        for values in kept {
-            let mut settings = settings_of(&parsed.settings, &parsed.rule, &values, &mut matched);
-            let id = cell_id(&values);
-            let place = format!("{file}, cell {id}");
-            let mut after = None;
-            if let Some(Value::Table(change)) = settings.get("init_from") {
-                let other = other_cell(&parsed.grid, &values, change)
-                    .map_err(|message| wrong(format!("cell {id}: {message}")))?;
-                let folder = out.join(name).join(&other).display().to_string();
-                settings.insert("init_from".to_owned(), Value::String(folder));
-                after = Some(other);
-            }
-            let layers = Layers {
-                document: Document {
-                    name: place.clone(),
-                    text: toml::to_string(&settings).expect("a table of settings is TOML"),
-                },
-                ..Layers::default()
-            };
-            let resolve = |layers: &Layers| {
-                Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source })
-            };
-            let (config, scenario) = resolve(&layers)?;
-            let fingerprint =
-                fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
-            // A mistake in how it is evaluated should not wait until it is trained.
-            let cell = Cell { folder: out.join(name).join(&id), id, values, config, fingerprint, after };
-            for evaluate in evaluations.iter().filter(|evaluate| evaluate.applies(&cell)) {
-                for combination in evaluate.combinations() {
-                    resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
-                }
-            }
-            cells.push(cell);
-        }
-        if cells.is_empty() {
-            return Err(wrong("[[skip]] leaves no cell".to_owned()));
-        }
-        if let Some(rule) = matched.iter().position(|matched| !matched) {
-            let when = listed(&parsed.rule[rule].when);
-            return Err(wrong(format!("[[rule]] number {}: no cell has {when}", rule + 1)));
-        }
-        if let Some(evaluate) = evaluations.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
-            let when = listed(&evaluate.when);
-            return Err(wrong(format!("[[evaluate]] `{}`: no cell has {when}", evaluate.name)));
-        }
-        let there = |after: &String| cells.iter().any(|cell| cell.id == *after);
-        if let Some(cell) = cells.iter().find(|cell| !cell.after.as_ref().is_none_or(there)) {
-            let after = cell.after.as_deref().unwrap_or_default();
-            return Err(wrong(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id)));
-        }
-        for cell in &cells {
-            let begins_with = |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
-            // As many steps as there are cells lead back to one that was there before.
-            if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
-                return Err(wrong(format!(
-                    "cell {}: init_from goes round in a circle: no cell of it can be first",
-                    last.id
-                )));
-            }
-        }
-        cells.sort_by_key(|cell| cell.config.seed);
-        for (i, cell) in cells.iter().enumerate() {
-            if cells[..i].iter().any(|other| other.id == cell.id) {
-                return Err(wrong(format!("[grid]: two cells are called {}", cell.id)));
-            }
-        }
+        let parsed = File::read(text, file)?;
+        let cells = parsed.cells(file, &out.join(name))?;
         let count = |value: &Value| value.as_array().map_or(1, Vec::len);
         Ok(Self {
             name: name.to_owned(),
             title: if parsed.title.is_empty() { name.to_owned() } else { parsed.title },
             keys: parsed.grid.iter().map(|(key, value)| (key.clone(), count(value))).collect(),
             cells,
-            evaluations,
+            evaluations: parsed.evaluate,
             references: parsed.reference,
         })
     }
-}
 
-impl Sweep {
     /// The cell that has to be trained before this one, if it is not.
     pub fn waits_for(&self, cell: &Cell) -> Option<&Cell> {
         let first = self.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id))?;
@@ -353,19 +191,11 @@ impl Sweep {
     }
 }
 
-/// Metrics for which there may be published values.
-const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
-
 /// Whether all these keys have the value that is wanted, or one of a list.
 fn holds<'a>(when: &Table, value: impl Fn(&str) -> Option<&'a Value>) -> bool {
     when.iter().all(|(key, wanted)| {
         value(key).is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
     })
-}
-
-/// What is wanted, for people.
-fn listed(when: &Table) -> String {
-    toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
 }
 
 fn value_of<'a>(values: &'a [(String, Value)], key: &str) -> Option<&'a Value> {
@@ -387,56 +217,6 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
     all
 }
 
-/// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
-fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
-    let change = flatten(change);
-    for (key, wanted) in &change {
-        let all = grid.get(key).and_then(Value::as_array);
-        if all.is_none_or(|all| !all.contains(wanted)) {
-            return Err(format!("init_from = {{ {key} = {wanted} }}: the grid has no such cell"));
-        }
-    }
-    let other: Vec<(String, Value)> =
-        values.iter().map(|(key, own)| (key.clone(), change.get(key).unwrap_or(own).clone())).collect();
-    if other == values {
-        return Err("init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned());
-    }
-    Ok(cell_id(&other))
-}
-
-/// The common settings, those of the rules that match in order, and the cell's own.
-fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], matched: &mut [bool]) -> Table {
-    let mut flat = flatten(common);
-    flat.extend(values.iter().cloned());
-    for (rule, matched) in rules.iter().zip(matched) {
-        if holds(&rule.when, |key| flat.get(key)) {
-            *matched = true;
-            let mut set = flatten(&rule.set);
-            // What the grid says of a cell is what its name says.
-            set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
-            flat.extend(set);
-        }
-    }
-    let mut nested = Table::new();
-    for (key, value) in flat {
-        let mut here = &mut nested;
-        let mut parts = key.split('.').peekable();
-        while let Some(part) = parts.next() {
-            if parts.peek().is_none() {
-                here.insert(part.to_owned(), value.clone());
-                break;
-            }
-            let inner = here.entry(part.to_owned()).or_insert_with(|| Value::Table(Table::new()));
-            match inner {
-                Value::Table(table) => here = table,
-                // A setting where a table belongs: the configuration says so.
-                _ => break,
-            }
-        }
-    }
-    nested
-}
-
 /// `key=value` pairs with the last part of each key, joined by `_`, fit for a file name; the algorithm by itself.
 fn label(values: &[(String, Value)]) -> String {
     let safe = |text: String| {
@@ -447,14 +227,6 @@ fn label(values: &[(String, Value)]) -> String {
         if key == "algorithm" { value } else { format!("{}={value}", key.rsplit('.').next().unwrap_or(key)) }
     };
     values.iter().map(part).collect::<Vec<_>>().join("_")
-}
-
-/// Folder of a cell below the sweep's: what it is, then its seed.
-fn cell_id(values: &[(String, Value)]) -> String {
-    let (seed, others): (Vec<_>, Vec<_>) = values.iter().cloned().partition(|(key, _)| key == "seed");
-    let parts = [label(&others), label(&seed).replace('=', "_")];
-    let parts: Vec<&str> = parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
-    if parts.is_empty() { "run".to_owned() } else { parts.join("/") }
 }
 
 #[cfg(test)]

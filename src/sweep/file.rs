@@ -1,0 +1,275 @@
+//! A sweep file as it is written: what it may say, and the cells that it describes.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
+use crate::config::{Config, Document, Layers, flatten};
+
+/// Metrics for which there may be published values.
+const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
+
+/// The file as it is written, with what it leaves to its base.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct File {
+    #[serde(default)]
+    pub(super) title: String,
+    settings: Table,
+    pub(super) grid: Table,
+    #[serde(default)]
+    rule: Vec<Rule>,
+    #[serde(default)]
+    skip: Vec<Skip>,
+    #[serde(default)]
+    pub(super) evaluate: Vec<Evaluate>,
+    #[serde(default)]
+    pub(super) reference: Vec<Reference>,
+}
+
+/// Settings of the cells that match.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rule {
+    when: Table,
+    set: Table,
+}
+
+/// Combinations that are no cells.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Skip {
+    when: Table,
+}
+
+impl File {
+    /// Reads the text of `file` with its base, and checks what can be checked without its cells.
+    pub(super) fn read(text: &str, file: &str) -> Result<Self, Error> {
+        let mut parsed: Self = base::resolve(text, Path::new(file))?;
+        if parsed.evaluate.is_empty() {
+            parsed.evaluate.push(toml::from_str("").expect("everything has a default"));
+        }
+        let checked =
+            parsed.check_grid().and_then(|()| parsed.check_evaluations()).and_then(|()| parsed.check_references());
+        checked.map_err(|message| wrong(file, message))?;
+        Ok(parsed)
+    }
+
+    fn check_grid(&self) -> Result<(), String> {
+        let Some((key, value)) = self.grid.iter().find(|(_, value)| value.as_array().is_none_or(Vec::is_empty)) else {
+            return Ok(());
+        };
+        let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
+        Err(format!("[grid] {key}: give a list of values, e.g. {key} = [{example}]"))
+    }
+
+    fn check_evaluations(&self) -> Result<(), String> {
+        for (i, evaluate) in self.evaluate.iter().enumerate() {
+            let name = &evaluate.name;
+            if self.evaluate[..i].iter().any(|other| other.name == *name) {
+                return Err(format!("two evaluations are called `{name}`; give each a name"));
+            }
+            if name.is_empty() || name.contains(['/', ' ']) || evaluate.episodes == 0 {
+                return Err(format!(
+                    "[[evaluate]] `{name}`: the name is part of a file name, and episodes are 1 or more"
+                ));
+            }
+            if let Some((key, _)) = evaluate.grid.iter().find(|(_, v)| v.as_array().is_none_or(Vec::is_empty)) {
+                return Err(format!("[[evaluate]] `{name}`, grid: give a list of values for {key}"));
+            }
+            for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
+                let Some(key) = key else { continue };
+                let several = |table: &Table| table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1);
+                if !several(&self.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels {
+                    return Err(format!(
+                        "[[evaluate]] `{name}`: {what} = \"{key}\" is no key of a grid that has several values, or is x and panels at once"
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_references(&self) -> Result<(), String> {
+        for Reference { label, metric, x, y, evaluate, .. } in &self.reference {
+            let alone = x.is_empty() && y.len() == 1;
+            if !alone && x.len() != y.len() {
+                return Err(format!("[[reference]] `{label}`: x and y differ in length"));
+            }
+            let known = evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
+            if !known || !METRICS.contains(&metric.as_str()) {
+                return Err(format!(
+                    "[[reference]] `{label}`: metric is one of {}, and evaluate the name of an evaluation",
+                    METRICS.join(", ")
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// The cells of this file, which messages call `file`; `folder` is the sweep's, where their folders are.
+    pub(super) fn cells(&self, file: &str, folder: &Path) -> Result<Vec<Cell>, Error> {
+        let kept = self.combinations().map_err(|message| wrong(file, message))?;
+        let mut matched = vec![false; self.rule.len()];
+        let mut fingerprints = BTreeMap::new();
+        let mut cells = Vec::new();
+        for values in kept {
+            let settings = settings_of(&self.settings, &self.rule, &values, &mut matched);
+            cells.push(self.cell(values, settings, file, folder, &mut fingerprints)?);
+        }
+        self.check_used(&cells, &matched).and_then(|()| check_order(&cells)).map_err(|message| wrong(file, message))?;
+        cells.sort_by_key(|cell| cell.config.seed);
+        match cells.iter().enumerate().find(|(i, cell)| cells[..*i].iter().any(|other| other.id == cell.id)) {
+            Some((_, twice)) => Err(wrong(file, format!("[grid]: two cells are called {}", twice.id))),
+            None => Ok(cells),
+        }
+    }
+
+    /// The grid's combinations but for those that are left out.
+    fn combinations(&self) -> Result<Vec<Vec<(String, Value)>>, String> {
+        let left_out = |skip: &Skip, values: &[(String, Value)]| holds(&skip.when, |key| value_of(values, key));
+        let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&self.grid)
+            .into_iter()
+            .partition(|values| self.skip.iter().any(|skip| left_out(skip, values)));
+        match self.skip.iter().find(|skip| !skipped.iter().any(|values| left_out(skip, values))) {
+            Some(skip) => Err(format!("[[skip]]: no combination has {}", listed(&skip.when))),
+            None if kept.is_empty() => Err("[[skip]] leaves no cell".to_owned()),
+            None => Ok(kept),
+        }
+    }
+
+    fn cell(
+        &self,
+        values: Vec<(String, Value)>,
+        mut settings: Table,
+        file: &str,
+        folder: &Path,
+        fingerprints: &mut BTreeMap<PathBuf, String>,
+    ) -> Result<Cell, Error> {
+        let id = cell_id(&values);
+        let place = format!("{file}, cell {id}");
+        let mut after = None;
+        if let Some(Value::Table(change)) = settings.get("init_from") {
+            let other = other_cell(&self.grid, &values, change)
+                .map_err(|message| wrong(file, format!("cell {id}: {message}")))?;
+            let folder = folder.join(&other).display().to_string();
+            settings.insert("init_from".to_owned(), Value::String(folder));
+            after = Some(other);
+        }
+        let layers = Layers {
+            document: Document {
+                name: place.clone(),
+                text: toml::to_string(&settings).expect("a table of settings is TOML"),
+            },
+            ..Layers::default()
+        };
+        let resolve =
+            |layers: &Layers| Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source });
+        let (config, scenario) = resolve(&layers)?;
+        let fingerprint = fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
+        let cell = Cell { folder: folder.join(&id), id, values, config, fingerprint, after };
+        // A mistake in how it is evaluated should not wait until it is trained.
+        for evaluate in self.evaluate.iter().filter(|evaluate| evaluate.applies(&cell)) {
+            for combination in evaluate.combinations() {
+                resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
+            }
+        }
+        Ok(cell)
+    }
+
+    /// Rules, those that `matched`, and evaluations are for some cell.
+    fn check_used(&self, cells: &[Cell], matched: &[bool]) -> Result<(), String> {
+        if let Some(rule) = matched.iter().position(|matched| !matched) {
+            return Err(format!("[[rule]] number {}: no cell has {}", rule + 1, listed(&self.rule[rule].when)));
+        }
+        match self.evaluate.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
+            Some(unused) => Err(format!("[[evaluate]] `{}`: no cell has {}", unused.name, listed(&unused.when))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Cells that begin with the policy of another: that one is there, and some cell can be first.
+fn check_order(cells: &[Cell]) -> Result<(), String> {
+    for cell in cells {
+        let begins_with = |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+        if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
+            return Err(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id));
+        }
+        // As many steps as there are cells lead back to one that was there before.
+        if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
+            return Err(format!("cell {}: init_from goes round in a circle: no cell of it can be first", last.id));
+        }
+    }
+    Ok(())
+}
+
+fn wrong(file: &str, message: String) -> Error {
+    Error::Content { file: file.to_owned(), message }
+}
+
+/// What is wanted, for people.
+fn listed(when: &Table) -> String {
+    toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
+}
+
+/// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
+fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
+    let change = flatten(change);
+    for (key, wanted) in &change {
+        let all = grid.get(key).and_then(Value::as_array);
+        if all.is_none_or(|all| !all.contains(wanted)) {
+            return Err(format!("init_from = {{ {key} = {wanted} }}: the grid has no such cell"));
+        }
+    }
+    let other: Vec<(String, Value)> =
+        values.iter().map(|(key, own)| (key.clone(), change.get(key).unwrap_or(own).clone())).collect();
+    if other == values {
+        return Err("init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned());
+    }
+    Ok(cell_id(&other))
+}
+
+/// The common settings, those of the rules that match in order, and the cell's own.
+fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], matched: &mut [bool]) -> Table {
+    let mut flat = flatten(common);
+    flat.extend(values.iter().cloned());
+    for (rule, matched) in rules.iter().zip(matched) {
+        if holds(&rule.when, |key| flat.get(key)) {
+            *matched = true;
+            let mut set = flatten(&rule.set);
+            // What the grid says of a cell is what its name says.
+            set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
+            flat.extend(set);
+        }
+    }
+    let mut nested = Table::new();
+    for (key, value) in flat {
+        let mut here = &mut nested;
+        let mut parts = key.split('.').peekable();
+        while let Some(part) = parts.next() {
+            if parts.peek().is_none() {
+                here.insert(part.to_owned(), value.clone());
+                break;
+            }
+            let inner = here.entry(part.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+            match inner {
+                Value::Table(table) => here = table,
+                // A setting where a table belongs: the configuration says so.
+                _ => break,
+            }
+        }
+    }
+    nested
+}
+
+/// Folder of a cell below the sweep's: what it is, then its seed.
+fn cell_id(values: &[(String, Value)]) -> String {
+    let (seed, others): (Vec<_>, Vec<_>) = values.iter().cloned().partition(|(key, _)| key == "seed");
+    let parts = [label(&others), label(&seed).replace('=', "_")];
+    let parts: Vec<&str> = parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
+    if parts.is_empty() { "run".to_owned() } else { parts.join("/") }
+}
