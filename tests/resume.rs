@@ -23,7 +23,7 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
          [env]\nhorizon = 60\n",
         Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml").display()
     );
-    let document = Document { name: "test".to_owned(), text };
+    let document = Document { name: "test".to_owned(), text, generated: false };
     Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")
 }
 

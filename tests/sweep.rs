@@ -325,7 +325,7 @@ fn the_experiments_that_come_along_load() {
             }
             sweeps += 1;
         } else {
-            let document = Document { name: path.display().to_string(), text };
+            let document = Document { name: path.display().to_string(), text, generated: false };
             Config::resolve(&Layers { document, ..Layers::default() }).unwrap_or_else(|e| panic!("{e}"));
         }
     }

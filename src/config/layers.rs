@@ -18,6 +18,8 @@ pub struct Document {
     pub name: String,
     /// The text.
     pub text: String,
+    /// Whether the text is made by the program, so that no line of it means anything to the reader of a message.
+    pub generated: bool,
 }
 
 impl Document {
@@ -27,7 +29,7 @@ impl Document {
     /// [`Error::Read`].
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        Ok(Self { name: path.display().to_string(), text })
+        Ok(Self { name: path.display().to_string(), text, generated: false })
     }
 
     /// Reads the configuration that a run was made with, which may be older than some settings.
@@ -35,7 +37,7 @@ impl Document {
     /// # Errors
     /// [`Error::Read`].
     pub fn read_run(path: &Path) -> Result<Self, Error> {
-        let Self { name, text } = Self::read(path)?;
+        let Self { name, text, .. } = Self::read(path)?;
         Ok(Self::of_run(name, text))
     }
 
@@ -45,7 +47,12 @@ impl Document {
         // told with their lines.
         let mut table = toml::from_str::<Table>(&text).unwrap_or_default();
         let text = if complete_older(&mut table) { table.to_string() } else { text };
-        Self { name, text }
+        Self { name, text, generated: false }
+    }
+
+    /// Settings that are put together from several places, of which `name` tells.
+    pub fn of_table(name: String, settings: &Table) -> Self {
+        Self { name, text: settings.to_string(), generated: true }
     }
 }
 
@@ -80,9 +87,9 @@ impl Config {
     /// # Errors
     /// [`Error`], naming the place.
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
-        let Document { name, text } = &layers.document;
+        let document @ Document { name, text, .. } = &layers.document;
         let parsed = DeTable::parse(text).map_err(|e| {
-            let place = Place::At { file: name.clone(), text, offset: e.span().map_or(0, |span| span.start) };
+            let place = Place::At { document, offset: e.span().map_or(0, |span| span.start) };
             Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
@@ -105,7 +112,7 @@ impl Config {
         let algorithm = word("algorithm");
         let mut table = Self::defaults(&scenario, algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM), agents, trained);
         let mut places = HashMap::new();
-        merge(&mut table, &mut places, parsed.get_ref(), &[], name, text)?;
+        merge(&mut table, &mut places, parsed.get_ref(), &[], document)?;
         for set in &layers.sets {
             let place = Place::Set(set).to_string();
             let (key, value) = set.split_once('=').ok_or_else(|| Error::Value {
@@ -144,7 +151,7 @@ impl Config {
 
 /// Where a setting stands.
 enum Place<'a> {
-    At { file: String, text: &'a str, offset: usize },
+    At { document: &'a Document, offset: usize },
     Set(&'a str),
     Flag(&'a str),
 }
@@ -152,11 +159,12 @@ enum Place<'a> {
 impl std::fmt::Display for Place<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::At { file, text, offset } => {
+            Self::At { document: Document { name, generated: true, .. }, .. } => f.write_str(name),
+            Self::At { document: Document { name, text, .. }, offset } => {
                 let before = text.get(..*offset).unwrap_or(text);
                 let line = before.matches('\n').count() + 1;
                 let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
-                write!(f, "{file}:{line}:{column}")
+                write!(f, "{name}:{line}:{column}")
             }
             Self::Set(set) => write!(f, "--set {set}"),
             Self::Flag(key) => write!(f, "--{}", key.rsplit('.').next().unwrap_or(key)),
@@ -172,19 +180,18 @@ fn merge(
     places: &mut SetAt,
     layer: &DeTable<'_>,
     prefix: &[&str],
-    file: &str,
-    text: &str,
+    document: &Document,
 ) -> Result<(), Error> {
     for (key, value) in layer {
         let mut keys = prefix.to_vec();
         keys.push(key.get_ref());
-        let place = |offset| Place::At { file: file.to_owned(), text, offset }.to_string();
+        let place = |offset| Place::At { document, offset }.to_string();
         if let DeValue::Table(inner) = value.get_ref() {
             check_key(table, &keys, &place(key.span().start))?;
-            merge(table, places, inner, &keys, file, text)?;
+            merge(table, places, inner, &keys, document)?;
         } else {
             check_key(table, &keys, &place(key.span().start))?;
-            let parsed = parse_value(&text[value.span()]).ok_or_else(|| Error::Syntax {
+            let parsed = parse_value(&document.text[value.span()]).ok_or_else(|| Error::Syntax {
                 place: place(value.span().start),
                 message: "this value cannot be read".to_owned(),
             })?;
@@ -313,7 +320,7 @@ mod tests {
     fn resolve_on(scenario: &str, text: &str, sets: &[&str]) -> Result<Config, Error> {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
         let layers = Layers {
-            document: Document { name: "c.toml".to_owned(), text: text.to_owned() },
+            document: Document { name: "c.toml".to_owned(), text: text.to_owned(), generated: false },
             sets: sets.iter().map(|s| (*s).to_owned()).collect(),
             flags: vec![("scenario", Value::String(scenario.display().to_string()))],
         };

@@ -15,15 +15,10 @@ pub(super) fn read(path: &Path) -> Result<String, Error> {
 
 /// What `text` says, and its base where it says nothing. The base's path begins in the folder of `file`.
 pub(super) fn resolve<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
-    let own: Table = parse(text, file)?;
-    if !own.contains_key("base") {
-        // As text, so that messages have lines.
-        return parse(text, file);
-    }
-    let whole = with_base(own, file, &mut Vec::new())?;
+    let whole = with_base::<T>(text, file, &mut Vec::new())?;
     whole.try_into().map_err(|e: toml::de::Error| Error::Syntax {
         file: format!("{} with its base", file.display()),
-        message: e.to_string().trim_end().to_owned(),
+        message: e.message().to_owned(),
     })
 }
 
@@ -32,20 +27,20 @@ fn parse<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
         .map_err(|e| Error::Syntax { file: file.display().to_string(), message: e.to_string().trim_end().to_owned() })
 }
 
-fn with_base(mut own: Table, file: &Path, before: &mut Vec<PathBuf>) -> Result<Table, Error> {
-    let wrong = |message: String| Error::Content { file: file.display().to_string(), message };
-    let path = match own.remove("base") {
-        None => return Ok(own),
-        Some(Value::String(base)) => file.parent().unwrap_or(Path::new("")).join(base),
-        Some(other) => return Err(wrong(format!("base = {other}: give the path of a sweep file in quotes"))),
-    };
+fn with_base<T: DeserializeOwned>(text: &str, file: &Path, before: &mut Vec<PathBuf>) -> Result<Table, Error> {
+    // Each file alone first, from its text: what is wrong with it has a line there, and none once it is merged.
+    let _: T = parse(text, file)?;
+    let mut own: Table = parse(text, file)?;
+    let Some(Value::String(base)) = own.remove("base") else { return Ok(own) };
+    let path = file.parent().unwrap_or(Path::new("")).join(base);
     let text = read(&path)?;
     let real = path.canonicalize().map_err(|source| Error::Read { path: path.clone(), source })?;
     if before.contains(&real) {
-        return Err(wrong(format!("base goes round in a circle: `{}` is built on itself", path.display())));
+        let message = format!("base goes round in a circle: `{}` is built on itself", path.display());
+        return Err(Error::Content { file: file.display().to_string(), message });
     }
     before.push(real);
-    let mut whole = with_base(parse(&text, &path)?, &path, before)?;
+    let mut whole = with_base::<T>(&text, &path, before)?;
     // A setting may be written in a table or with a dot.
     for table in [&mut whole, &mut own] {
         if let Some(Value::Table(settings)) = table.get_mut("settings") {
@@ -68,6 +63,7 @@ fn merge(to: &mut Table, from: Table) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::file::File;
     use super::*;
 
     fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
@@ -112,12 +108,27 @@ mod tests {
             ("about.toml", "base = 'round.toml'"),
             ("broken.toml", "base = 'garbled.toml'"),
             ("garbled.toml", "title ="),
+            ("unknown.toml", "base = 'sound.toml'\ntitle = 'd'\nsettingz = {}"),
+            ("below.toml", "base = 'field.toml'"),
+            ("field.toml", "title = 'e'\n\n[[rule]]\nwhen = {}\nsett = {}"),
+            ("sound.toml", "title = 'f'"),
         ]);
-        let refused = |name: &str| resolved(&folder, name).expect_err("must be refused").to_string();
+        let refused = |name: &str| {
+            let path = folder.path().join(name);
+            resolve::<File>(&read(&path).unwrap(), &path).expect_err("must be refused").to_string()
+        };
         assert!(refused("lost.toml").contains("nowhere.toml"));
-        assert!(refused("number.toml").contains("base = 3: give the path"));
+        let number = refused("number.toml");
+        assert!(number.contains("line 1") && number.contains("base = 3") && number.contains("a string"), "{number}");
         assert!(refused("round.toml").contains("goes round in a circle"));
         let broken = refused("broken.toml");
         assert!(broken.contains("garbled.toml: ") && broken.contains("line 1"), "{broken}");
+        let unknown = refused("unknown.toml");
+        assert!(
+            unknown.contains("unknown.toml: ") && unknown.contains("line 3") && unknown.contains("settingz"),
+            "{unknown}"
+        );
+        let below = refused("below.toml");
+        assert!(below.contains("field.toml: ") && below.contains("line 5") && below.contains("sett"), "{below}");
     }
 }

@@ -16,9 +16,14 @@ const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
+    /// The sweep file on which this one builds.
+    #[serde(default, rename = "base")]
+    _base: Option<String>,
     #[serde(default)]
     pub(super) title: String,
+    #[serde(default)]
     settings: Table,
+    #[serde(default)]
     pub(super) grid: Table,
     #[serde(default)]
     rule: Vec<Rule>,
@@ -59,6 +64,9 @@ impl File {
     }
 
     fn check_grid(&self) -> Result<(), String> {
+        if self.grid.is_empty() {
+            return Err("there is no [grid]; give it a list of values, e.g. seed = [0, 1, 2]".to_owned());
+        }
         let Some((key, value)) = self.grid.iter().find(|(_, value)| value.as_array().is_none_or(Vec::is_empty)) else {
             return Ok(());
         };
@@ -159,13 +167,8 @@ impl File {
             settings.insert("init_from".to_owned(), Value::String(folder));
             after = Some(other);
         }
-        let layers = Layers {
-            document: Document {
-                name: place.clone(),
-                text: toml::to_string(&settings).expect("a table of settings is TOML"),
-            },
-            ..Layers::default()
-        };
+        let document = Document::of_table("its settings".to_owned(), &settings);
+        let layers = Layers { document, ..Layers::default() };
         let resolve =
             |layers: &Layers| Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source });
         let (config, scenario) = resolve(&layers)?;

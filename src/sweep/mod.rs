@@ -404,9 +404,12 @@ mod tests {
         assert!(message(("seed = [0, 1]", "seed = 0")).contains("[grid] seed: give a list"), "");
         let unknown = message(("steps = 4096", "stepz = 4096"));
         assert!(
-            unknown.contains("did you mean `steps`") && unknown.contains("cell im-iwol_agents=4/seed_0"),
+            unknown.contains("did you mean `steps`")
+                && unknown.contains("cell im-iwol_agents=4/seed_0: its settings: "),
             "{unknown}"
         );
+        assert_eq!(unknown.matches("seed_0").count(), 1, "the cell is named twice: {unknown}");
+        assert!(message(("[grid]\n", "[settings.train.more]\n")).contains("there is no [grid]; give it a list"));
         assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
         assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
         assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
