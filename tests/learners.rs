@@ -243,10 +243,13 @@ fn updates_are_deterministic_and_move_every_network() {
 fn without_a_learning_rate_nothing_moves() {
     each(|name, encoder| {
         let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+        let on_policy = algo::capabilities(name).expect("known").on_policy;
         let weights = |learner: &dyn Algorithm| {
             bits(learner)
                 .into_iter()
                 .filter(|(n, _)| n.starts_with("actor/") || n.starts_with("critic/"))
+                // MADDPG's last layer follows the statistics that normalise values.
+                .filter(|(n, _)| on_policy || !n.starts_with("critic/value."))
                 .collect::<Vec<_>>()
         };
         let before = weights(&*learner);
@@ -797,5 +800,33 @@ fn symbols_help_where_they_are_needed() {
     for name in algo::NAMES.into_iter().filter(|name| hears(name) == Hears::InRangeLater) {
         let with = play(name, Game::OtherBefore, 120);
         assert!(with > -0.2, "{name}: but a symbol can tell: {with}");
+    }
+}
+
+/// A reward of 1 in every step, for ever, is worth 1 / (1 - γ), however fast the statistics that normalise values follow them.
+#[test]
+fn values_do_not_feed_on_their_own_normalisation() {
+    const GAMMA: f64 = 0.95;
+    for name in ["maddpg", "maddpg-iwol"] {
+        let mut settings = small(EncoderKind::Mlp);
+        settings.ppo.average = 0.0;
+        (settings.maddpg.updates, settings.maddpg.n_step, settings.maddpg.target_rate) = (100, 1, 0.1);
+        let mut learner = algo::build(name, &spec(2), &settings, Seed::new(1), Device::Cpu).expect("a learner");
+        let mut rollout = random_rollout(&*learner, 2, 3);
+        rollout.reward.fill(1.0);
+        rollout.active.fill(1.0);
+        rollout.comm.fill(1.0);
+        rollout.terminated.fill(0.0);
+        let pace = Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, imitation: 0.0, growth: 1 };
+        let input = observation(&*learner, noise(4, &[1, 2, 4]), Tensor::ones([1, 2, 2], (Kind::Float, Device::Cpu)));
+        let state = noise(5, &[1, 2, 3]);
+        let mut values = Vec::new();
+        for round in 0..20 {
+            learner.update(&rollout, &pace, Seed::new(round)).expect("finite");
+            values.push(learner.inspect(&input, &state).value.expect("a value").double_value(&[0, 0]));
+        }
+        let truth = 1.0 / (1.0 - GAMMA);
+        assert!(values.iter().all(|value| *value < 1.1 * truth), "{name}: {values:?}");
+        assert!((values[19] - truth).abs() < 0.1 * truth, "{name}: {values:?}");
     }
 }

@@ -12,6 +12,9 @@
 //! 5. IWoL: the critic reads message and embedding, Q(m, f, a), of a message path of its own; the policy acts on [z; f], and its
 //!    latent z is shaped by both reconstruction losses
 //!
+//! 6. values are normalised as those of all methods are, and both critics are rescaled as the statistics move (PopArt), since their
+//!    targets are made of values
+//!
 //! It differs on purpose: the observation encoder (without memory: single steps are replayed), the noise schedule, learning rates,
 //! value normalisation and averaged weights are those of all methods; the critic attends to the others' observations, privileged
 //! states and actions (reference: reads all side by side), so that any number may be there and who is gone does not count; it is told
@@ -251,7 +254,7 @@ impl Maddpg {
         }
     }
 
-    /// What the networks lose and learn on some steps; gives what to report.
+    /// What the networks lose and learn on some steps; gives what to report: nothing where nobody acted in them.
     fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, discount } = steps;
         // Graphs are sampled ever more quietly, as those of all methods.
@@ -270,7 +273,17 @@ impl Maddpg {
         });
         let samples = active.reshape([-1]).nonzero().squeeze_dim(-1);
         let of_active = |x: &Tensor| x.flatten(0, 1).index_select(0, &samples);
+        if samples.numel() == 0 {
+            return Ok(Vec::new());
+        }
+        let old = self.value_norm;
         self.value_norm.update(&of_active(&target));
+        // Targets hold values themselves: if these grew with the statistics, both would feed each other.
+        if let Some((scale, shift)) = self.value_norm.rescaling(&old) {
+            for networks in [&self.networks, &self.targets] {
+                networks.critic.value.rescale(scale, shift);
+            }
+        }
         let target = self.value_norm.normalize(&target);
         let (seen, message) = self.networks.critic.look(before, noise("before"));
         let value = self.networks.critic.value(&seen, action, action, &before.comm);
@@ -370,7 +383,10 @@ impl Algorithm for Maddpg {
         for update in 0..self.settings.maddpg.updates {
             let seed = seed.index(update as u64);
             let steps = self.replay.draw(rows, returns, pace.gamma, &mut seed.child("steps").rng());
-            means.add(&self.step(&steps, pace, seed.child("graph"))?);
+            let losses = self.step(&steps, pace, seed.child("graph"))?;
+            if !losses.is_empty() {
+                means.add(&losses);
+            }
         }
         let head = self.networks.actor.head();
         head.impose(pace.log_std);

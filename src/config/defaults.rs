@@ -67,7 +67,7 @@ impl Config {
             gamma: if few { 0.997 } else { ppo.gamma },
             // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
             // the time it saves.
-            gamma_explored: if steers && on_policy { 0.995 } else { ppo.gamma_explored },
+            gamma_explored: if steers { 0.995 } else { ppo.gamma_explored },
             // What is replayed is learned from many times; half of it each time takes about half the time.
             minibatch: if on_policy { ppo.minibatch } else { ppo.minibatch / 2 },
             ..ppo

@@ -78,7 +78,7 @@ impl Config {
     /// (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`), is the same in all worlds and there from the start, and falls twice as slowly, after
-    /// which batches grow (`train.growth`) and the view gets longer (`ppo.gamma_explored`; neither of methods that replay), in runs four
+    /// which batches grow (`train.growth`; not of methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four
     /// times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8, `train.replay_failed` that of fewer, and
     /// `train.anneal_success` 0.9. Minibatches of methods that replay are half as large (`ppo.minibatch`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
@@ -442,6 +442,7 @@ mod tests {
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
+        assert_eq!(view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()), view(&five), "one task for all");
         assert_eq!((five.train.replay_failed, five.train.anneal_success), (0.5, 0.9));
     }
 

@@ -1,6 +1,6 @@
 //! The affine layer.
 
-use tch::Tensor;
+use tch::{Tensor, no_grad};
 
 use super::{Init, Path};
 
@@ -29,6 +29,14 @@ impl Linear {
     pub fn fused(mut path: Path<'_>, inputs: i64, outputs: i64, blocks: i64, init: Init) -> Self {
         let weight = path.create_stacked("weight", blocks, [outputs, inputs], init);
         Linear { weight, bias: path.create("bias", &[blocks * outputs], Init::Zeros) }
+    }
+
+    /// Makes of what it gives `scale · y + shift`, in place.
+    pub fn rescale(&self, scale: f64, shift: f64) {
+        no_grad(|| {
+            let _ = self.weight.shallow_clone().g_mul_scalar_(scale);
+            let _ = self.bias.shallow_clone().g_mul_scalar_(scale).g_add_scalar_(shift);
+        });
     }
 
     /// The shift `b: [out]`.

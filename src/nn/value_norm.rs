@@ -43,6 +43,13 @@ impl ValueNorm {
         (mean, variance.max(MIN_VARIANCE).sqrt())
     }
 
+    /// By which scale and shift normalised values mean under these statistics what they meant under `old` ones; none where nothing had
+    /// been seen by then (PopArt: van Hasselt et al. 2016, "Learning values across many orders of magnitude", proposition 1).
+    pub fn rescaling(&self, old: &Self) -> Option<(f64, f64)> {
+        let ((old_mean, old_std), (mean, std)) = (old.mean_std(), self.mean_std());
+        (old.weight > 0.0).then_some((old_std / std, (old_mean - mean) / std))
+    }
+
     /// Returns to the network's scale, elementwise.
     pub fn normalize(&self, returns: &Tensor) -> Tensor {
         let (mean, std) = self.mean_std();
@@ -81,6 +88,12 @@ mod tests {
         let (mean, std) = norm.mean_std();
         assert!((mean - 4.0).abs() < 1e-9 && (std - 2.0).abs() < 1e-9, "{mean} {std}");
         assert!(norm.denormalize(&norm.normalize(&x)).allclose(&x, 1e-6, 1e-6, false));
+        let before = norm;
+        norm.update(&(&x * 7.0));
+        let (scale, shift) = norm.rescaling(&before).expect("something was seen");
+        let rescaled = before.normalize(&x) * scale + shift;
+        assert!(norm.denormalize(&rescaled).allclose(&x, 1e-6, 1e-6, false), "values keep their meaning");
+        assert_eq!(norm.rescaling(&ValueNorm::new(0.99999)), None);
         let mut restored = ValueNorm::new(0.99999);
         restored.load_state(norm.state());
         assert_eq!(restored, norm);

@@ -526,8 +526,13 @@ def maddpg():
             update(square_before, seen_by_some.square().mean().item()),
             update(weight_before, 1.0),
         ]
+        old_centre, old_spread = centre, spread
         centre, spread = moments(*statistics)
         target = (target - centre) / spread
+        # PopArt: what values mean is kept as the statistics move, in both critics
+        parts["value"].weight *= old_spread / spread
+        parts["value"].bias.copy_((parts["value"].bias * old_spread + old_centre - centre) / spread)
+    before = named()
 
     def step(modules, loss):
         parameters = [p for module in modules for p in module.parameters()]
