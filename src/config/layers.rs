@@ -442,7 +442,11 @@ mod tests {
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
-        assert_eq!(view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()), view(&five), "one task for all");
+        assert_eq!(
+            view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()),
+            view(&five),
+            "one task for all"
+        );
         assert_eq!((five.train.replay_failed, five.train.anneal_success), (0.5, 0.9));
     }
 
