@@ -193,6 +193,8 @@ pub struct Env {
     pub encounters: usize,
     /// How far ahead they tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
     pub foresight: f64,
+    /// Up to which distance agents are told how close their sides are to the lines of the road \[m\]; 0: they are not.
+    pub borders: f64,
     /// Beams of the lidar.
     pub lidar_beams: usize,
     /// How far they reach \[m\].
@@ -236,6 +238,7 @@ impl Env {
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
             foresight: seen.foresight,
+            borders: seen.borders,
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
             communication_range: scenario.communication.range,
@@ -261,6 +264,7 @@ impl Env {
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;
         seen.foresight = self.foresight;
+        seen.borders = self.borders;
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;

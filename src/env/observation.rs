@@ -103,6 +103,10 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             &[("forward", "way ahead", -1.0, 1.0), ("left", "way ahead", -1.0, 1.0)],
         );
     }
+    if settings.borders > 0.0 {
+        let border = |name| (name, "1 touching, 0 at the range or further", 0.0, 1.0);
+        features.push("borders", 1, &["left", "right", "left_ahead", "right_ahead"].map(border));
+    }
     if settings.groups.nearest() {
         let tokens: &[_] = match settings.neighbour_order {
             NeighbourOrder::Distance => &NEIGHBOUR,
@@ -168,6 +172,9 @@ const NEIGHBOUR_NEAR: [(&str, &str, f32, f32); 8] = [
     NEIGHBOUR[5],
 ];
 
+/// How far ahead of a vehicle lines beside its way are told \[m\].
+const BORDERS_AHEAD: f64 = 4.0;
+
 /// Neighbours whose bearings, to either side, differ by less are listed by distance: on a lane, the vehicle ahead before the one
 /// ahead of it.
 const SECTOR: f64 = 15.0 * PI / 180.0;
@@ -214,6 +221,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
             let (dx, dy) = (x - own.pose.x, y - own.pose.y);
             w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }
+    }
+    let borders = scenario.observation.borders;
+    if let Some(road) = task.road.as_ref().filter(|_| borders > 0.0) {
+        w.put(road.margins(&own.pose, BORDERS_AHEAD, borders).map(|margin| 1.0 - margin / borders));
     }
     let view = View { scenario, routes, traffic, slot };
     let groups = scenario.observation.groups;

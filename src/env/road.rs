@@ -208,6 +208,38 @@ impl Road {
         }
     }
 
+    /// How far a vehicle's sides, drawn out ahead of it by `ahead`, are from the nearest line: beside its body on its left and right,
+    /// then before it likewise; at most `range` \[m\], and 0 where a line crosses.
+    pub(super) fn margins(&self, pose: &Pose, ahead: f64, range: f64) -> [f64; 4] {
+        let [length, width] = self.half;
+        let (sin, cos) = pose.heading.sin_cos();
+        let own = |p: Point| {
+            let (dx, dy) = (p[0] - pose.x, p[1] - pose.y);
+            [dx * cos + dy * sin, dy * cos - dx * sin]
+        };
+        let mut margins = [range; 4];
+        self.lines_around([pose.x, pose.y], (length + ahead).hypot(width + range), |line| {
+            let [a, b] = line.map(own);
+            for (part, [from, to]) in [[-length, length], [length, length + ahead]].into_iter().enumerate() {
+                let [low, high] = if a[0] <= b[0] { [a, b] } else { [b, a] };
+                if high[0] < from || low[0] > to {
+                    continue;
+                }
+                let slope = (high[1] - low[1]) / (high[0] - low[0]).max(1e-9);
+                let at = |x: f64| (low[1] + (x - low[0]) * slope).clamp(low[1].min(high[1]), low[1].max(high[1]));
+                let [one, other] = if high[0] - low[0] < 1e-9 { [low[1], high[1]] } else { [from, to].map(at) };
+                let (least, most) = (one.min(other), one.max(other));
+                if most > 0.0 {
+                    margins[2 * part] = margins[2 * part].min((least - width).max(0.0));
+                }
+                if least < 0.0 {
+                    margins[2 * part + 1] = margins[2 * part + 1].min((-most - width).max(0.0));
+                }
+            }
+        });
+        margins
+    }
+
     fn line(&mut self, points: &[Point]) {
         self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
     }
@@ -344,6 +376,45 @@ mod tests {
         }
         assert!(!left(0.0, 0.3) && left(0.0, 0.6), "a vehicle across its lane touches the lines");
         assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
+    }
+
+    /// The lines of a road with two lanes are to the right of the right one and to the left of the left one.
+    #[test]
+    fn margins_tell_on_which_side_a_line_is_and_how_close() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection_turns/two_lanes.net.xml");
+        let net = Net::load(&path).expect("the shipped net is valid");
+        let road = Road::new(&net, LENGTH, WIDTH, Border::Line).expect("a small net");
+        let edge = &net.edges[net.edge_index("west_in").unwrap()];
+        let [right, left] = [0, 1].map(|k| &net.lanes[edge.lanes.start + k]);
+        let margins = |lane: &Lane, lateral: f64| {
+            let x = f64::midpoint(lane.shape[0][0], lane.shape[1][0]);
+            road.margins(&Pose { x, y: lane.shape[0][1] + lateral, heading: 0.0 }, 4.0, 2.0)
+        };
+        let free = (right.width - WIDTH) / 2.0 - TOUCH;
+        let close = |found: [f64; 4], expected: [f64; 4]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6);
+        for lateral in [0.0, 0.3, -0.5] {
+            let [above, below] = [margins(left, lateral), margins(right, lateral)];
+            assert!(close(above, [free - lateral, 2.0, free - lateral, 2.0]), "{above:?}");
+            assert!(close(below, [2.0, free + lateral, 2.0, free + lateral]), "{below:?}");
+        }
+        assert_eq!(margins(right, -1.2)[1], 0.0);
+    }
+
+    proptest! {
+        /// Beside its body there is no margin where a vehicle touches a line, and one wherever it does not.
+        #[test]
+        fn who_touches_a_line_has_no_margin(x in 0.0..1.0, y in 0.0..1.0, heading in -3.2..3.2) {
+            let road = road();
+            let [low, high] = road.lines.iter().flatten().fold([[f64::MAX; 2], [f64::MIN; 2]], |[low, high], p| {
+                [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
+            });
+            let at = |share: f64, axis: usize| low[axis] + share * (high[axis] - low[axis]);
+            let pose = Pose { x: at(x, 0), y: at(y, 1), heading };
+            let margins = road.margins(&pose, 4.0, 2.0);
+            let touched = road.lines.iter().any(|line| road.touches(&pose, *line));
+            prop_assert_eq!(touched, margins[0].min(margins[1]) == 0.0, "{:?} {:?}", pose, margins);
+            prop_assert!(margins.iter().all(|margin| (0.0..=2.0).contains(margin)));
+        }
     }
 
     #[test]

@@ -50,6 +50,7 @@ const OBSERVATION: Names = &[
     "streamVehicles",
     "encounters",
     "foresight",
+    "borders",
     "lidarBeams",
     "lidarRange",
 ];
@@ -173,6 +174,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 foresight: match observation.attribute("foresight") {
                     None => 0.0,
                     Some(_) => self.number(observation, "foresight", "0 to 10", |v| (0.0..=10.0).contains(&v))?,
+                },
+                borders: match observation.attribute("borders") {
+                    None => 0.0,
+                    Some(_) => self.number(observation, "borders", "0 to 20", |v| (0.0..=20.0).contains(&v))?,
                 },
                 lidar: Lidar {
                     beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)? as usize,

@@ -86,6 +86,9 @@ impl Scenario {
         if o.foresight > 0.0 {
             write!(xml, " foresight=\"{}\"", o.foresight)?;
         }
+        if o.borders > 0.0 {
+            write!(xml, " borders=\"{}\"", o.borders)?;
+        }
         if o.lidar != Lidar::default() {
             write!(xml, " lidarBeams=\"{}\" lidarRange=\"{}\"", o.lidar.beams, o.lidar.range)?;
         }
