@@ -99,6 +99,14 @@ fn findings(out: &Path) -> BTreeMap<String, String> {
     findings
 }
 
+/// Processes that threads of a process have started.
+fn children(parent: u32) -> Vec<u32> {
+    let threads = std::fs::read_dir(format!("/proc/{parent}/task")).expect("it runs");
+    let of_thread = |path: PathBuf| std::fs::read_to_string(path.join("children")).unwrap_or_default();
+    let all: String = threads.flatten().map(|thread| of_thread(thread.path())).collect();
+    all.split_whitespace().map(|pid| pid.parse().expect("a number")).collect()
+}
+
 /// Kills whoever is still there when a test fails.
 struct Killed(Child);
 
@@ -139,7 +147,23 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     let output = succeeds(&mut sweep(&file, &cut, &["--dry-run"]));
     assert!(text(&output.stdout).contains("0 of 2 cells finished"), "{}", text(&output.stdout));
 
-    succeeds(&mut sweep(&file, &cut, &[]));
+    // Somebody stops the child alone: no failure, and the other cell has its turn.
+    let metrics = || std::fs::metadata(cut.join("tiny/mappo/seed_0/metrics.jsonl")).map_or(0, |file| file.len());
+    let had = metrics();
+    let second = sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
+    until("progress", || metrics() > had);
+    let [child] = children(second.id())[..] else { panic!("one child") };
+    succeeds(Command::new("kill").arg(child.to_string()));
+    let output = second.wait_with_output().expect("it ran");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("mappo/seed_0 interrupted after") && said.contains("1 of 2 cells are not finished"),
+        "{said}"
+    );
+
+    let output = succeeds(&mut sweep(&file, &cut, &[]));
+    assert!(text(&output.stderr).contains("1 of 2 cells to do"), "{}", text(&output.stderr));
     assert_eq!(findings(&cut), findings(&undisturbed));
 
     // All is there: nothing runs again.

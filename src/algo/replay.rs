@@ -135,7 +135,7 @@ impl Replay {
         arrays.chain([("counts".to_owned(), Tensor::from_slice(&counts))]).collect()
     }
 
-    /// Takes over what [`Replay::state`] gave, of as many rollouts at most.
+    /// Takes over what [`Replay::state`] gave; of more rollouts than have room, the newest.
     ///
     /// # Errors
     /// [`nn::Error`] when it is of another shape.
@@ -162,16 +162,28 @@ impl Replay {
             memory: size(memory),
             graphs: size(graphs),
         });
-        let kept = stored.clamp(0, self.capacity);
+        // It holds as many rollouts as there were, or as had room; which is the oldest follows from the count.
+        let rows = |array: &Tensor| array.size().first().copied().unwrap_or(0);
+        let had = state.iter().find(|(name, _)| name == NAMES[0]).map_or(0, |(_, array)| rows(array));
+        let full = had < stored;
+        let same = if full { had == self.capacity } else { had <= self.capacity };
+        let kept = had.min(self.capacity);
+        let newest = |array: &Tensor| {
+            if same || rows(array) != had {
+                return array.shallow_clone();
+            }
+            let oldest = if full { stored % had } else { 0 };
+            array.roll([-oldest], [0]).narrow(0, had - kept, kept)
+        };
+        let given: Vec<_> =
+            state.iter().filter(|(name, _)| name != "counts").map(|(n, t)| (n.clone(), newest(t))).collect();
         let own: Vec<(String, Tensor)> = NAMES
             .iter()
             .zip(&self.arrays)
             .map(|(name, array)| ((*name).to_owned(), array.narrow(0, 0, kept)))
             .collect();
-        let given: Vec<_> =
-            state.iter().filter(|(name, _)| name != "counts").map(|(n, t)| (n.clone(), t.shallow_clone())).collect();
         nn::copy_named(&own, &given)?;
-        self.stored = stored;
+        self.stored = if same { stored } else { kept };
         Ok(())
     }
 }
@@ -227,8 +239,36 @@ mod tests {
         rollout
     }
 
+    /// The first reward of each rollout that is kept, sorted.
+    fn kept(replay: &Replay) -> Vec<f64> {
+        let count = replay.stored.min(replay.capacity);
+        let mut rewards = Vec::<f64>::try_from(replay.arrays[4].narrow(0, 0, count).amax([1, 2, 3], false)).unwrap();
+        rewards.sort_by(f64::total_cmp);
+        rewards
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// A run that goes on with another size keeps the newest rollouts, and the oldest make room first.
+        #[test]
+        fn the_newest_move_into_another_size(had in 0usize..9, before in 1usize..5, after in 1usize..7, more in 0usize..6) {
+            let numbered = |k: usize| {
+                let mut rollout = rollout(&[0; 72]);
+                rollout.reward.fill(k as f32);
+                rollout
+            };
+            let (mut one, mut other) = (Replay::new(before, Device::Cpu), Replay::new(after, Device::Cpu));
+            (0..had).for_each(|k| one.add(&numbered(k)));
+            other.load(&one.state()).unwrap();
+            (had..had + more).for_each(|k| other.add(&numbered(k)));
+            if had + more > 0 {
+                let count = after.min(had.min(before).min(after) + more);
+                let expected: Vec<f64> = (had + more - count..had + more).map(|k| k as f64).collect();
+                prop_assert_eq!(kept(&other), expected);
+            }
+        }
+
         /// As one walks from each step of each agent on.
         #[test]
         fn rewards_count_until_the_end_or_the_cut(events in prop::collection::vec(0u8..24, 72..100), n in 1usize..6, draw in 0u64..1000) {

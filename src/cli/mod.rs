@@ -81,6 +81,9 @@ enum Verdict {
     Interrupted,
 }
 
+/// The exit code of a verb that was asked to stop, as shells have it for Ctrl-C.
+const INTERRUPTED: u8 = 130;
+
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = match cli.verbose {
@@ -100,7 +103,7 @@ pub fn main() -> ExitCode {
         // Only Linux can; elsewhere children of a killed sweep finish what they do.
         let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
         if rustix::process::getppid().is_none_or(|now| now.as_raw_nonzero().get() != parent) {
-            return ExitCode::from(130);
+            return ExitCode::from(INTERRUPTED);
         }
     }
     // Learners work on shards in parallel; threads of libtorch's own would only get into their way.
@@ -120,7 +123,7 @@ pub fn main() -> ExitCode {
     match result {
         Ok(Verdict::Good) => ExitCode::SUCCESS,
         Ok(Verdict::Bad) => ExitCode::from(1),
-        Ok(Verdict::Interrupted) => ExitCode::from(130),
+        Ok(Verdict::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
             say!("error: {error:#}");
             if let Some(hint) = hint(&error) {

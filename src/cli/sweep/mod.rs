@@ -119,6 +119,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         return Ok(Verdict::Bad);
     }
+    let open = states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
+    if open > 0 {
+        say!(
+            "{open} cells are not finished, as something else stopped them or works on them; the same command goes on"
+        );
+        return Ok(Verdict::Bad);
+    }
     if failed.is_empty() {
         say!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
     }

@@ -13,6 +13,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use iwol_sumo::sweep::{Cell, Job, State, Sweep};
 use iwol_sumo::train::human_duration;
 
+use super::super::INTERRUPTED;
 use super::time_left;
 
 /// How often children are looked after.
@@ -78,6 +79,8 @@ enum End {
     Finished,
     Failed,
     Stopped,
+    /// Its own process was asked to stop, by somebody else.
+    Interrupted,
     /// Another process works in its folder.
     Busy,
 }
@@ -102,8 +105,8 @@ fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&s
             Some(0) if job.what == "train" => cell.mark_trained()?,
             Some(0) => {}
             _ if stop.load(Ordering::Relaxed) => return Ok(End::Stopped),
-            // Somebody else came first.
             _ if cell.run().is_locked() => return Ok(End::Busy),
+            Some(code) if code == i32::from(INTERRUPTED) => return Ok(End::Interrupted),
             code => {
                 let how = code.map_or_else(|| "was killed".to_owned(), |code| format!("ended with code {code}"));
                 cell.mark_failed(&format!("iwol {} {how}", job.arguments.join(" ")))?;
@@ -194,6 +197,7 @@ impl Screen {
         let end = match end {
             End::Finished => "finished in",
             End::Failed => "FAILED after",
+            End::Interrupted => "interrupted after",
             End::Busy => "left to another process, after",
             End::Stopped => return,
         };
