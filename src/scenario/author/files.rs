@@ -159,6 +159,7 @@ impl Layout {
                 encounters: 0,
                 foresight: 0.0,
                 borders: 0.0,
+                waiting: 0.0,
                 lidar: Lidar::default(),
             },
             reward: Reward {
