@@ -195,8 +195,6 @@ pub struct Env {
     pub foresight: f64,
     /// Up to which distance agents are told how close their sides are to the lines of the road \[m\]; 0: they are not.
     pub borders: f64,
-    /// Up to how long agents are told that they and their encounters have stood \[s\]; 0: they are not.
-    pub waiting: f64,
     /// Beams of the lidar.
     pub lidar_beams: usize,
     /// How far they reach \[m\].
@@ -241,7 +239,6 @@ impl Env {
             encounters: seen.encounters,
             foresight: seen.foresight,
             borders: seen.borders,
-            waiting: seen.waiting,
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
             communication_range: scenario.communication.range,
@@ -268,7 +265,6 @@ impl Env {
         seen.encounters = self.encounters;
         seen.foresight = self.foresight;
         seen.borders = self.borders;
-        seen.waiting = self.waiting;
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;

@@ -374,7 +374,6 @@ prop_compose! {
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
                 foresight: f64::from(counts[2] as u32) / 2.0,
                 borders: f64::from(counts[0] as u32) / 2.0,
-                waiting: f64::from(counts[1] as u32) * 2.0,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },

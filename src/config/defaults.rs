@@ -52,8 +52,8 @@ impl Config {
             // Of many routes, each meeting is seen seldom: noise that lasts makes one vehicle wait for the other more often, and is
             // needed for longer. Vehicles that met without noise at the beginning of an episode would only learn from what is left.
             correlation: if steers { 0.8 } else { exploration.correlation },
-            // As long as it lasts, the policy's gradient is biased, and what was found wears off. A critic of actions needs it: what a
-            // single one of 0.1 s brings is too little to be told from chance.
+            // As long as it lasts, the policy's gradient is biased, and what was found wears off. Not of methods that replay, which
+            // get worse as it fades.
             correlation_steps: if steers && on_policy {
                 scaled(exploration.explore_steps)
             } else {

@@ -77,10 +77,11 @@ impl Config {
     /// 0.997. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
     /// (`train.restart_steps`).
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
-    /// noise lasts (`exploration.correlation`; always, of methods that replay), is the same in all worlds and there from the start, and falls twice as slowly, after
-    /// which batches grow (`train.growth`; not of methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four
-    /// times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8, `train.replay_failed` that of fewer, and
-    /// `train.anneal_success` 0.9. Minibatches of methods that replay are half as large (`ppo.minibatch`).
+    /// noise lasts (`exploration.correlation`; of methods that replay it does so until annealing), is the same in all worlds and there
+    /// from the start, and falls twice as slowly, after which batches grow (`train.growth`; not of methods that replay) and the view
+    /// gets longer (`ppo.gamma_explored`), in runs four times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8,
+    /// `train.replay_failed` that of fewer, and `train.anneal_success` 0.9. Minibatches of methods that replay are half as large
+    /// (`ppo.minibatch`).
     /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
     /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
@@ -440,10 +441,7 @@ mod tests {
         let five = resolve_on("parking_lot", "", &[]).unwrap();
         assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.train.envs), (0.8, 0, 25));
         let lasts = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps;
-        assert!(
-            lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0,
-            "a critic of actions learns from noise that lasts"
-        );
+        assert!(lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0, "methods that replay get worse as it fades");
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));

@@ -26,7 +26,6 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("env.encounters", Value::Integer(0)),
         ("env.foresight", Value::Float(0.0)),
         ("env.borders", Value::Float(0.0)),
-        ("env.waiting", Value::Float(0.0)),
         ("env.neighbour_order", Value::String("distance".to_owned())),
         ("env.lidar_beams", Value::Integer(0)),
         ("env.lidar_range", Value::Float(50.0)),

@@ -170,7 +170,6 @@ impl Config {
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
             (&["env.borders"], (0.0..=20.0).contains(&e.borders), "0 to 20"),
-            (&["env.waiting"], (0.0..=600.0).contains(&e.waiting), "0 to 600"),
             (&["env.foresight"], (0.0..=10.0).contains(&e.foresight), "0 to 10"),
             (&["env.lidar_beams"], e.lidar_beams <= Lidar::MOST, "0 to 360"),
             (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),

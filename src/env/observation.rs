@@ -59,15 +59,11 @@ const FORESEEN: [(&str, &str, f32, f32); 4] = [
     ("soon_driving", "likewise", 0.0, 1.0),
 ];
 
-/// After it, where a scenario tells how long vehicles have waited.
-const WAITED: [(&str, &str, f32, f32); 1] = [("waited", "since it last moved, the scenario's longest", 0.0, 1.0)];
-
-/// Describes encounters.
-pub(super) fn describe_encounters(features: &mut Features, encounters: Encounters) {
+/// Describes `count` encounters.
+pub(super) fn describe_encounters(features: &mut Features, count: usize, foresight: f64) {
     let (seen, flags) = ENCOUNTER.split_at(8);
-    let foreseen: &[_] = if encounters.foresight > 0.0 { &FORESEEN } else { &[] };
-    let waited: &[_] = if encounters.waiting > 0.0 { &WAITED } else { &[] };
-    features.push("encounter", encounters.count, &[seen, foreseen, waited, flags].concat());
+    let foreseen: &[_] = if foresight > 0.0 { &FORESEEN } else { &[] };
+    features.push("encounter", count, &[seen, foreseen, flags].concat());
 }
 
 pub(super) fn describe(scenario: &Scenario) -> Features {
@@ -111,9 +107,6 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         let border = |name| (name, "1 touching, 0 at the range or further", 0.0, 1.0);
         features.push("borders", 1, &["left", "right", "left_ahead", "right_ahead"].map(border));
     }
-    if settings.waiting > 0.0 {
-        features.push("waiting", 1, &WAITED);
-    }
     if settings.groups.nearest() {
         let tokens: &[_] = match settings.neighbour_order {
             NeighbourOrder::Distance => &NEIGHBOUR,
@@ -121,7 +114,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         };
         features.push("neighbour", settings.neighbours, tokens);
     }
-    describe_encounters(&mut features, Encounters::of(settings));
+    describe_encounters(&mut features, settings.encounters, settings.foresight);
     if settings.groups.conflict() {
         describe_streams(settings, &mut features);
     }
@@ -233,16 +226,13 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     if let Some(road) = task.road.as_ref().filter(|_| borders > 0.0) {
         w.put(road.margins(&own.pose, BORDERS_AHEAD, borders).map(|margin| 1.0 - margin / borders));
     }
-    let waiting = scenario.observation.waiting;
-    if waiting > 0.0 {
-        w.put([own.waited / waiting]);
-    }
     let view = View { scenario, routes, traffic, slot };
     let groups = scenario.observation.groups;
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    put_encounters(&mut w, routes, traffic, slot, Encounters::of(&scenario.observation), |j| view.seen(j));
+    let encounters = Encounters { count: scenario.observation.encounters, foresight: scenario.observation.foresight };
+    put_encounters(&mut w, routes, traffic, slot, encounters, |j| view.seen(j));
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -359,26 +349,11 @@ impl View<'_> {
     }
 }
 
-/// How many encounters are described, how far ahead their contacts are foreseen \[s\], and up to how long it is told that they have
-/// waited \[s\].
+/// How many encounters are described, and how far ahead their contacts are foreseen \[s\].
 #[derive(Clone, Copy)]
 pub(super) struct Encounters {
     pub(super) count: usize,
     pub(super) foresight: f64,
-    pub(super) waiting: f64,
-}
-
-impl Encounters {
-    /// Those of an observation.
-    fn of(settings: &Observation) -> Self {
-        Self { count: settings.encounters, foresight: settings.foresight, waiting: settings.waiting }
-    }
-
-    /// Features of one.
-    fn width(self) -> usize {
-        let told = |when: f64, width: usize| if when > 0.0 { width } else { 0 };
-        ENCOUNTER.len() + told(self.foresight, FORESEEN.len()) + told(self.waiting, WAITED.len())
-    }
 }
 
 /// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
@@ -388,13 +363,12 @@ pub(super) fn put_encounters(
     routes: &[RouteGeometry],
     traffic: &Traffic,
     slot: usize,
-    encounters: Encounters,
+    Encounters { count, foresight }: Encounters,
     seen: impl Fn(usize) -> bool,
 ) {
     let own = &traffic.slots[slot];
     let mut soonest = [(f64::INFINITY, 0.0, 0.0, false, usize::MAX); 16];
-    let Encounters { foresight, waiting, .. } = encounters;
-    let count = encounters.count.min(soonest.len());
+    let count = count.min(soonest.len());
     for (j, other) in traffic.slots.iter().enumerate().filter(|_| count > 0) {
         if j == slot || other.status == Status::Empty || !seen(j) {
             continue;
@@ -416,7 +390,7 @@ pub(super) fn put_encounters(
     }
     for &(_, own_way, other_way, ahead, j) in &soonest[..count] {
         let Some(other) = traffic.slots.get(j) else {
-            w.skip(encounters.width());
+            w.skip(ENCOUNTER.len() + if foresight > 0.0 { FORESEEN.len() } else { 0 });
             continue;
         };
         let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
@@ -436,9 +410,6 @@ pub(super) fn put_encounters(
             let foreseen = at_speed(own.speed);
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
-        }
-        if waiting > 0.0 {
-            w.put([other.waited / waiting]);
         }
         w.put([moving(other.status), 1.0]);
     }

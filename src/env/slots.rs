@@ -40,8 +40,6 @@ pub(super) struct Slot {
     /// Position of the centre along the route \[m\].
     pub(super) s: f64,
     pub(super) speed: f64,
-    /// How long it has stood \[s\].
-    pub(super) waited: f64,
     /// Offset from the lane's centre line, positive to the left \[m\].
     pub(super) lateral: f64,
     /// Last throttle.
@@ -87,7 +85,6 @@ pub(super) const EMPTY: Slot = Slot {
     before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
     s: 0.0,
     speed: 0.0,
-    waited: 0.0,
     lateral: 0.0,
     action: 0.0,
     steer: 0.0,

@@ -31,8 +31,6 @@ use crate::sumo::{Collision, Snapshot};
 
 /// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
 const SUBSTEPS: u32 = 5;
-/// Up to this speed a vehicle stands, as in SUMO's waiting time \[m/s\].
-const STANDING: f64 = 0.1;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
 
@@ -394,11 +392,6 @@ impl World {
             *old = slot.s;
         }
         self.place(world, snapshot)?;
-        let interval = self.task.scenario.control.interval;
-        for slot in &mut self.traffic.slots {
-            let stands = slot.status != Status::Empty && slot.speed.abs() <= STANDING;
-            slot.waited = if stands { slot.waited + interval } else { 0.0 };
-        }
         self.find_collisions(world, snapshot);
         let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < self.task.agents;
         for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {

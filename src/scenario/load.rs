@@ -51,7 +51,6 @@ const OBSERVATION: Names = &[
     "encounters",
     "foresight",
     "borders",
-    "waiting",
     "lidarBeams",
     "lidarRange",
 ];
@@ -179,10 +178,6 @@ impl<'a, 'input> Reader<'a, 'input> {
                 borders: match observation.attribute("borders") {
                     None => 0.0,
                     Some(_) => self.number(observation, "borders", "0 to 20", |v| (0.0..=20.0).contains(&v))?,
-                },
-                waiting: match observation.attribute("waiting") {
-                    None => 0.0,
-                    Some(_) => self.number(observation, "waiting", "0 to 600", |v| (0.0..=600.0).contains(&v))?,
                 },
                 lidar: Lidar {
                     beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)? as usize,

@@ -251,8 +251,6 @@ pub struct Observation {
     pub foresight: f64,
     /// Distance up to which an agent is told how close its sides are to the lines that it must not touch \[m\]; 0: it is not.
     pub borders: f64,
-    /// Up to how long an agent is told that it and its encounters have stood \[s\]; 0: it is not.
-    pub waiting: f64,
     /// Distances to whatever is around.
     pub lidar: Lidar,
 }

@@ -89,9 +89,6 @@ impl Scenario {
         if o.borders > 0.0 {
             write!(xml, " borders=\"{}\"", o.borders)?;
         }
-        if o.waiting > 0.0 {
-            write!(xml, " waiting=\"{}\"", o.waiting)?;
-        }
         if o.lidar != Lidar::default() {
             write!(xml, " lidarBeams=\"{}\" lidarRange=\"{}\"", o.lidar.beams, o.lidar.range)?;
         }

@@ -159,7 +159,6 @@ impl Layout {
                 encounters: 0,
                 foresight: 0.0,
                 borders: 0.0,
-                waiting: 0.0,
                 lidar: Lidar::default(),
             },
             reward: Reward {
