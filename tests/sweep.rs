@@ -150,13 +150,15 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     // Somebody stops the child alone: no failure, and the other cell has its turn.
     let metrics = || std::fs::metadata(cut.join("tiny/mappo/seed_0/metrics.jsonl")).map_or(0, |file| file.len());
     let had = metrics();
-    let second = sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
+    let log = folder.path().join("second.log");
+    let stderr = std::fs::File::create(&log).expect("a file");
+    let mut second = Killed(sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(stderr).spawn().expect("it starts"));
     until("progress", || metrics() > had);
-    let [child] = children(second.id())[..] else { panic!("one child") };
+    let [child] = children(second.0.id())[..] else { panic!("one child") };
     succeeds(Command::new("kill").arg(child.to_string()));
-    let output = second.wait_with_output().expect("it ran");
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    let status = second.0.wait().expect("it ran");
+    let said = std::fs::read_to_string(&log).expect("text");
+    assert_eq!(status.code(), Some(1), "{said}");
     assert!(
         said.contains("mappo/seed_0 interrupted after") && said.contains("1 of 2 cells are not finished"),
         "{said}"

@@ -122,7 +122,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let open = states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
     if open > 0 {
         say!(
-            "{open} cells are not finished, as something else stopped them or works on them; the same command goes on"
+            "{open} of {} cells are not finished: somebody stopped them, or works on them; the same command goes on",
+            cells.len()
         );
         return Ok(Verdict::Bad);
     }
