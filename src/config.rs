@@ -97,6 +97,8 @@ pub struct Train {
     pub imitate_steps: u64,
     /// Speed of the pursuit that is imitated \[m/s\].
     pub imitate_speed: f64,
+    /// Whether it gives way to others, first come, first served.
+    pub imitate_yields: bool,
     /// A run folder or checkpoint of a policy without memory, trained on the same scenario with any number of agents, that is imitated
     /// instead of pursuit. It sees what it saw when it was trained, which may be more than the pupil sees. Empty: pursuit.
     pub teacher: PathBuf,
@@ -137,6 +139,7 @@ impl Default for Train {
             replay_failed: 0.0,
             imitate_steps: 0,
             imitate_speed: 6.0,
+            imitate_yields: false,
             teacher: PathBuf::new(),
             shaping: 0.0,
             validate_every: 16_384,
@@ -193,6 +196,8 @@ pub struct Env {
     pub encounters: usize,
     /// How far ahead they tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
     pub foresight: f64,
+    /// How near to where its way first meets another's a vehicle is when it gets its turn, which they tell \[m\]; 0: they do not.
+    pub turns: f64,
     /// Up to which distance agents are told how close their sides are to the lines of the road \[m\]; 0: they are not.
     pub borders: f64,
     /// Beams of the lidar.
@@ -238,6 +243,7 @@ impl Env {
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
             foresight: seen.foresight,
+            turns: seen.turns,
             borders: seen.borders,
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
@@ -264,6 +270,7 @@ impl Env {
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;
         seen.foresight = self.foresight;
+        seen.turns = self.turns;
         seen.borders = self.borders;
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;

@@ -11,7 +11,7 @@ use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation, Reconstruction};
-use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Task, VecEnv, VecOptions};
+use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Pursuit, Task, VecEnv, VecOptions};
 use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -30,8 +30,8 @@ const RETRIES: u32 = 2;
 pub enum Policy<'a> {
     /// The same throttle in every step, straight on.
     Throttle(f32),
-    /// Pure pursuit of the route at a speed \[m/s\].
-    Pursuit(f64),
+    /// Pure pursuit of the route.
+    Pursuit(Pursuit),
     /// Standard normal actions (clipped by the environment), as an untrained policy gives.
     Gaussian,
     /// Actions uniform in −1..1.
@@ -43,7 +43,7 @@ pub enum Policy<'a> {
 }
 
 /// Names of the policies that need no training, as on the command line.
-pub const POLICIES: [&str; 5] = ["throttle:<a>", "pursuit:<speed>", "gaussian", "uniform", "sumo"];
+pub const POLICIES: [&str; 6] = ["throttle:<a>", "pursuit:<speed>", "fcfs:<speed>", "gaussian", "uniform", "sumo"];
 
 impl Policy<'static> {
     /// A policy that needs no training, by its name on the command line.
@@ -52,13 +52,17 @@ impl Policy<'static> {
             "gaussian" => Some(Self::Gaussian),
             "uniform" => Some(Self::Uniform),
             "sumo" => Some(Self::Sumo),
-            _ if name.starts_with("pursuit:") => {
-                let speed: f64 = name.strip_prefix("pursuit:")?.parse().ok()?;
-                (speed > 0.0 && speed.is_finite()).then_some(Self::Pursuit(speed))
-            }
             _ => {
-                let throttle: f32 = name.strip_prefix("throttle:")?.parse().ok()?;
-                (-1.0..=1.0).contains(&throttle).then_some(Self::Throttle(throttle))
+                let (kind, value) = name.split_once(':')?;
+                let value: f64 = value.parse().ok()?;
+                let pursuit =
+                    |gives_way| (value > 0.0 && value.is_finite()).then_some(Pursuit { speed: value, gives_way });
+                match kind {
+                    "pursuit" => pursuit(false).map(Self::Pursuit),
+                    "fcfs" => pursuit(true).map(Self::Pursuit),
+                    "throttle" => (-1.0..=1.0).contains(&value).then_some(Self::Throttle(value as f32)),
+                    _ => None,
+                }
             }
         }
     }
@@ -409,15 +413,8 @@ impl<'a> PolicyDriver<'a> {
                     action[actions - 1] = *throttle;
                 }
             }
-            Policy::Pursuit(speed) => {
-                let actions = self.task.spec.actions;
-                for (world, acts) in worlds.zip(self.actions.chunks_mut(width)) {
-                    for (i, action) in acts.chunks_mut(actions).enumerate() {
-                        let [steer, throttle] = world.pursuit(i, *speed);
-                        action[0] = steer as f32;
-                        action[actions - 1] = throttle as f32;
-                    }
-                }
+            Policy::Pursuit(pursuit) => {
+                worlds.zip(self.actions.chunks_mut(width)).for_each(|(world, acts)| world.pursue(*pursuit, acts));
             }
             Policy::Sumo => {}
             Policy::Gaussian | Policy::Uniform => {

@@ -103,7 +103,8 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
         assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
         if template == Template::Parking {
             // SUMO's own driver does not see who leaves a space on the edge into it: one alone shows that all can be driven.
-            let alone = success(&Arc::new(Task::new(&scenario, 1).unwrap()), Policy::Pursuit(3.0));
+            let alone =
+                success(&Arc::new(Task::new(&scenario, 1).unwrap()), Policy::by_name("pursuit:3").expect("a policy"));
             let blind = success(&task, Policy::Sumo);
             assert!(alone == 1.0, "{template:?}: pursuit of one vehicle succeeds at {alone}");
             assert!(blind > 0.3, "{template:?}: SUMO's own driver succeeds at {blind}");
@@ -302,27 +303,27 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:108:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
+    site.xml:109:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:108:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
+    site.xml:109:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:112:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
+    site.xml:113:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
       hint: make the range shorter if it is to matter who is near whom
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:112:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
+    site.xml:113:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
-    site.xml:93:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
+    site.xml:94:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
       hint: make the range longer, or maxSpeed lower
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:93:18: warning: agents see no vehicle that crosses their way
+    site.xml:94:18: warning: agents see no vehicle that crosses their way
       hint: give neighbours (nearest) or conflictStreams (conflict) more than 0
     "#);
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
@@ -330,7 +331,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: nothing holds agents to limits but maxSpeed; lower it if they count
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:102:66: warning: a crash is rewarded no less than an arrival
+    site.xml:103:66: warning: a crash is rewarded no less than an arrival
       hint: see the weights in scenarios/intersection.xml
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"

@@ -127,7 +127,7 @@ fn results_do_not_depend_on_how_the_work_is_shared() {
 #[test]
 fn parking_at_a_constant_speed_and_at_full_throttle() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
-    let (_, pursuit) = play_on(&path, &Policy::Pursuit(4.0), 5, 1000);
+    let (_, pursuit) = play_on(&path, &Policy::by_name("pursuit:4").expect("a policy"), 5, 1000);
     assert!((pursuit.success.mean - 0.29).abs() <= 0.06, "success {}", pursuit.success.mean);
     within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
     assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");

@@ -373,6 +373,7 @@ prop_compose! {
                 neighbour_order: NeighbourOrder::NAMES[counts[2] % 2].1,
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
                 foresight: f64::from(counts[2] as u32) / 2.0,
+                turns: f64::from(counts[1] as u32) / 2.0,
                 borders: f64::from(counts[0] as u32) / 2.0,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },

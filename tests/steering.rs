@@ -201,9 +201,15 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
         let hosting = Hosting { backend: Backend::Traci, ..Hosting::default() };
         evaluate(&task, &policy, 24, Seed::new(5), &hosting, onlooker).expect("SUMO runs").metrics().expect("episodes")
     };
-    let pursuit = play("intersection_turns_small", 4, Policy::Pursuit(5.0));
+    let by_name = |name| Policy::by_name(name).expect("a policy");
+    let pursuit = play("intersection_turns_small", 4, by_name("pursuit:5"));
     assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
     assert!(pursuit.success.mean > 0.3 && pursuit.crash.mean > 0.05, "{pursuit:?}");
+    // Many at once, who go straight on, turn off or back, and one after the other.
+    for (name, agents) in [("intersection_turns_small", 8), ("intersection_turns", 16)] {
+        let courteous = play(name, agents, by_name("fcfs:5"));
+        assert!(courteous.success.mean > 0.98 && courteous.crash.mean < 0.01, "{name}: {courteous:?}");
+    }
     let straight = play("intersection_turns_small", 4, Policy::Throttle(1.0));
     assert!(straight.out_of_road.mean > 0.2, "who should turn and does not ends beside the road: {straight:?}");
     assert!(straight.success.mean < 0.4, "{straight:?}");

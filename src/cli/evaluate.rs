@@ -28,7 +28,7 @@ pub(super) struct Args {
     /// Run folder (its best checkpoint) or checkpoint file
     #[arg(value_name = "RUN_OR_CHECKPOINT", required_unless_present = "policy")]
     run: Option<PathBuf>,
-    /// Policy without training: throttle:A with A in -1..1, pursuit:SPEED (of its route, in m/s), gaussian, uniform or sumo; may be repeated
+    /// Policy without training: throttle:A with A in -1..1, pursuit:SPEED (of its route, in m/s), fcfs:SPEED (the same, giving way first come, first served), gaussian, uniform or sumo; may be repeated
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]

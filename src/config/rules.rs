@@ -49,6 +49,16 @@ impl Config {
                 t.teacher.as_os_str().is_empty() || t.imitate_steps > 0,
                 "nobody where train.imitate_steps is 0",
             ),
+            (
+                &["train.imitate_yields", "train.teacher"],
+                !t.imitate_yields || t.teacher.as_os_str().is_empty(),
+                "false where a teacher is imitated instead of pursuit",
+            ),
+            (
+                &["train.imitate_yields", "train.imitate_steps"],
+                !t.imitate_yields || t.imitate_steps > 0,
+                "false, or imitate_steps above 0: nobody is imitated",
+            ),
             (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
             (
                 &["train.imitate_steps", "algorithm"],
@@ -171,6 +181,7 @@ impl Config {
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
             (&["env.borders"], (0.0..=20.0).contains(&e.borders), "0 to 20"),
             (&["env.foresight"], (0.0..=10.0).contains(&e.foresight), "0 to 10"),
+            (&["env.turns"], (0.0..=100.0).contains(&e.turns), "0 to 100"),
             (&["env.lidar_beams"], e.lidar_beams <= Lidar::MOST, "0 to 360"),
             (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),

@@ -8,6 +8,7 @@ mod audit;
 mod comm;
 mod dynamics;
 mod failures;
+mod fcfs;
 mod foresight;
 mod geometry;
 mod lidar;
@@ -38,7 +39,7 @@ pub use routes::{Conflict, RouteGeometry};
 pub use slots::Fate;
 pub use task::{Place, Task};
 pub use vec::{Resets, VecEnv, VecOptions};
-pub use world::{AgentView, Driver, Frame, OtherView, World, WorldState};
+pub use world::{AgentView, Driver, Frame, OtherView, Pursuit, World, WorldState};
 
 use crate::{scenario, sumo};
 

@@ -11,6 +11,7 @@
 
 use std::f64::consts::PI;
 
+use super::fcfs::{self, Free};
 use super::foresight::{Course, DRIVING, passing};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
@@ -59,11 +60,26 @@ const FORESEEN: [(&str, &str, f32, f32); 4] = [
     ("soon_driving", "likewise", 0.0, 1.0),
 ];
 
-/// Describes `count` encounters.
-pub(super) fn describe_encounters(features: &mut Features, count: usize, foresight: f64) {
+/// Behind that, where vehicles take turns.
+const TURN: [(&str, &str, f32, f32); 1] =
+    [("turn", "1 the agent's comes first, -1 the other's, 0 neither has come near", -1.0, 1.0)];
+
+/// Of all of them.
+const FREE: [(&str, &str, f32, f32); 3] = [
+    ("free", "15 m, until too close to one whose turn is before the agent's, is ahead, or is a wreck", 0.0, 1.0),
+    ("free_slow", "the same at half the speed", 0.0, 1.0),
+    ("free_blocked", "15 m, to where one whose turn is after the agent's stands now", 0.0, 1.0),
+];
+
+/// Describes encounters.
+pub(super) fn describe_encounters(features: &mut Features, Encounters { count, foresight, turns }: Encounters) {
     let (seen, flags) = ENCOUNTER.split_at(8);
     let foreseen: &[_] = if foresight > 0.0 { &FORESEEN } else { &[] };
-    features.push("encounter", count, &[seen, foreseen, flags].concat());
+    let turn: &[_] = if turns { &TURN } else { &[] };
+    features.push("encounter", count, &[seen, foreseen, turn, flags].concat());
+    if turns {
+        features.push("free", 1, &FREE);
+    }
 }
 
 pub(super) fn describe(scenario: &Scenario) -> Features {
@@ -103,6 +119,16 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             &[("forward", "way ahead", -1.0, 1.0), ("left", "way ahead", -1.0, 1.0)],
         );
     }
+    if settings.turns > 0.0 {
+        features.push(
+            "entry",
+            1,
+            &[
+                ("to_entry_near", "15 m, -1 where it has entered", -1.0, 1.0),
+                ("to_entry_far", "50 m, likewise", -1.0, 1.0),
+            ],
+        );
+    }
     if settings.borders > 0.0 {
         let border = |name| (name, "1 touching, 0 at the range or further", 0.0, 1.0);
         features.push("borders", 1, &["left", "right", "left_ahead", "right_ahead"].map(border));
@@ -114,7 +140,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         };
         features.push("neighbour", settings.neighbours, tokens);
     }
-    describe_encounters(&mut features, settings.encounters, settings.foresight);
+    describe_encounters(&mut features, Encounters::of(settings));
     if settings.groups.conflict() {
         describe_streams(settings, &mut features);
     }
@@ -187,8 +213,8 @@ struct View<'a> {
     slot: usize,
 }
 
-/// Writes the observation of the agent in `slot`, `[O]`.
-pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]) {
+/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where agents are told of them.
+pub(super) fn write(task: &Task, traffic: &Traffic, turns: &[u32], slot: usize, out: &mut [f32]) {
     let (scenario, routes) = (&task.scenario, &task.routes[..]);
     let own = &traffic.slots[slot];
     let route = &routes[own.route];
@@ -222,6 +248,10 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
             w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }
     }
+    if scenario.observation.turns > 0.0 {
+        let entry = fcfs::to_entry(task, own);
+        w.put([NEAR, FAR].map(|scale| entry.map_or(-1.0, |way| way.max(0.0) / scale)));
+    }
     let borders = scenario.observation.borders;
     if let Some(road) = task.road.as_ref().filter(|_| borders > 0.0) {
         w.put(road.margins(&own.pose, BORDERS_AHEAD, borders).map(|margin| 1.0 - margin / borders));
@@ -231,8 +261,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, slot: usize, out: &mut [f32]
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    let encounters = Encounters { count: scenario.observation.encounters, foresight: scenario.observation.foresight };
-    put_encounters(&mut w, routes, traffic, slot, encounters, |j| view.seen(j));
+    put_encounters(&mut w, (routes, traffic, turns), slot, Encounters::of(&scenario.observation), |j| view.seen(j));
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -349,21 +378,27 @@ impl View<'_> {
     }
 }
 
-/// How many encounters are described, and how far ahead their contacts are foreseen \[s\].
+/// How many encounters are described, how far ahead their contacts are foreseen \[s\], and whether they tell whose turn it is.
 #[derive(Clone, Copy)]
 pub(super) struct Encounters {
     pub(super) count: usize,
     pub(super) foresight: f64,
+    pub(super) turns: bool,
+}
+
+impl Encounters {
+    fn of(settings: &Observation) -> Self {
+        Self { count: settings.encounters, foresight: settings.foresight, turns: settings.turns > 0.0 }
+    }
 }
 
 /// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
 /// meet: at the end of the gap between them, and a flag says so.
 pub(super) fn put_encounters(
     w: &mut Writer,
-    routes: &[RouteGeometry],
-    traffic: &Traffic,
+    (routes, traffic, turns): (&[RouteGeometry], &Traffic, &[u32]),
     slot: usize,
-    Encounters { count, foresight }: Encounters,
+    Encounters { count, foresight, turns: told }: Encounters,
     seen: impl Fn(usize) -> bool,
 ) {
     let own = &traffic.slots[slot];
@@ -390,7 +425,8 @@ pub(super) fn put_encounters(
     }
     for &(_, own_way, other_way, ahead, j) in &soonest[..count] {
         let Some(other) = traffic.slots.get(j) else {
-            w.skip(ENCOUNTER.len() + if foresight > 0.0 { FORESEEN.len() } else { 0 });
+            let foreseen = if foresight > 0.0 { FORESEEN.len() } else { 0 };
+            w.skip(ENCOUNTER.len() + foreseen + if told { TURN.len() } else { 0 });
             continue;
         };
         let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
@@ -411,7 +447,15 @@ pub(super) fn put_encounters(
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
         }
+        if told {
+            w.put([f64::from(turns[j].cmp(&turns[slot]) as i8)]);
+        }
         w.put([moving(other.status), 1.0]);
+    }
+    if told {
+        let of = |j| fcfs::free(routes, traffic, turns, slot, j);
+        let free = (0..traffic.slots.len()).filter(|&j| seen(j)).map(of).fold(Free::ALL, Free::min);
+        w.put([free.way, free.slow, free.blocked].map(|way| way / NEAR));
     }
 }
 

@@ -5,6 +5,7 @@
 
 use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
+use super::routes::RouteGeometry;
 use super::steering::Motion;
 
 /// A vehicle this far behind a meeting point has left it, body and all \[m\].
@@ -61,6 +62,8 @@ pub(super) struct Slot {
     /// SUMO has put the vehicle on the road.
     pub(super) departed: bool,
     pub(super) wreck_steps: u32,
+    /// Its turn: those with a smaller number came near to where ways meet before it; 0: it has not yet.
+    pub(super) turn: u32,
     pub(super) fate: Fate,
     /// The first crash.
     pub(super) crash: Option<Crash>,
@@ -96,6 +99,7 @@ pub(super) const EMPTY: Slot = Slot {
     held: None,
     departed: false,
     wreck_steps: 0,
+    turn: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },
     crash: None,
 };
@@ -109,6 +113,8 @@ pub(super) struct Traffic {
     /// Centre distances, between all slots \[m\].
     distances: Vec<f64>,
     stances: Vec<Stance>,
+    /// The last turn that was given.
+    turn: u32,
 }
 
 impl Traffic {
@@ -119,6 +125,7 @@ impl Traffic {
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
             stances: vec![(&EMPTY.pose).into(); slots],
+            turn: 0,
         }
     }
 
@@ -150,6 +157,20 @@ impl Traffic {
         }
         for queue in &mut self.by_route {
             queue.sort_unstable_by(|&a, &b| self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b)));
+        }
+    }
+
+    /// Gives turns to those who have come within `near` metres of where their ways first meet others', the closest first.
+    pub(super) fn take_turns(&mut self, routes: &[RouteGeometry], near: f64) {
+        let way = |slot: &Slot| routes[slot.route].to_first_conflict(slot.s);
+        let waits = |slot: &Slot| slot.status != Status::Empty && slot.turn == 0 && way(slot) <= near;
+        loop {
+            let waiting = self.slots.iter_mut().filter(|slot| waits(slot));
+            let Some(next) = waiting.min_by(|a, b| way(a).total_cmp(&way(b))) else {
+                return;
+            };
+            self.turn += 1;
+            next.turn = self.turn;
         }
     }
 }

@@ -12,8 +12,9 @@ use crate::scenario::Scenario;
 
 /// Vehicles described ahead and behind on the agent's own lanes, each.
 const OWN_LANE: usize = 2;
-/// Vehicles described whose routes meet the agent's, where the observation describes some so.
-const ENCOUNTERS: usize = 8;
+/// Vehicles described whose routes meet the agent's, where the observation describes some so. What is foreseen, and whose turn it is,
+/// stands in the observation, which values read as well.
+const MET: Encounters = Encounters { count: 8, foresight: 0.0, turns: false };
 /// Vehicles described per stream.
 const PER_STREAM: usize = 4;
 
@@ -48,8 +49,8 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         features.push(&format!("stream{stream}"), PER_STREAM, &VEHICLE);
         features.push(&format!("stream{stream}_count"), 1, &COUNTS);
     }
-    let encounters = if scenario.observation.encounters > 0 { ENCOUNTERS } else { 0 };
-    describe_encounters(&mut features, encounters, 0.0);
+    let count = if scenario.observation.encounters > 0 { MET.count } else { 0 };
+    describe_encounters(&mut features, Encounters { count, ..MET });
     features.push("apart", PER_STREAM, &VEHICLE);
     features.push("apart_count", 1, &COUNTS);
     features
@@ -97,9 +98,7 @@ pub(super) fn write(
         put_counts(&mut w, traffic, queue.iter().copied());
     }
     if scenario.observation.encounters > 0 {
-        // What is foreseen stands in the observation, which values read as well.
-        let encounters = Encounters { count: ENCOUNTERS, foresight: 0.0 };
-        put_encounters(&mut w, routes, traffic, slot, encounters, |_| true);
+        put_encounters(&mut w, (routes, traffic, &[]), slot, MET, |_| true);
     }
     let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
     put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);

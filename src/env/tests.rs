@@ -567,12 +567,14 @@ proptest! {
         steps in 1usize..80,
         count in 1usize..6,
         foresight in prop_oneof![Just(0.0), Just(4.0)],
+        turns in prop_oneof![Just(0.0), Just(20.0)],
     ) {
         let task = task(agents, |s| {
             s.observation.groups = ObservationGroups::Nearest;
             s.observation.neighbours = 0;
             s.observation.encounters = count;
             s.observation.foresight = foresight;
+            s.observation.turns = turns;
         });
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -597,15 +599,19 @@ proptest! {
                 expected.extend(ways.filter(|ways| ways.iter().all(|way| *way >= -CLEARED)));
             }
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
-            let token = if foresight > 0.0 { 14 } else { 10 };
-            let seen = &world.frame().observation[i * width + width - token * count..(i + 1) * width];
+            let told = usize::from(turns > 0.0);
+            let token = if foresight > 0.0 { 14 } else { 10 } + told;
+            // Behind them, how far the agent can drive.
+            let (first, end) = (i * width, (i + 1) * width - 3 * told);
+            let seen = &world.frame().observation[end - token * count..end];
+            prop_assert!(end - token * count >= first);
             for (k, token) in seen.chunks(token).enumerate() {
                 let Some(ways) = expected.get(k) else {
                     prop_assert!(token.iter().all(|x| *x == 0.0), "padding: {token:?}");
                     continue;
                 };
                 prop_assert_eq!(token[token.len() - 1], 1.0);
-                for passing in token[8..token.len() - 2].chunks(2) {
+                for passing in token[8..token.len() - 2 - told].chunks(2) {
                     prop_assert!(passing.iter().all(|x| (0.0..=1.0).contains(x)), "{token:?}");
                     // Who is near ahead will be as near at least.
                     let near = 1.0 - 15.0 * token[2] / 3.0;
@@ -617,6 +623,24 @@ proptest! {
                 }
             }
         }
+    }
+}
+
+/// Whoever gives way by turns gets through, in queues as well; without, they crash.
+#[test]
+fn first_come_first_served_brings_all_home() {
+    for (agents, gives_way) in [(4, true), (8, true), (16, true), (48, true), (8, false)] {
+        let task = task(agents, |s| s.termination.horizon = 5000);
+        let (mut world, mut rails) = (world(&task, 7), Rails::new(&task));
+        world.reset(0);
+        let (mut actions, mut records) = (vec![0.0; agents as usize], Vec::new());
+        while records.len() < 10 {
+            world.pursue(Pursuit { speed: 6.0, gives_way }, &mut actions);
+            exchange(&mut world, &mut rails, &actions);
+            records.extend(world.take_finished());
+        }
+        let home = records.iter().filter(|record| record.success == 1.0).count();
+        assert!(if gives_way { home == 10 } else { home < 5 }, "{agents} agents, {gives_way}: {home} of 10");
     }
 }
 

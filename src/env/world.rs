@@ -12,11 +12,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+pub use self::motion::Pursuit;
 use self::others::Others;
 pub use self::view::{AgentView, Frame, OtherView};
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
+use super::fcfs;
 use super::geometry::{Pose, boxes_overlap};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
@@ -33,6 +35,9 @@ use crate::sumo::{Collision, Snapshot};
 const SUBSTEPS: u32 = 5;
 /// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
+
+/// Vehicles get their turns so close to where their ways first meet others', where agents are not told of them \[m\].
+const TURNS: f64 = 50.0;
 
 /// Who chooses the speeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,6 +103,9 @@ pub struct World {
     poses: Vec<Pose>,
     present: Vec<bool>,
     partners: Vec<Option<Partner>>,
+    /// Scratch: the vehicles' turns, where agents are told of them, and who stands in whose way.
+    turns: Vec<u32>,
+    blocked: Vec<(usize, usize)>,
     total_reward: f64,
     step_rewards: Vec<f32>,
     pairs: Pairs,
@@ -138,6 +146,8 @@ impl World {
             poses: vec![Pose::default(); n],
             present: vec![false; n],
             partners: vec![None; task.slots()],
+            turns: Vec::with_capacity(task.slots()),
+            blocked: Vec::with_capacity(task.slots()),
             total_reward: 0.0,
             step_rewards: Vec::new(),
             pairs: Pairs::default(),
@@ -284,6 +294,11 @@ impl World {
             }
         }
         self.traffic.refresh();
+        let turns = self.task.scenario.observation.turns;
+        self.traffic.take_turns(&self.task.routes, if turns > 0.0 { turns } else { TURNS });
+        if turns > 0.0 {
+            fcfs::inherit(&self.task.routes, &self.traffic, &mut self.turns, &mut self.blocked);
+        }
         if self.step > 0 {
             self.mix_rewards();
         }
@@ -299,10 +314,10 @@ impl World {
         }
         physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
-        let (task, traffic, present) = (&*self.task, &self.traffic, &self.present);
+        let (task, traffic, turns, present) = (&*self.task, &self.traffic, &self.turns, &self.present);
         let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
             if present[i] {
-                observation::write(task, traffic, i, seen);
+                observation::write(task, traffic, turns, i, seen);
                 state::write(&task.scenario, &task.routes, task.bounds, traffic, i, known);
             } else {
                 seen.fill(0.0);
@@ -311,7 +326,7 @@ impl World {
         };
         let (seen, known) = (&mut self.frame.observation, &mut self.frame.state);
         let looks = &task.scenario.observation;
-        if looks.lidar.beams > 0 || looks.foresight > 0.0 {
+        if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.turns > 0.0 {
             // Fewer are not worth another core's while.
             let views = seen.par_chunks_exact_mut(o).zip(known.par_chunks_exact_mut(s)).enumerate().with_min_len(16);
             views.for_each(|(i, (seen, known))| view(i, seen, known));
@@ -328,12 +343,16 @@ impl World {
         Ok(())
     }
 
-    /// What agents would see and hear with the settings of another task of the same scenario: `seen: [N, O]` of that task's, zeros where
-    /// an agent is gone, and the physical mask `comm: [N, N]`.
+    /// What agents would see and hear with the settings of another task of the same scenario, but for when vehicles get their turns:
+    /// `seen: [N, O]` of that task's, zeros where an agent is gone, and the physical mask `comm: [N, N]`.
     pub(crate) fn observe_as(&self, task: &Task, seen: &mut [f32], comm: &mut [f32]) {
+        let mut turns = Vec::new();
+        if task.scenario.observation.turns > 0.0 {
+            fcfs::inherit(&task.routes, &self.traffic, &mut turns, &mut Vec::new());
+        }
         for (i, seen) in seen.chunks_mut(task.spec.observation.len()).enumerate() {
             if self.present[i] {
-                observation::write(task, &self.traffic, i, seen);
+                observation::write(task, &self.traffic, &turns, i, seen);
             } else {
                 seen.fill(0.0);
             }

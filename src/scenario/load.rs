@@ -50,6 +50,7 @@ const OBSERVATION: Names = &[
     "streamVehicles",
     "encounters",
     "foresight",
+    "turns",
     "borders",
     "lidarBeams",
     "lidarRange",
@@ -174,6 +175,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 foresight: match observation.attribute("foresight") {
                     None => 0.0,
                     Some(_) => self.number(observation, "foresight", "0 to 10", |v| (0.0..=10.0).contains(&v))?,
+                },
+                turns: match observation.attribute("turns") {
+                    None => 0.0,
+                    Some(_) => self.number(observation, "turns", "0 to 100", |v| (0.0..=100.0).contains(&v))?,
                 },
                 borders: match observation.attribute("borders") {
                     None => 0.0,

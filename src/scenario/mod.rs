@@ -249,6 +249,8 @@ pub struct Observation {
     pub encounters: usize,
     /// How far ahead encounters tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
     pub foresight: f64,
+    /// How near to where its way first meets another's a vehicle is when it gets its turn, which encounters tell \[m\]; 0: they do not.
+    pub turns: f64,
     /// Distance up to which an agent is told how close its sides are to the lines that it must not touch \[m\]; 0: it is not.
     pub borders: f64,
     /// Distances to whatever is around.

@@ -86,6 +86,9 @@ impl Scenario {
         if o.foresight > 0.0 {
             write!(xml, " foresight=\"{}\"", o.foresight)?;
         }
+        if o.turns > 0.0 {
+            write!(xml, " turns=\"{}\"", o.turns)?;
+        }
         if o.borders > 0.0 {
             write!(xml, " borders=\"{}\"", o.borders)?;
         }

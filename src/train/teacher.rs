@@ -9,7 +9,7 @@ use toml::Value;
 use crate::algo::{self, ActMode, Algorithm, Observation};
 use crate::checkpoint::{self, Checkpoint};
 use crate::config::{self, Config, Document, Layers};
-use crate::env::{self, Task, VecEnv};
+use crate::env::{self, Pursuit, Task, VecEnv};
 use crate::fnv::Fnv;
 use crate::rng::Seed;
 
@@ -28,8 +28,8 @@ pub fn fingerprint(config: &Config) -> Option<String> {
 
 /// Who shows what to do.
 pub(super) enum Teacher {
-    /// Pure pursuit of the route at this speed \[m/s\].
-    Pursuit(f64),
+    /// Pure pursuit of the route.
+    Pursuit(Pursuit),
     /// A trained policy, and the task as it sees it.
     Policy { learner: Box<dyn Algorithm>, task: Box<Task> },
 }
@@ -42,7 +42,10 @@ impl Teacher {
     pub(super) fn new(config: &Config) -> Result<Self, Error> {
         let path = &config.train.teacher;
         if path.as_os_str().is_empty() {
-            return Ok(Self::Pursuit(config.train.imitate_speed));
+            return Ok(Self::Pursuit(Pursuit {
+                speed: config.train.imitate_speed,
+                gives_way: config.train.imitate_yields,
+            }));
         }
         let (learner, task) =
             load(path, config).map_err(|source| Error { path: path.clone(), source: Box::new(source) })?;
@@ -54,15 +57,8 @@ impl Teacher {
         let spec = env.spec();
         let world = spec.agents * spec.actions;
         match self {
-            Self::Pursuit(speed) => {
-                for (world, actions) in env.worlds().zip(actions.chunks_mut(world)) {
-                    for (i, action) in actions.chunks_mut(spec.actions).enumerate() {
-                        let wanted = world.pursuit(i, *speed);
-                        // Who is on rails has no steering.
-                        let wanted = &wanted[2 - spec.actions..];
-                        action.iter_mut().zip(wanted).for_each(|(to, from)| *to = *from as f32);
-                    }
-                }
+            Self::Pursuit(pursuit) => {
+                env.worlds().zip(actions.chunks_mut(world)).for_each(|(world, acts)| world.pursue(*pursuit, acts));
             }
             Self::Policy { learner, task } => {
                 let (e, n) = (env.len() as i64, spec.agents as i64);

@@ -6,7 +6,7 @@ use super::super::geometry::Pose;
 use super::super::slots::{EMPTY, Slot, Status, Track};
 use super::super::steering::Motion;
 use super::super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
-use super::super::{Error, dynamics, pursuit};
+use super::super::{Error, dynamics, fcfs, pursuit};
 use super::{Driver, Phase, World};
 use crate::rng;
 use crate::sumo::{Command, Snapshot};
@@ -16,7 +16,30 @@ pub(super) const NO_CHECKS: i32 = 32;
 /// SUMO's speed mode of its own driver.
 const SUMO_CHECKS: i32 = 31;
 
+/// A driver that needs no training: it follows its route.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pursuit {
+    /// How fast \[m/s\].
+    pub speed: f64,
+    /// Whether it gives way to others, first come, first served; otherwise it heeds nobody.
+    pub gives_way: bool,
+}
+
 impl World {
+    /// What such drivers do in all slots, `[N, A]`.
+    pub fn pursue(&self, Pursuit { speed, gives_way }: Pursuit, actions: &mut [f32]) {
+        let (task, n) = (&*self.task, self.task.agents);
+        let reverses = task.scenario.control.steering.is_some_and(|steering| steering.reverse);
+        let waits = if gives_way { fcfs::giving_way(task, &self.traffic) } else { vec![false; n] };
+        for (i, action) in actions.chunks_mut(task.spec.actions).enumerate() {
+            let [steer, throttle] = self.pursuit(i, if waits[i] { 0.0 } else { speed });
+            // Where full brake drives nobody backwards, it is the shortest way to stand.
+            let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
+            // Who is on rails has no steering.
+            action.iter_mut().zip(&wanted[2 - task.spec.actions..]).for_each(|(to, from)| *to = *from as f32);
+        }
+    }
+
     /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: pure pursuit, and throttle closes the
     /// gap in speed within half a second.
     pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
