@@ -644,6 +644,38 @@ fn first_come_first_served_brings_all_home() {
     }
 }
 
+/// Who sees turns sees when the rule waits, unless what it waits for is farther away than agents are told.
+#[test]
+fn agents_are_told_what_the_rule_goes_by() {
+    let task = task(8, |s| s.observation.turns = 50.0);
+    let (mut world, mut rails) = (world(&task, 11), Rails::new(&task));
+    world.reset(0);
+    let named = |name: &str| task.spec.observation.list.iter().position(|f| f.name.ends_with(name)).expect("a feature");
+    let [free, slow, blocked, entry] = ["free", "free_slow", "free_blocked", "to_entry_near"].map(named);
+    let (width, mut actions, mut told) = (task.spec.observation.len(), [0.0; 8], [0; 2]);
+    for _ in 0..600 {
+        world.pursue(Pursuit { speed: 6.0, gives_way: true }, &mut actions);
+        for (i, view) in world.agents().enumerate().filter(|(_, view)| view.driving) {
+            let seen = &world.frame().observation[i * width..(i + 1) * width];
+            let at = |k: usize| 15.0 * f64::from(seen[k]);
+            let braking = view.speed * view.speed / 12.0;
+            // Within a rounding of 32 bits nothing is sure.
+            let below = |x: f64, least: f64| (x - least).abs() > 1e-4 && x < least;
+            let outside = seen[entry] >= 0.0 && below(at(entry), braking.max(1e-3));
+            let near = below(at(free), braking + 4.0) || below(at(blocked), 4.0);
+            let waits = near || outside && at(free).min(at(slow)) < 15.0;
+            let far = at(free).min(at(slow)) >= 15.0;
+            assert!(
+                if waits { actions[i] == -1.0 } else { actions[i] > -1.0 || far || seen[entry] >= 0.0 },
+                "{seen:?}"
+            );
+            told[usize::from(waits)] += 1;
+        }
+        exchange(&mut world, &mut rails, &actions);
+    }
+    assert!(told.iter().all(|&n| n > 100), "{told:?}");
+}
+
 #[test]
 fn a_crash_replaces_the_reward_of_its_step() {
     let task = task(8, |s| s.reward.cooperation = 0.0);
