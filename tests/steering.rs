@@ -209,6 +209,10 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     for (name, agents) in [("intersection_turns_small", 8), ("intersection_turns", 16)] {
         let courteous = play(name, agents, by_name("fcfs:5"));
         assert!(courteous.success.mean > 0.98 && courteous.crash.mean < 0.01, "{name}: {courteous:?}");
+        // SUMO takes who crosses the junction to be on ways of others, above all on those that turn back, and bends bodies along them.
+        let audit = courteous.audit;
+        assert_eq!(audit.sumo_other, 0, "{name}: {audit:?}");
+        assert!(audit.sumo_bent > 0 || name != "intersection_turns", "{audit:?}");
     }
     let straight = play("intersection_turns_small", 4, Policy::Throttle(1.0));
     assert!(straight.out_of_road.mean > 0.2, "who should turn and does not ends beside the road: {straight:?}");

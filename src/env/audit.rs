@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::geometry::{Pose, Size, boxes_overlap};
+use super::geometry::{Pose, Size, Stance, boxes_overlap, separation};
 use super::slots::{Slot, Status};
 use super::task::{JunctionStretch, Task};
 use crate::sumo::Collision;
@@ -16,6 +16,7 @@ const NEAR: f64 = 0.2;
 
 /// Pairs of vehicles that collided in an episode.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Audit {
     /// Seen by both tests.
     pub agreed: u32,
@@ -37,6 +38,9 @@ pub struct Audit {
     pub sumo_ended: u32,
     /// Only SUMO's: a gap of less than 0.1 m.
     pub sumo_touching: u32,
+    /// Only SUMO's: in a junction, within a vehicle's length of the front of one that steers. SUMO lets its body follow the lane
+    /// on which it takes it to be, which may be another's way that lies close.
+    pub sumo_bent: u32,
     /// Only SUMO's, for no known reason.
     pub sumo_other: u32,
 }
@@ -56,6 +60,7 @@ impl Audit {
             ours_other: self.ours_other + other.ours_other,
             sumo_ended: self.sumo_ended + other.sumo_ended,
             sumo_touching: self.sumo_touching + other.sumo_touching,
+            sumo_bent: self.sumo_bent + other.sumo_bent,
             sumo_other: self.sumo_other + other.sumo_other,
         }
     }
@@ -72,6 +77,7 @@ impl Audit {
             ("only ours: no known reason", self.ours_other),
             ("only SUMO: with a vehicle that had ended", self.sumo_ended),
             ("only SUMO: a gap below 0.1 m", self.sumo_touching),
+            ("only SUMO: a body that it bends along a lane", self.sumo_bent),
             ("only SUMO: no known reason", self.sumo_other),
         ];
         all.into_iter().filter(|(_, count)| *count > 0).collect()
@@ -81,6 +87,21 @@ impl Audit {
 /// The size of a vehicle and a little more.
 fn grown(slot: &Slot, more: f64) -> Size {
     slot.size.map(|side| side + more)
+}
+
+/// Whether a part of the vehicle is in such a junction of its route.
+fn touches_junction(task: &Task, slot: &Slot, which: fn(&JunctionStretch) -> bool) -> bool {
+    let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
+    task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
+}
+
+/// Whether the body of `a`, bent anyhow behind its front, could touch `b`.
+fn bent_meets(a: &Slot, b: &Slot) -> bool {
+    let [length, width] = a.size;
+    let at: Stance = (&a.pose).into();
+    let front = [at.middle[0] + at.along[0] * length / 2.0, at.middle[1] + at.along[1] * length / 2.0];
+    let front = Stance { middle: front, ..at };
+    separation((front, [0.0; 2]), ((&b.pose).into(), b.size)) <= length + width / 2.0
 }
 
 /// Why our test alone may see a collision.
@@ -109,10 +130,7 @@ impl Ours {
             let front = slot.s + slot.size[0] / 2.0;
             task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
         };
-        let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| {
-            let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
-            task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
-        };
+        let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| touches_junction(task, slot, which);
         let of_pair = |slot: u32| pair.iter().any(|(other, _)| *other == slot);
         if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
             Ours::Unregulated
@@ -137,17 +155,22 @@ impl Ours {
 pub(super) enum Sumos {
     Ended,
     Touching,
+    Bent,
     Other,
 }
 
 impl Sumos {
     /// Why our test would not see what SUMO reports of these two.
-    pub(super) fn reason(a: &Slot, b: &Slot) -> Self {
+    pub(super) fn reason(task: &Task, a: &Slot, b: &Slot) -> Self {
         let ended = |slot: &Slot| slot.status != Status::Active;
+        let in_junction = |slot: &Slot| touches_junction(task, slot, |_| true);
+        let steer = task.scenario.control.steering.is_some();
         if a.status == Status::Empty || b.status == Status::Empty || (ended(a) && ended(b)) {
             Sumos::Ended
         } else if boxes_overlap((&a.pose, grown(a, NEAR)), (&b.pose, grown(b, NEAR))) {
             Sumos::Touching
+        } else if steer && (in_junction(a) || in_junction(b)) && (bent_meets(a, b) || bent_meets(b, a)) {
+            Sumos::Bent
         } else {
             Sumos::Other
         }
@@ -219,6 +242,7 @@ impl Pairs {
                 (Some(Ours::Other), None) => &mut audit.ours_other,
                 (None, Some(Sumos::Ended)) => &mut audit.sumo_ended,
                 (None, Some(Sumos::Touching)) => &mut audit.sumo_touching,
+                (None, Some(Sumos::Bent)) => &mut audit.sumo_bent,
                 (None, Some(Sumos::Other)) => &mut audit.sumo_other,
             } += 1;
         }

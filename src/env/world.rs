@@ -412,13 +412,13 @@ impl World {
         }
         self.place(world, snapshot)?;
         self.find_collisions(world, snapshot);
-        let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < self.task.agents;
+        let task = &*self.task;
+        let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < task.agents;
         for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {
             let (a, b) = (collision.collider, collision.victim);
             let slots = &self.traffic.slots;
-            self.pairs.sumo(a, b, || Sumos::reason(&slots[a as usize], &slots[b as usize]));
+            self.pairs.sumo(a, b, || Sumos::reason(task, &slots[a as usize], &slots[b as usize]));
         }
-        let task = &*self.task;
         let scenario = &task.scenario;
         let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
         let mut sum = 0.0;
