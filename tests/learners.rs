@@ -1,7 +1,8 @@
 //! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
 
 use iwol_sumo::algo::{
-    self, ActMode, Algorithm, Channel, ChannelNoise, Hears, Observation, Pace, Settings, settings::EncoderKind,
+    self, ActMode, Algorithm, Channel, ChannelNoise, Hears, Observation, Pace, Settings,
+    settings::{EncoderKind, GraphNoise},
 };
 use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
@@ -335,7 +336,14 @@ fn shards_share_one_set_of_weights() {
             // A part of the samples would be another part.
             settings.iwol.decoded = 1.0;
             let mut learner = loud(name, &spec(4), &settings);
-            let rollout = random_rollout(&*learner, 4, 3);
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            // Rows that count less, and some that teach the policy nothing.
+            rollout.quiet = vec![0.0, -0.7, -1.4];
+            rollout
+                .sampled
+                .iter_mut()
+                .enumerate()
+                .for_each(|(row, sampled)| *sampled = f32::from(u8::from(row % 4 > 0)));
             let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
             (learner.state(), losses)
         };
@@ -360,37 +368,102 @@ fn an_update_sees_the_policy_that_acted() {
         }
         let mut learner = loud(name, &spec(4), &small(encoder));
         let mut rollout = random_rollout(&*learner, 4, 3);
-        let s = rollout.sizes;
-        let (e, n) = (s.envs as i64, s.agents as i64);
         rollout.quiet = vec![0.0, -0.7, -1.4];
-        let quiet = Tensor::from_slice(&rollout.quiet);
-        let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
-        for t in 0..s.steps {
-            let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
-            let input = Observation {
-                observation: part(&rollout.observation, s.observation),
-                comm: part(&rollout.comm, s.agents),
-                start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
-                memory: memory.shallow_clone(),
-            };
-            let graph = if s.graphs > 0 {
-                part(&rollout.graph_noise, s.agents * s.graphs)
-            } else {
-                Tensor::zeros([0], (Kind::Float, Device::Cpu))
-            };
-            let eps = noise(50 + t as u64, &[e, n, 1]);
-            let decision = learner.act(&input, &ActMode::Sample { action: &eps, graph: &graph, quiet: &quiet });
-            let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
-            let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
-            rollout.memory[cells].copy_from_slice(&numbers(&memory));
-            rollout.action[cell.clone()].copy_from_slice(&numbers(&decision.action));
-            rollout.log_prob[cell].copy_from_slice(&numbers(&decision.log_prob));
-            memory = decision.memory;
+        decide(&*learner, &mut rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout);
+    });
+}
+
+/// Where graphs are drawn anew in an update, they are drawn as quietly as those that acted: hardly any noise, the same graph.
+#[test]
+fn graphs_that_are_drawn_again_are_as_quiet_as_those_that_acted() {
+    each(|name, encoder| {
+        let mut settings = small(encoder);
+        settings.iwol.graph_noise = GraphNoise::Resampled;
+        let mut learner = loud(name, &spec(4), &settings);
+        if learner.graphs() == 0 {
+            return;
         }
-        let losses = learner.update(&rollout, &STILL, Seed::new(4)).expect("finite");
-        let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
-        assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
-        assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
+        let mut rollout = random_rollout(&*learner, 4, 3);
+        rollout.quiet = vec![-8.0; 3];
+        rollout.graph_noise.fill(0.0);
+        decide(&*learner, &mut rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout);
+    });
+}
+
+/// Plays a rollout's observations with its noise: its actions, their probabilities and memories.
+fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
+    let s = rollout.sizes;
+    let (e, n) = (s.envs as i64, s.agents as i64);
+    let quiet = Tensor::from_slice(&rollout.quiet);
+    let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
+    for t in 0..s.steps {
+        let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
+        let input = Observation {
+            observation: part(&rollout.observation, s.observation),
+            comm: part(&rollout.comm, s.agents),
+            start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+            memory: memory.shallow_clone(),
+        };
+        let graph = if s.graphs > 0 {
+            part(&rollout.graph_noise, s.agents * s.graphs)
+        } else {
+            Tensor::zeros([0], (Kind::Float, Device::Cpu))
+        };
+        let eps = noise(50 + t as u64, &[e, n, 1]);
+        let decision = learner.act(&input, &ActMode::Sample { action: &eps, graph: &graph, quiet: &quiet });
+        let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
+        let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
+        rollout.memory[cells].copy_from_slice(&numbers(&memory));
+        rollout.action[cell.clone()].copy_from_slice(&numbers(&decision.action));
+        rollout.log_prob[cell].copy_from_slice(&numbers(&decision.log_prob));
+        memory = decision.memory;
+    }
+}
+
+/// An update without a learning rate finds the policy where it was.
+fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, rollout: &Rollout) {
+    let losses = learner.update(rollout, &STILL, Seed::new(4)).expect("finite");
+    let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
+    assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
+    assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
+}
+
+/// Libtorch takes other ways from 16 agents on.
+#[test]
+fn many_agents_learn_as_few_do() {
+    each(|name, encoder| {
+        for agents in [15, 16, 17] {
+            let mut learner = loud(name, &spec(agents), &small(encoder));
+            let rollout = random_rollout(&*learner, agents, 3);
+            learner
+                .update(&rollout, &PACE, Seed::new(4))
+                .unwrap_or_else(|e| panic!("{name} {encoder:?}, {agents}: {e}"));
+        }
+    });
+}
+
+/// What an action does ends at its bounds, and that is all that others see of it.
+#[test]
+fn symbols_tell_of_actions_within_their_bounds() {
+    each(|name, encoder| {
+        if algo::capabilities(name).expect("known").hears != Hears::InRangeLater {
+            return;
+        }
+        let told = |change: fn(f32) -> f32| {
+            let mut learner = loud(name, &spec(4), &small(encoder));
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            rollout.action.iter_mut().for_each(|action| *action = change(4.0 * *action));
+            let losses = learner.update(&rollout, &STILL, Seed::new(4)).expect("finite");
+            losses.iter().find(|l| l.0 == "loss/message").expect("reported").1
+        };
+        assert_eq!(told(|action| action), told(|action| action.clamp(-1.0, 1.0)), "{name} {encoder:?}");
+        assert_ne!(
+            told(|action| action),
+            told(|action| action.clamp(-0.9, 0.9)),
+            "{name} {encoder:?}: it tells of actions"
+        );
     });
 }
 

@@ -117,6 +117,14 @@ impl Batch {
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
     }
 
+    /// What the noise of each row was multiplied by in acting, beside the schedule, `[(T + 1) · E, 1, 1]`; the last rows, in which nobody
+    /// acts, have that of those before.
+    pub(super) fn loudness(&self, envs: i64) -> Tensor {
+        let acted = (self.quiet.exp() * &self.sampled).narrow(1, 0, 1).unsqueeze(-1);
+        let last = acted.narrow(0, acted.size()[0] - envs, envs);
+        Tensor::cat(&[&acted, &last], 0)
+    }
+
     /// A second handle on the same tensors, for another thread.
     pub(super) fn share(&self) -> Self {
         self.map(Tensor::shallow_clone)
@@ -174,6 +182,11 @@ pub(super) struct Shard {
     agents: i64,
     /// Share of the minibatch's active samples that are here.
     pub(super) weight: f64,
+    /// The share of those that the policy learns from, over `weight`: means over them times this, with the shards' weights, add up to the
+    /// minibatch's.
+    pub(super) of_sampled: f64,
+    /// Likewise, where each counts as much as its environment's noise.
+    pub(super) of_noise: f64,
     /// Of what a loss draws at random.
     pub(super) seed: Seed,
 }
@@ -200,7 +213,13 @@ pub(super) fn minibatches(
             .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
             .map(|i| i as i64)
             .collect();
+        let sum =
+            |weight: &dyn Fn(usize) -> f64| samples.iter().map(|&i| weight(rows[i as usize / agents] as usize)).sum();
+        let sampled = |row: usize| f64::from(rollout.sampled[row]);
+        let noise = |row: usize| f64::from(rollout.quiet[row % rollout.sizes.envs].exp());
         Shard {
+            of_sampled: sum(&sampled),
+            of_noise: sum(&|row| noise(row) * sampled(row)),
             length: length as i64,
             agents: agents as i64,
             first: indices(&rows[..chunks.len()]),
@@ -214,9 +233,14 @@ pub(super) fn minibatches(
     let minibatch = |chunks: &[(usize, usize)]| {
         let parts = chunks.chunks(chunks.len().div_ceil(shards.max(1)).max(1));
         let mut parts: Vec<Shard> = parts.map(shard).filter(|shard| shard.weight > 0.0).collect();
-        let total: f64 = parts.iter().map(|shard| shard.weight).sum();
+        let total = |of: fn(&Shard) -> f64| parts.iter().map(of).sum::<f64>();
+        let [all, sampled, noise] = [total(|s| s.weight), total(|s| s.of_sampled), total(|s| s.of_noise)];
         for part in &mut parts {
-            part.weight /= total;
+            part.weight /= all;
+            // Where the policy learns from nothing, its means are 0 anyway.
+            let over_weight = |of: f64, all: f64| if all > 0.0 { of / all / part.weight } else { 0.0 };
+            (part.of_sampled, part.of_noise) =
+                (over_weight(part.of_sampled, sampled), over_weight(part.of_noise, noise));
         }
         parts
     };

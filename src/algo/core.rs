@@ -33,7 +33,8 @@ pub(super) trait Networks: Sized + Send {
     const SETTINGS: &'static [&'static str] = &[];
     /// Communication graphs that the policy samples at each decision.
     const GRAPHS: usize = 0;
-    /// Whether a world keeps its graph's noise for a whole rollout, as the graph is the same at each decision.
+    /// Whether a world keeps its graph's noise for a whole rollout, as the graph is the same at each decision (but for those without
+    /// noise, while that has not begun in an episode).
     const GRAPH_LASTS: bool = false;
     /// Whether the value samples one.
     const VALUE_SAMPLES_GRAPH: bool = false;
@@ -315,7 +316,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                     batch.value_graph = noise("resampled", 1);
                 }
                 if N::GRAPHS > 0 {
-                    batch.policy_graph = noise("resampled policy", N::GRAPHS);
+                    batch.policy_graph =
+                        noise("resampled policy", N::GRAPHS) * batch.loudness(rollout.sizes.envs as i64);
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);

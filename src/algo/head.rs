@@ -123,7 +123,8 @@ impl PolicyTerms {
         let advantage = shard.active(&batch.advantage);
         let sampled = shard.active(&batch.sampled);
         // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &(quiet.exp() * &sampled), ppo.clip);
+        let policy =
+            ppo::policy_loss(&log_prob, &old, &advantage, &(quiet.exp() * &sampled), ppo.clip) * shard.of_noise;
         let imitation = (batch.imitation > 0.0).then(|| {
             let error = (&mean - shard.active(&batch.teacher)) / head.log_std.detach().exp();
             error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
@@ -133,7 +134,7 @@ impl PolicyTerms {
             let difference = &log_prob - &old;
             let outside = (difference.exp() - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
-            let mean = |x: &Tensor| ppo::masked_mean(x, &sampled);
+            let mean = |x: &Tensor| ppo::masked_mean(x, &sampled) * shard.of_sampled;
             (mean(&(difference.exp() - 1.0 - difference)), mean(&outside.mean_dim(-1, false, Kind::Float)))
         });
         let earned = &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);

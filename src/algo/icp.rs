@@ -185,10 +185,11 @@ impl<D: Decomposition> Networks for Icp<D> {
         let own = batch.memory.narrow(2, 0, self.encoder.memory());
         let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        let told = Tensor::cat(&[f.detach(), shard.active(&batch.action)], -1);
+        // Others see what an action does, which ends at its bounds.
+        let told = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
         // Like the policy, from actions that were sampled.
         let error = (self.decoder.forward(&self.show(&f)) - told).square().mean_dim(-1, false, Kind::Float);
-        let message = ppo::masked_mean(&error, &shard.active(&batch.sampled));
+        let message = ppo::masked_mean(&error, &shard.active(&batch.sampled)) * shard.of_sampled;
 
         let mut report = vec![("loss/value", value.detach()), ("loss/message", message.detach())];
         report.extend(policy.report());

@@ -257,7 +257,7 @@ impl Maddpg {
     /// What the networks lose and learn on some steps; gives what to report: nothing where nobody acted in them.
     fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, discount } = steps;
-        // Graphs are sampled ever more quietly, as those of all methods.
+        // Graphs are sampled ever more quietly, as those of policies.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
         let quiet = if imposed { pace.log_std.exp() } else { 1.0 };
         let noise = |of: &str| {
@@ -294,6 +294,7 @@ impl Maddpg {
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
         let mean = unbounded.tanh();
+        // What the critic saw before its step saves it another look.
         let value = self.networks.critic.value(&seen.detach(), &mean, action, &before.comm);
         let policy_loss = -ppo::masked_mean(&value, active);
         report.extend([("loss/value", scalar(&value_loss)), ("loss/policy", scalar(&policy_loss))]);

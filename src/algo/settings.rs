@@ -122,8 +122,8 @@ pub struct Ppo {
     /// As many as there are cores is fastest. Another number gives other roundings, and lets decoders learn from other
     /// samples, so that it is a setting, and not found out from the machine. A graphics processor does everything at once.
     pub shards: usize,
-    /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use; 0: the last
-    /// weights are used.
+    /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use (not of CommFormer's scores, which
+    /// are the newest); 0: the last weights are used.
     pub average: f64,
     /// Discount per step.
     pub gamma: f64,
@@ -136,7 +136,8 @@ pub struct Ppo {
     pub clip: f64,
     /// Weight in the loss of how far the actions' means lie beyond -1 to 1, where actions are clipped: half the square, in units of
     /// their noise. Beyond, noise changes nothing that is done, and the policy learns nothing from it: among 4 vehicles, one way of 70
-    /// to begin failed for a million steps, in which both drove at full throttle. 0: not at all.
+    /// to begin failed for a million steps, in which both drove at full throttle. In worlds with less noise it weighs more, as it is not
+    /// divided among them like the policy's loss: at a spread of 1.2 its gradient is four times that without, on average. 0: not at all.
     pub bounds: f64,
     /// Where the Huber loss of the (normalised) value turns linear.
     pub huber_delta: f64,
@@ -179,7 +180,7 @@ pub struct Exploration {
     /// `schedule`: the logarithm of the standard deviation is imposed; `learned`: it is a parameter (released code).
     pub mode: NoiseMode,
     /// Logarithm of the standard deviation at the beginning (of the parameter, when learned). An imposed one scales the noise
-    /// of sampled communication graphs, too.
+    /// of sampled communication graphs, too (not of Im-IWoL's, which its value alone has).
     pub log_std_start: f64,
     /// … after [`Exploration::explore_steps`], held until annealing begins. Too low freezes a run that has not found the
     /// way yet.
@@ -188,7 +189,7 @@ pub struct Exploration {
     pub log_std_end: f64,
     /// Environment steps over which it falls linearly from the first to the second.
     pub explore_steps: u64,
-    /// The worlds of a rollout differ in their noise (of actions, and of sampled communication graphs): from the one above down
+    /// The worlds of a rollout differ in their noise (of actions, and of a policy's sampled communication graphs): from the one above down
     /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
@@ -364,7 +365,8 @@ impl Default for Icp {
     }
 }
 
-/// MADDPG's own settings. Of the common ones it takes learning rate, minibatch, discount, largest gradient norm and averaging.
+/// MADDPG's own settings. Of the common ones it takes learning rates, minibatch, discounts, value normalisation, largest gradient norm and
+/// averaging.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Maddpg {

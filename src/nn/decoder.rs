@@ -130,7 +130,8 @@ impl Attention {
         }
         let mut weights = softmax(&(logits + &reach.bias));
         if let Some((graph, _)) = &reach.graph {
-            weights *= graph;
+            // Not in place: libtorch's softmax needs its result for the gradient.
+            weights = weights * graph;
         }
         let mixed = weights.matmul(values).transpose(1, 2);
         let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");

@@ -8,7 +8,7 @@ use super::{Error, Trainer, schedule, timed};
 use crate::algo::settings::NoiseMode;
 use crate::algo::{ActMode, Observation};
 use crate::env::{VecEnv, World};
-use crate::rng::{self, Seed};
+use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
 
 impl Trainer {
@@ -47,18 +47,12 @@ impl Trainer {
                 for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
                     noise.fill(0.0);
                 }
-                let cell = self.rollout.at(t, s.agents * s.graphs);
                 let graph = if s.graphs > 0 {
                     if self.learner.graph_lasts() {
                         rng = seed.child("graph").rng();
                     }
-                    rng::fill_logistic(&mut rng, &mut self.rollout.graph_noise[cell.clone()]);
-                    // Quiet worlds are as close to the most likely graph as to the mean action.
-                    for (e, late) in late.iter().enumerate() {
-                        let of_world = self.rollout.cell(t, e, s.agents * s.graphs);
-                        let scale = f32::from(u8::from(!late)) * (self.rollout.quiet[e] + schedule).exp();
-                        self.rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
-                    }
+                    store_graph_noise(&mut self.rollout, t, &late, schedule, rng);
+                    let cell = self.rollout.at(t, s.agents * s.graphs);
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
                 } else {
                     Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
@@ -92,6 +86,11 @@ impl Trainer {
         }
         timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
         self.store_potential(s.steps);
+        if self.learner.graph_lasts() {
+            // The value of what the rollout ends with is that of the same graph.
+            let late: Vec<bool> = self.env.worlds().map(|world| self.is_late(world)).collect();
+            store_graph_noise(&mut self.rollout, s.steps, &late, schedule, seed.child("graph").rng());
+        }
         Ok(())
     }
 
@@ -138,7 +137,46 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
     }
 }
 
+/// Row `t` of the noise of graphs. Quiet worlds are as close to the most likely graph as to the mean action.
+fn store_graph_noise(rollout: &mut Rollout, t: usize, late: &[bool], schedule: f32, mut rng: Rng) {
+    let s = rollout.sizes;
+    let row = rollout.at(t, s.agents * s.graphs);
+    rng::fill_logistic(&mut rng, &mut rollout.graph_noise[row]);
+    for (e, late) in late.iter().enumerate() {
+        let of_world = rollout.cell(t, e, s.agents * s.graphs);
+        let scale = f32::from(u8::from(!late)) * (rollout.quiet[e] + schedule).exp();
+        rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
+    }
+}
+
 fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {
     let count = tensor.numel();
     tensor.reshape([-1]).copy_data(&mut to[t * count..(t + 1) * count], count);
+}
+
+#[cfg(test)]
+mod tests {
+    use toml::Value;
+
+    use super::*;
+    use crate::config::{Config, Layers};
+
+    /// What a rollout ends with is valued over the graph that acted, as all else of it.
+    #[test]
+    fn a_graph_for_a_whole_rollout_is_that_of_its_end_as_well() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
+        let flags = [("scenario", scenario), ("algorithm", "commformer")];
+        let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+        let (mut config, scenario) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
+        config.exploration.late_steps = 0;
+        (config.train.envs, config.train.segment) = (2, 8);
+        let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+        trainer.collect(Seed::new(1)).expect("SUMO runs");
+        let rollout = &trainer.rollout;
+        let row = |t: usize| &rollout.graph_noise[rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs)];
+        assert!(row(0).iter().any(|&noise| noise != 0.0), "{:?}", row(0));
+        for t in 1..=rollout.sizes.steps {
+            assert_eq!(row(t), row(0), "{t}");
+        }
+    }
 }
