@@ -155,6 +155,10 @@ impl Trainer {
                 let path = &config.init_from;
                 if !path.as_os_str().is_empty() {
                     let stored = Checkpoint::load(&RunDir::checkpoint(path))?;
+                    if stored.algorithm != config.algorithm {
+                        let (of, trained) = (stored.algorithm, config.algorithm);
+                        return Err(Error::OtherMethod { path: path.clone(), of, trained });
+                    }
                     let unfit = |source| Error::InitFrom { path: path.clone(), source };
                     learner.load_weights(&stored.learner).map_err(unfit)?;
                 }
@@ -169,7 +173,7 @@ impl Trainer {
                 let fits =
                     carried.is_none_or(|(_, t)| t.size() == [(worlds * task.agents) as i64, config.network.hidden]);
                 if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits {
-                    return Err(Error::OtherRun { key: "train.envs".to_owned() });
+                    return Err(Error::OtherRun { key: other_shape(&config, stored) });
                 }
                 learner.load(&stored.learner)?;
                 let before =
@@ -381,6 +385,13 @@ fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
     changed.into_iter().find(|c| other(&c.key)).map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
 }
 
+/// The setting by which a run has memories or worlds of another shape than the checkpoint.
+fn other_shape(config: &Config, stored: &Checkpoint) -> String {
+    let changed = config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
+    let of_networks = |key: &String| !["train.", "ppo.", "simulation."].iter().any(|group| key.starts_with(group));
+    changed.filter(|key| key.contains('.')).find(of_networks).unwrap_or_else(|| "train.envs".to_owned())
+}
+
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
     let begin = Instant::now();
     let result = work();
@@ -420,6 +431,20 @@ pub enum Error {
         path: PathBuf,
         /// What does not fit.
         source: algo::Error,
+    },
+    /// The weights to start from are of another method.
+    #[error(
+        "`{}` holds a policy of {of}, and this run trains {trained}, which has other networks; to have it imitated instead, set \
+         train.teacher and train.imitate_steps",
+        path.display()
+    )]
+    OtherMethod {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Its method.
+        of: String,
+        /// The run's.
+        trained: String,
     },
     /// Nobody can be imitated.
     #[error(transparent)]

@@ -430,6 +430,46 @@ fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, 
     assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
 }
 
+/// Worlds in which everybody has arrived or crashed stay among the others for a while.
+#[test]
+fn where_nobody_is_left_nothing_breaks() {
+    each(|name, encoder| {
+        let mut learner = loud(name, &spec(4), &small(encoder));
+        let nobody = Tensor::zeros([2, 4, 4], (Kind::Float, Device::Cpu));
+        let input = observation(&*learner, noise(1, &[2, 4, 4]), nobody);
+        let state = noise(2, &[2, 4, 3]);
+        assert_eq!(learner.act(&input, &ActMode::Deterministic).action.size(), [2, 4, 1], "{name} {encoder:?}");
+        let seen = learner.inspect(&input, &state);
+        assert!(seen.value.is_none_or(|value| value.size() == [2, 4]), "{name} {encoder:?}");
+        assert!(learner.reconstruct(&input, &state).iter().all(|told| told.found.size() == told.truth.size()));
+        let mut rollout = random_rollout(&*learner, 4, 3);
+        rollout.active.fill(0.0);
+        rollout.comm.fill(0.0);
+        let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+        assert!(losses.iter().all(|(_, value)| value.is_finite()), "{name} {encoder:?}: {losses:?}");
+    });
+}
+
+/// What a decoder says that never learns is not told.
+#[test]
+fn only_decoders_that_learn_tell_something() {
+    for name in algo::NAMES {
+        let latent = algo::capabilities(name).expect("known").latent;
+        for (world, interaction) in [(0.1, 0.1), (0.1, 0.0), (0.0, 0.1), (0.0, 0.0)] {
+            let mut settings = small(EncoderKind::Mlp);
+            (settings.iwol.lambda_world, settings.iwol.lambda_interaction) = (world, interaction);
+            (settings.magic.lambda_world, settings.commformer.lambda_world) = (0.0, 0.0);
+            let learner = algo::build(name, &spec(4), &settings, Seed::new(1), Device::Cpu).expect("a learner");
+            let input =
+                observation(&*learner, noise(1, &[2, 4, 4]), Tensor::ones([2, 4, 4], (Kind::Float, Device::Cpu)));
+            let told: Vec<_> =
+                learner.reconstruct(&input, &noise(2, &[2, 4, 3])).iter().map(|told| told.name).collect();
+            let learns = |what: &&str| if *what == "world" { world > 0.0 } else { interaction > 0.0 };
+            assert_eq!(told, latent.iter().copied().filter(learns).collect::<Vec<_>>(), "{name}");
+        }
+    }
+}
+
 /// Libtorch takes other ways from 16 agents on.
 #[test]
 fn many_agents_learn_as_few_do() {
@@ -537,6 +577,7 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let (x, comm) = (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
             let chance = || Tensor::full([2, 5, 5], 0.5, (Kind::Float, Device::Cpu));
             let width = learner.message_width() as i64;
+            assert_eq!(algo::capabilities(name).expect("known").messages, width > 0, "{name}");
             let through = |channel: &Channel| {
                 let mut input = observation(&*learner, x.copy(), comm.copy());
                 let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));

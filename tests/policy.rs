@@ -110,6 +110,24 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                 "do not fit this run's networks and observations",
             ),
             (
+                refused(&mut train(&at("x"), &["--algorithm", "icp-dec", "--init-from", &small])),
+                "holds a policy of mappo, and this run trains icp-dec",
+            ),
+            (refused(&mut iwol(&["evaluate", &small, "--set", "seed=5"])), "episodes follow from --seed"),
+            (refused(&mut iwol(&["evaluate", &small, "--out", "x.safetensors"])), "that is a checkpoint's name"),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--out", &name("x"), "--record", &name("x")])),
+                "one would replace the other",
+            ),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--set", "network.hidden=16"])),
+                "does not fit the observations and networks",
+            ),
+            (
+                refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--set", "network.encoder=gru"])),
+                "made with another `network.encoder`",
+            ),
+            (
                 refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])),
                 "there is no device cuda:99",
             ),
@@ -129,4 +147,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
         assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
     }
+    // A run that was kept has validations alone.
+    let kept = concat!(env!("CARGO_MANIFEST_DIR"), "/results/runs/table1/mappo/seed_0");
+    text(&mut iwol(&["plot", kept, "--out", &name("kept.png")]));
+    assert!(fs::metadata(name("kept.png")).expect("a picture").len() > 10_000);
 }

@@ -27,6 +27,8 @@ pub(super) trait Networks: Sized + Send {
     const NAME: &'static str;
     /// Whose observations can change an agent's action.
     const HEARS: Hears = Hears::Nobody;
+    /// Whether agents send messages, each of which its receiver reads by itself, so that a channel can disturb them.
+    const MESSAGES: bool = false;
     /// What its latent is trained to tell, by default.
     const LATENT: &'static [&'static str] = &[];
     /// Groups of settings that it is told of, beside those of all methods.

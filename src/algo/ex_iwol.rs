@@ -22,6 +22,8 @@ pub(super) struct ExIwol {
     trunk: MessageTrunk,
     head: GaussianHead,
     world: WorldDecoder,
+    /// Whether that learns.
+    told: bool,
     critic: MessageCritic,
 }
 
@@ -37,6 +39,7 @@ impl Networks for ExIwol {
     const HEARS: Hears = Hears::InRange;
     const LATENT: &'static [&'static str] = &["world"];
     const SETTINGS: &'static [&'static str] = &["iwol"];
+    const MESSAGES: bool = true;
     const GRAPHS: usize = 1;
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
@@ -53,6 +56,7 @@ impl Networks for ExIwol {
                 &settings.exploration,
             ),
             world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, message),
+            told: iwol.lambda_world > 0.0,
             critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
         }
     }
@@ -121,6 +125,9 @@ impl Networks for ExIwol {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        if !self.told {
+            return Vec::new();
+        }
         let messages = self.exchange(input, None);
         vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), input, state)]
     }

@@ -36,6 +36,8 @@ pub(super) struct LatentPolicy {
     pub(super) world: WorldDecoder,
     pub(super) interaction: Decoder,
     input: PolicyInput,
+    /// Which of both decoders learn.
+    told: [bool; 2],
 }
 
 /// Enc_IW: embedding to latent z.
@@ -74,6 +76,7 @@ impl LatentPolicy {
                 iwol.interaction_tanh,
             ),
             input: iwol.policy_input,
+            told: [iwol.lambda_world > 0.0, iwol.lambda_interaction > 0.0],
         }
     }
 
@@ -90,6 +93,23 @@ impl LatentPolicy {
             PolicyInput::LatentEmbedding => Tensor::cat(&[&z, f], -1),
         };
         (z, input)
+    }
+
+    /// What latents `z: [E, N, Z]` say of the world and of the agents' messages, where they are known; not of what none of them learns.
+    pub(super) fn reconstruct(
+        &self,
+        z: &Tensor,
+        input: &Observation,
+        state: &Tensor,
+        messages: Option<Tensor>,
+    ) -> Vec<Reconstruction> {
+        let [world, interaction] = self.told;
+        let world = world.then(|| self.world.reconstruct(z, input, state));
+        let interaction = messages.filter(|_| interaction).map(|truth| {
+            let found = self.interaction.forward(z);
+            Reconstruction { name: "interaction", found, truth }
+        });
+        world.into_iter().chain(interaction).collect()
     }
 }
 
@@ -157,10 +177,6 @@ impl Networks for ImIwol {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let z = self.policy.latent.forward(&encode_locally(&self.policy.encoder, input).0);
-        let mut all = vec![self.policy.world.reconstruct(&z, input, state)];
-        if let Some(truth) = self.critic.messages(input) {
-            all.push(Reconstruction { name: "interaction", found: self.policy.interaction.forward(&z), truth });
-        }
-        all
+        self.policy.reconstruct(&z, input, state, self.critic.messages(input))
     }
 }

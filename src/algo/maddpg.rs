@@ -61,6 +61,7 @@ const fn method(
 ) -> Method {
     let capabilities = Capabilities {
         hears: Hears::Nobody,
+        messages: false,
         any_number: true,
         team: false,
         recurrent: false,
@@ -362,17 +363,18 @@ impl Algorithm for Maddpg {
             let there = |tensor: &Tensor| tensor.to_device(self.device);
             let (input, state) = (input.map(there), there(state));
             let (z, _) = policy.read(&self.networks.actor.embed(&input.observation));
-            let mut all = vec![policy.world.reconstruct(&z, &input, &state)];
-            let view = View { observation: input.observation, state, comm: input.comm };
-            if let (_, Some(truth)) = self.networks.critic.look(&view, None) {
-                all.push(Reconstruction { name: "interaction", found: policy.interaction.forward(&z), truth });
-            }
+            let view = View {
+                observation: input.observation.shallow_clone(),
+                state: state.shallow_clone(),
+                comm: input.comm.shallow_clone(),
+            };
+            let (_, messages) = self.networks.critic.look(&view, None);
             let back = |r: Reconstruction| Reconstruction {
                 found: r.found.to_device(Device::Cpu),
                 truth: r.truth.to_device(Device::Cpu),
                 ..r
             };
-            all.into_iter().map(back).collect()
+            policy.reconstruct(&z, &input, &state, messages).into_iter().map(back).collect()
         })
     }
 

@@ -89,6 +89,7 @@ impl Magic {
 impl Networks for Magic {
     const NAME: &'static str = "magic";
     const HEARS: Hears = Hears::InRange;
+    const MESSAGES: bool = true;
     const SETTINGS: &'static [&'static str] = &["magic", "iwol"];
     const GRAPHS: usize = 2;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];

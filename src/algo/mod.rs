@@ -77,6 +77,7 @@ impl Method {
     const fn of<N: Networks + 'static>() -> Self {
         let capabilities = Capabilities {
             hears: N::HEARS,
+            messages: N::MESSAGES,
             any_number: N::PER_AGENT.is_none(),
             team: N::TEAM,
             recurrent: true,
@@ -103,6 +104,8 @@ impl Method {
 pub struct Capabilities {
     /// Whose observations can change an agent's action at run time.
     pub hears: Hears,
+    /// Whether agents send messages, each of which its receiver reads by itself, so that a [`Channel`] can disturb them.
+    pub messages: bool,
     /// Whether one policy serves any number of agents.
     pub any_number: bool,
     /// Whether agents learn from the return of their team, and not each from its own.
@@ -136,6 +139,16 @@ pub enum Hears {
 /// [`Error::UnknownAlgorithm`].
 pub fn capabilities(name: &str) -> Result<Capabilities, Error> {
     Ok(Method::named(name)?.capabilities)
+}
+
+/// Whether the channel can disturb what the agents of an algorithm tell each other, or there is nothing to disturb.
+///
+/// # Errors
+/// [`Error::NoMessages`], [`Error::UnknownAlgorithm`].
+pub fn check_channel(name: &str, channel: &Channel) -> Result<(), Error> {
+    let Method { name, capabilities, .. } = Method::named(name)?;
+    let fits = channel.is_perfect() || capabilities.messages || capabilities.hears == Hears::Nobody;
+    if fits { Ok(()) } else { Err(Error::NoMessages { algorithm: name }) }
 }
 
 /// What a policy sees at one decision of E environments with N agents each.
@@ -339,8 +352,8 @@ pub enum Error {
     },
     /// A stored state is of another number of agents, which the algorithm cannot do without.
     #[error(
-        "{algorithm} learned something about each of {trained} agents and cannot be used among {agents}; train it with \
-         --agents {agents}, or choose a method for any number: {}",
+        "{algorithm} learned something about each of {trained} agents and cannot be used among {agents}; let as many vehicles learn as in \
+         its training (--agents, env.penetration), or choose a method for any number: {}",
         METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
     )]
     FixedAgents {
@@ -350,6 +363,14 @@ pub enum Error {
         trained: i64,
         /// Of the task.
         agents: i64,
+    },
+    /// A channel is to disturb messages that the algorithm does not have.
+    #[error(
+        "[channel] is for messages that agents send at once and each receiver reads by itself; {algorithm} has none: leave it out"
+    )]
+    NoMessages {
+        /// The algorithm.
+        algorithm: &'static str,
     },
     /// A stored state is of another network.
     #[error(transparent)]

@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo::{self, Algorithm, Hears};
+use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate};
 use iwol_sumo::record;
@@ -100,6 +100,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         })?;
         policies.push((name.clone(), policy));
     }
+    if let Some(why) = args.set.iter().find_map(|set| config::no_matter_of_evaluation(set)) {
+        bail!("--set {why}");
+    }
     let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
     let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
     if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
@@ -121,21 +124,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Some(checkpoint) => {
             let (settings, device) = (config.settings(), config.device.find()?);
             let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
-            learner
-                .load_weights(&checkpoint.learner)
-                .context("the checkpoint does not fit this scenario's observations")?;
+            learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
+                algo::Error::State(_) => anyhow::Error::new(unfit).context(
+                    "the checkpoint does not fit the observations and networks that scenario and settings make",
+                ),
+                other => other.into(),
+            })?;
+            algo::check_channel(learner.name(), &config.channel)?;
             Some(learner)
         }
         None => None,
     };
     if let Some(learner) = &learner {
-        let hears = algo::capabilities(learner.name())?.hears;
-        if !config.channel.is_perfect() && hears != Hears::Nobody && learner.message_width() == 0 {
-            bail!(
-                "[channel] is for messages that agents send at once and each receiver reads by itself; {} has none: leave it out",
-                learner.name()
-            );
-        }
         policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
     }
 
@@ -145,8 +145,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     for path in [&args.out, &args.record].into_iter().flatten() {
         record::check_writable(path)?;
     }
-    if let Some(path) = args.record.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors")) {
-        bail!("--record {}: that is a checkpoint's name", path.display());
+    for (flag, path) in [("out", &args.out), ("record", &args.record)] {
+        if let Some(path) = path.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors")) {
+            bail!("--{flag} {}: that is a checkpoint's name", path.display());
+        }
+    }
+    if let Some(path) = args.out.as_ref().filter(|_| args.out == args.record) {
+        bail!("--out and --record are both {}: one would replace the other", path.display());
     }
     let stop = super::stop_flag()?;
     let mut rows = Vec::new();

@@ -85,11 +85,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![curves] }),
         }
     }
-    for i in 0..groups.len() {
+    let labels: Vec<String> = groups.iter().map(|group| group.label.clone()).collect();
+    for group in &mut groups {
         // What the label does not tell apart, the folder does.
-        if groups.iter().filter(|group| group.label == groups[i].label).count() > 1 {
-            let folder = groups[i].folder.display().to_string();
-            groups[i].label = format!("{} {folder}", groups[i].label);
+        if labels.iter().filter(|label| **label == group.label).count() > 1 {
+            group.label = format!("{} {}", group.label, group.folder.display());
         }
     }
     for group in &groups {
@@ -103,8 +103,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             panel.series.push(mean_curve(name.clone(), &curves.collect::<Vec<_>>(), args.x, panel.y_range));
         }
     }
-    if alone {
-        let exploring = groups[0].runs[0].exploring.clone();
+    let exploring = groups[0].runs[0].exploring.clone();
+    // Kept runs have validations alone.
+    if alone && !exploring.is_empty() {
         panels[0].series.push(Series::curve(format!("{}, exploring", groups[0].label), exploring, None));
     }
     if let Some(path) = &args.reference {
@@ -137,10 +138,11 @@ fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
         lines.iter().filter_map(|line| Some((place(line)?, factor * line[key].as_f64()?))).collect()
     };
     let exploring = curve("episode/success", 100.0);
-    if exploring.is_empty() {
+    let measures: Vec<_> = MEASURES.iter().map(|m| curve(m.0, m.1)).collect();
+    if exploring.is_empty() && measures.iter().all(Vec::is_empty) {
         bail!("`{}` has no finished episode yet; train longer", run.display());
     }
-    Ok(Curves { measures: MEASURES.iter().map(|m| curve(m.0, m.1)).collect(), exploring })
+    Ok(Curves { measures, exploring })
 }
 
 /// The mean over runs, each of which keeps its last value where it ended before the others.
@@ -179,14 +181,27 @@ fn identity(run: &Path) -> (String, toml::Table) {
         settings.insert("folder".to_owned(), run.display().to_string().into());
         return (run.display().to_string(), settings);
     };
-    for key in ["seed", "device", "simulation", "scenario"] {
+    for key in ["seed", "device", "simulation"] {
         settings.remove(key);
     }
+    // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
+    shorten(&mut settings, "scenario", |path| path.file_name());
+    shorten(&mut settings, "init_from", |path| {
+        let of_seed = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed_"));
+        if of_seed { path.parent().map(Path::as_os_str) } else { Some(path.as_os_str()) }
+    });
     let label = match settings.get("env").and_then(|env| env.get("observation")).and_then(toml::Value::as_str) {
         Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),
         _ => algorithm,
     };
     (label, settings)
+}
+
+/// Leaves of the path in a setting what `keep` says.
+fn shorten(settings: &mut toml::Table, key: &str, keep: impl Fn(&Path) -> Option<&std::ffi::OsStr>) {
+    if let Some(toml::Value::String(path)) = settings.get_mut(key) {
+        *path = keep(Path::new(path)).unwrap_or_default().to_string_lossy().into_owned();
+    }
 }
 
 /// Policies that need no training, with their metrics.
@@ -199,4 +214,33 @@ fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
         .filter_map(|row| Some((row["policy"].as_str()?.to_owned(), row["metrics"].clone())))
         .filter(|(policy, _)| !iwol_sumo::algo::NAMES.contains(&policy.as_str()))
         .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seeds are one curve, wherever their scenario lies and whoever's policy each began with; tasks are not.
+    #[test]
+    fn runs_that_differ_in_their_seed_alone_are_the_same() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let run = |number: u32, text: &str| {
+            let run = folder.path().join(number.to_string());
+            std::fs::create_dir(&run).expect("a folder");
+            std::fs::write(run.join("config.toml"), text).expect("written");
+            identity(&run)
+        };
+        let (label, first) =
+            run(0, "algorithm = \"mappo\"\nseed = 0\nscenario = \"a/cross.xml\"\ninit_from = \"x/m/seed_0\"");
+        assert_eq!(label, "mappo");
+        let (_, second) =
+            run(1, "algorithm = \"mappo\"\nseed = 1\nscenario = \"b/cross.xml\"\ninit_from = \"x/m/seed_1\"");
+        assert_eq!(first, second);
+        let (_, task) =
+            run(2, "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/slow.xml\"\ninit_from = \"x/m/seed_1\"");
+        assert_ne!(first, task);
+        let (_, begun) =
+            run(3, "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/cross.xml\"\ninit_from = \"x/n/seed_1\"");
+        assert_ne!(first, begun);
+    }
 }

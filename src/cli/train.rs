@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo;
+use iwol_sumo::algo::{self, Channel};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration, teacher_fingerprint};
@@ -34,7 +34,7 @@ pub(super) struct Args {
     /// Environment steps (of one world each), at most, rounded up to whole rollouts
     #[arg(long)]
     steps: Option<u64>,
-    /// Start from the weights of a run folder or checkpoint, of any number of vehicles
+    /// Start from the weights of a run folder or checkpoint of the same method, of any number of vehicles (CommFormer: of as many)
     #[arg(long, value_name = "CHECKPOINT")]
     init_from: Option<PathBuf>,
     /// Where the networks are computed
@@ -136,7 +136,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
     let (mut config, mut scenario) = Config::resolve(&layers)?;
     if !config.channel.is_perfect() {
-        bail!("[channel] is for evaluation; in training messages arrive as they were sent: leave it out");
+        bail!(Channel::ONLY_IN_EVALUATION);
     }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))

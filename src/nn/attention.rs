@@ -35,10 +35,8 @@ impl SelfAttention {
 
     /// Tokens `x: [P, width]` of the rows of a packing to the same shape. What stands in empty places must be masked.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
-        let (batch, tokens) = packing.size();
         let [queries, keys, values] = self.project(&packing.unpack(&self.qkv.forward(x)));
-        let mixed = Self::mix(&queries, &keys, &values, mask);
-        self.out.forward(&packing.pack(&mixed.view([batch, tokens, -1])))
+        self.out.forward(&packing.pack(&Self::mix(&queries, &keys, &values, mask)))
     }
 
     /// As [`SelfAttention::forward`] where every place is filled, for one token of each row alone: `x: [B, T, width]`, of which

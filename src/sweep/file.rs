@@ -7,7 +7,8 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
-use crate::config::{Config, Document, Layers, flatten};
+use crate::algo::{self, Channel};
+use crate::config::{Config, Document, Layers, flatten, no_matter_of_evaluation};
 
 /// Metrics for which there may be published values.
 const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
@@ -173,11 +174,19 @@ impl File {
             |layers: &Layers| Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source });
         let (config, scenario) = resolve(&layers)?;
         let fingerprint = fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
+        if !config.channel.is_perfect() {
+            return Err(wrong(file, format!("cell {id}: {}", Channel::ONLY_IN_EVALUATION)));
+        }
         let cell = Cell { folder: folder.join(&id), id, values, config, fingerprint, after };
         // A mistake in how it is evaluated should not wait until it is trained.
         for evaluate in self.evaluate.iter().filter(|evaluate| evaluate.applies(&cell)) {
             for combination in evaluate.combinations() {
-                resolve(&Layers { sets: evaluate.sets(&combination), ..layers.clone() })?;
+                let sets = evaluate.sets(&combination);
+                let useless = sets.iter().find_map(|set| no_matter_of_evaluation(set));
+                let (asked, _) = resolve(&Layers { sets, ..layers.clone() })?;
+                if let Some(why) = useless.or_else(|| cannot_be_used(&cell.config, &asked)) {
+                    return Err(wrong(file, format!("[[evaluate]] `{}`, cell {}: {why}", evaluate.name, cell.id)));
+                }
             }
         }
         Ok(cell)
@@ -202,12 +211,34 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
             return Err(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id));
         }
+        if let Some(first) = begins_with(&cell) {
+            let (of, trained) = (&first.config.algorithm, &cell.config.algorithm);
+            if of != trained {
+                return Err(format!("cell {}: init_from: {} trains {of}, which has other networks", cell.id, first.id));
+            }
+            if let Some(why) = cannot_be_used(&first.config, &cell.config) {
+                return Err(format!("cell {}: init_from: {why}", cell.id));
+            }
+        }
         // As many steps as there are cells lead back to one that was there before.
         if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
             return Err(format!("cell {}: init_from goes round in a circle: no cell of it can be first", last.id));
         }
     }
     Ok(())
+}
+
+/// Why the policy of a run cannot be used with these settings, as far as can be told before it is trained.
+fn cannot_be_used(trained: &Config, asked: &Config) -> Option<String> {
+    let (was, is) = (trained.agents, asked.agents);
+    let able = algo::capabilities(&trained.algorithm).is_ok_and(|able| able.any_number);
+    if !able && was != is && trained.env.penetration == asked.env.penetration {
+        return Some(format!(
+            "{} learns something about each of {was} agents and cannot be used among {is}; let `when` name the cells for which this is",
+            trained.algorithm
+        ));
+    }
+    algo::check_channel(&trained.algorithm, &asked.channel).err().map(|unfit| unfit.to_string())
 }
 
 fn wrong(file: &str, message: String) -> Error {

@@ -393,6 +393,39 @@ mod tests {
         assert!(matches!(cell.keep(folder.path(), "s"), Err(Error::Kept { .. })));
     }
 
+    /// Not after it has been trained, which may take hours.
+    #[test]
+    fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
+        let with = |algorithms: &str, grid: &str| {
+            let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms).replace("agents = 48", "steps = 8");
+            parse(&file.replace("\"env.communication_range\" = [100.0, 10.0]", grid)).map_err(|error| error.to_string())
+        };
+        let refused = |algorithms: &str, grid: &str, why: &str| {
+            let error = with(algorithms, grid).expect_err("must be refused");
+            assert!(error.contains(why), "{error}");
+        };
+        let (many, lost) = ("agents = [4, 6]", "\"channel.loss\" = [0.0, 0.5]");
+        refused("[\"mappo\", \"commformer\"]", many, "`range`, cell commformer_agents=4/seed_0: commformer learns");
+        refused("[\"mappo\", \"mat\"]", lost, "cell mat_agents=4/seed_0: [channel] is for messages");
+        refused("[\"mappo\"]", "seed = [7, 8]", "seed=7: has no effect in an evaluation: episodes follow from --seed");
+        refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the method is the checkpoint's");
+        assert!(
+            with("[\"mappo\", \"magic\"]", many).is_ok() && with("[\"mappo\", \"magic\", \"ex-iwol\"]", lost).is_ok()
+        );
+        let rule = |algorithms: &str, change: &str| {
+            let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms);
+            parse(&file.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"))).map_err(|e| e.to_string())
+        };
+        let other = rule("[\"im-iwol\", \"mappo\"]", "algorithm = \"im-iwol\"").expect_err("must be refused");
+        assert!(other.contains("im-iwol_agents=8/seed_0 trains im-iwol, which has other networks"), "{other}");
+        let file = FILE.replace("\"mappo\"", "\"commformer\"").replace("agents = 48 }", "init_from = { agents = 4 } }");
+        let fixed = parse(&file).expect_err("must be refused").to_string();
+        assert!(fixed.contains("each of 4 agents and cannot be used among 8"), "{fixed}");
+        let disturbed =
+            parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { loss = 0.5 }")).expect_err("refused");
+        assert!(disturbed.to_string().contains("[channel] is for evaluation"), "{disturbed}");
+    }
+
     #[test]
     fn mistakes_are_named() {
         let message = |change: (&str, &str)| {

@@ -52,7 +52,8 @@ struct Row {
     agents: u32,
     /// Samples (agent × step) in the rollout, each seen once per epoch.
     samples: usize,
-    epochs: usize,
+    /// Passes over the rollout; none for methods that replay, which make `maddpg.updates` minibatches instead.
+    epochs: Option<usize>,
     median_ms: f64,
     /// Per sample of the rollout, all epochs.
     per_sample_us: f64,
@@ -97,7 +98,7 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
             "{name:9} {:>6} {:>8} {:>7} {:>8.1} ms {:>9.2} µs {:>12} {:>7}",
             row.agents,
             row.samples,
-            row.epochs,
+            row.epochs.map_or("-".to_owned(), |epochs| epochs.to_string()),
             row.median_ms,
             row.per_sample_us,
             optional(row.reference_ms, "ms"),
@@ -138,7 +139,7 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
         algorithm: name.to_owned(),
         agents: config.agents,
         samples,
-        epochs: config.ppo.epochs,
+        epochs: algo::capabilities(name)?.on_policy.then_some(config.ppo.epochs),
         median_ms,
         per_sample_us: 1e3 * median_ms / samples as f64,
         reference_ms,
