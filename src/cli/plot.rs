@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use iwol_sumo::config;
 use iwol_sumo::plot::{Panel, Series, figure};
 use iwol_sumo::record::read_json_lines;
 use iwol_sumo::stats::Estimate;
@@ -184,6 +185,9 @@ fn identity(run: &Path) -> (String, toml::Table) {
     for key in ["seed", "device", "simulation"] {
         settings.remove(key);
     }
+    // What an older run does not say is what was so then; what its method is not told makes no difference.
+    config::complete_older(&mut settings);
+    config::remove_untold(&mut settings, &algorithm);
     // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
     shorten(&mut settings, "scenario", |path| path.file_name());
     shorten(&mut settings, "init_from", |path| {
