@@ -189,7 +189,7 @@ fn identity(run: &Path) -> (String, toml::Table) {
     config::complete_older(&mut settings);
     config::remove_untold(&mut settings, &algorithm);
     // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
-    shorten(&mut settings, "scenario", |path| path.file_name());
+    shorten(&mut settings, "scenario", Path::file_name);
     shorten(&mut settings, "init_from", |path| {
         let of_seed = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed_"));
         if of_seed { path.parent().map(Path::as_os_str) } else { Some(path.as_os_str()) }

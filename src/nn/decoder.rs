@@ -128,11 +128,12 @@ impl Attention {
             let (none, one) = (of(0), of(1));
             logits = (logits + (&none + (one - &none) * kinds) * scale) * scale;
         }
-        let mut weights = softmax(&(logits + &reach.bias));
-        if let Some((graph, _)) = &reach.graph {
+        let weights = softmax(&(logits + &reach.bias));
+        let weights = match &reach.graph {
             // Not in place: libtorch's softmax needs its result for the gradient.
-            weights = weights * graph;
-        }
+            Some((graph, _)) => weights * graph,
+            None => weights,
+        };
         let mixed = weights.matmul(values).transpose(1, 2);
         let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");
         mixed.reshape([batch, count, heads * head])
