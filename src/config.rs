@@ -8,11 +8,13 @@ mod flat;
 mod layers;
 mod older;
 mod rules;
+mod uses;
 
 pub(crate) use flat::between;
 pub use flat::{Change, changes, flatten, plain};
-pub use layers::{Document, Error, Layers, no_matter_of_evaluation};
+pub use layers::{Document, Error, Layers};
 pub use older::complete_older;
+pub use uses::no_matter_of_evaluation;
 
 use std::path::PathBuf;
 use std::time::Duration;

@@ -33,10 +33,6 @@ impl Default for Channel {
 }
 
 impl Channel {
-    /// Why there is none in training.
-    pub const ONLY_IN_EVALUATION: &str =
-        "[channel] is for evaluation; in training messages arrive as they were sent: leave it out";
-
     /// Whether messages arrive as they were sent.
     pub fn is_perfect(&self) -> bool {
         *self == Self::default()

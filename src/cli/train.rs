@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo::{self, Channel};
+use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration, teacher_fingerprint};
@@ -135,8 +135,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
     let (mut config, mut scenario) = Config::resolve(&layers)?;
-    if !config.channel.is_perfect() {
-        bail!(Channel::ONLY_IN_EVALUATION);
+    if let Some(why) = config.cannot_be_trained() {
+        bail!(why);
     }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))

@@ -67,19 +67,6 @@ pub struct Layers {
     pub flags: Vec<(&'static str, Value)>,
 }
 
-/// Why a `--set` makes no sense in an evaluation, where it is of something that the program takes from elsewhere.
-pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
-    let (key, _) = set.split_once('=')?;
-    let where_from = match key.trim() {
-        "seed" => "episodes follow from --seed",
-        "algorithm" => "the method is the checkpoint's",
-        "device" => "the device is --device's",
-        "init_from" | "steps" => "nothing is trained",
-        _ => return None,
-    };
-    Some(format!("{set}: has no effect in an evaluation: {where_from}"))
-}
-
 impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///

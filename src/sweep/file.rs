@@ -7,7 +7,6 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
-use crate::algo::{self, Channel};
 use crate::config::{Config, Document, Layers, flatten, no_matter_of_evaluation};
 
 /// Metrics for which there may be published values.
@@ -174,8 +173,8 @@ impl File {
             |layers: &Layers| Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source });
         let (config, scenario) = resolve(&layers)?;
         let fingerprint = fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
-        if !config.channel.is_perfect() {
-            return Err(wrong(file, format!("cell {id}: {}", Channel::ONLY_IN_EVALUATION)));
+        if let Some(why) = config.cannot_be_trained() {
+            return Err(wrong(file, format!("cell {id}: {why}")));
         }
         let cell = Cell { folder: folder.join(&id), id, values, config, fingerprint, after };
         // A mistake in how it is evaluated should not wait until it is trained.
@@ -184,7 +183,7 @@ impl File {
                 let sets = evaluate.sets(&combination);
                 let useless = sets.iter().find_map(|set| no_matter_of_evaluation(set));
                 let (asked, _) = resolve(&Layers { sets, ..layers.clone() })?;
-                if let Some(why) = useless.or_else(|| cannot_be_used(&cell.config, &asked)) {
+                if let Some(why) = useless.or_else(|| cell.config.cannot_serve(&asked)) {
                     return Err(wrong(file, format!("[[evaluate]] `{}`, cell {}: {why}", evaluate.name, cell.id)));
                 }
             }
@@ -216,7 +215,7 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
             if of != trained {
                 return Err(format!("cell {}: init_from: {} trains {of}, which has other networks", cell.id, first.id));
             }
-            if let Some(why) = cannot_be_used(&first.config, &cell.config) {
+            if let Some(why) = first.config.cannot_serve(&cell.config) {
                 return Err(format!("cell {}: init_from: {why}", cell.id));
             }
         }
@@ -226,19 +225,6 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         }
     }
     Ok(())
-}
-
-/// Why the policy of a run cannot be used with these settings, as far as can be told before it is trained.
-fn cannot_be_used(trained: &Config, asked: &Config) -> Option<String> {
-    let (was, is) = (trained.agents, asked.agents);
-    let able = algo::capabilities(&trained.algorithm).is_ok_and(|able| able.any_number);
-    if !able && was != is && trained.env.penetration == asked.env.penetration {
-        return Some(format!(
-            "{} learns something about each of {was} agents and cannot be used among {is}; let `when` name the cells for which this is",
-            trained.algorithm
-        ));
-    }
-    algo::check_channel(&trained.algorithm, &asked.channel).err().map(|unfit| unfit.to_string())
 }
 
 fn wrong(file: &str, message: String) -> Error {

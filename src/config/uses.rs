@@ -1,0 +1,38 @@
+//! What a run's settings are of use for: training, evaluating its policy, starting from that.
+
+use super::Config;
+use crate::algo;
+
+/// Why a `--set` makes no sense in an evaluation, where it is of something that the program takes from elsewhere.
+pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
+    let (key, _) = set.split_once('=')?;
+    let where_from = match key.trim() {
+        "seed" => "episodes follow from --seed",
+        "algorithm" => "the method is the checkpoint's",
+        "device" => "the device is --device's",
+        "init_from" | "steps" => "nothing is trained",
+        _ => return None,
+    };
+    Some(format!("{set}: has no effect in an evaluation: {where_from}"))
+}
+
+impl Config {
+    /// Why nothing can be trained with these settings.
+    pub fn cannot_be_trained(&self) -> Option<&'static str> {
+        let disturbed = !self.channel.is_perfect();
+        disturbed.then_some("[channel] is for evaluation; in training messages arrive as they were sent: leave it out")
+    }
+
+    /// Why the policy of a run with these settings cannot be used with those that are `asked` for, as far as can be told before it is trained.
+    pub fn cannot_serve(&self, asked: &Self) -> Option<String> {
+        let (was, is) = (self.agents, asked.agents);
+        let able = algo::capabilities(&self.algorithm).is_ok_and(|able| able.any_number);
+        if !able && was != is && self.env.penetration == asked.env.penetration {
+            return Some(format!(
+                "{} learns something about each of {was} agents and cannot be used among {is}; let `when` name the cells for which this is",
+                self.algorithm
+            ));
+        }
+        algo::check_channel(&self.algorithm, &asked.channel).err().map(|unfit| unfit.to_string())
+    }
+}
