@@ -12,12 +12,13 @@
 //!    optimisation)
 //! 5. encoder blocks with a rectifier, decoder blocks as MAT's; one ratio for each dimension of the action
 //!
-//! It differs on purpose: each world samples a graph for a whole rollout, by the noise that all methods with graphs get (logistic; the most
-//! likely graph while an episode has no noise yet), and an update sees the graph that acted (reference: exact in acting, new Gumbel noise in
-//! every update, so that ratios compare different graphs; `iwol.graph_noise = "resampled"` does likewise); no ten updates with the complete graph first, as noise tries all links; a
-//! link has weight 1, to itself, too (reference: 2 where that is chosen as well); relations are those of edges above ½ (reference: cut to an
-//! integer, which after the warm-up is the same: (1 − s) + s is 1 for every s of 32 bits from 0 to 1); no dropout, which changes the ratio
-//! (`commformer.dropout`); one action head for all (reference: one for each agent).
+//! It differs on purpose: each world samples a graph for a whole rollout, by the noise that all methods with graphs get (logistic;
+//! the most likely graph while an episode has no noise yet), and an update sees the graph that acted (reference: exact in acting,
+//! new Gumbel noise in every update, so that ratios compare different graphs; `iwol.graph_noise = "resampled"` does likewise); no
+//! ten updates with the complete graph first, as noise tries all links; a link has weight 1, to itself, too (reference: 2 where
+//! that is chosen as well); relations are those of edges above ½ (reference: cut to an integer, which after the warm-up is the
+//! same: (1 − s) + s is 1 for every s of 32 bits from 0 to 1); no dropout, which changes the ratio (`commformer.dropout`); one
+//! action head for all (reference: one for each agent).
 //! Edges beyond the radio range do not exist, and an agent reads the action before its own only from someone it
 //! listens to. For encoder, value, noise and agents who are gone see [`mat`](super::mat). `commformer.lambda_world` adds
 //! IWoL's world decoder.
