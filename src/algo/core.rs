@@ -14,7 +14,7 @@ use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
     ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Observation, Pace,
-    Reconstruction,
+    Reconstruction, check_agents,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -370,10 +370,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         if let Some(path) = N::PER_AGENT {
             let trained = state.iter().find(|(name, _)| name == path).map(|(_, t)| t.size()[0]);
-            if let (Some(trained), Some(agents)) = (trained, self.weights.rows(path))
-                && trained != agents
-            {
-                return Err(Error::FixedAgents { algorithm: N::NAME, trained, agents });
+            if let (Some(trained), Some(agents)) = (trained, self.weights.rows(path)) {
+                check_agents(N::NAME, trained, agents)?;
             }
         }
         self.weights.load_weights(state)?;

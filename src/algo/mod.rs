@@ -151,6 +151,16 @@ pub fn check_channel(name: &str, channel: &Channel) -> Result<(), Error> {
     if fits { Ok(()) } else { Err(Error::NoMessages { algorithm: name }) }
 }
 
+/// Whether a policy of an algorithm that was trained among some agents can be used among others.
+///
+/// # Errors
+/// [`Error::FixedAgents`], [`Error::UnknownAlgorithm`].
+pub fn check_agents(name: &str, trained: i64, agents: i64) -> Result<(), Error> {
+    let Method { name, capabilities, .. } = Method::named(name)?;
+    let fits = capabilities.any_number || trained == agents;
+    if fits { Ok(()) } else { Err(Error::FixedAgents { algorithm: name, trained, agents }) }
+}
+
 /// What a policy sees at one decision of E environments with N agents each.
 #[derive(Debug)]
 pub struct Observation {

@@ -25,14 +25,13 @@ impl Config {
 
     /// Why the policy of a run with these settings cannot be used with those that are `asked` for, as far as can be told before it is trained.
     pub fn cannot_serve(&self, asked: &Self) -> Option<String> {
-        let (was, is) = (self.agents, asked.agents);
-        let able = algo::capabilities(&self.algorithm).is_ok_and(|able| able.any_number);
-        if !able && was != is && self.env.penetration == asked.env.penetration {
-            return Some(format!(
-                "{} learns something about each of {was} agents and cannot be used among {is}; let `when` name the cells for which this is",
-                self.algorithm
-            ));
-        }
-        algo::check_channel(&self.algorithm, &asked.channel).err().map(|unfit| unfit.to_string())
+        let as_many = if self.env.penetration == asked.env.penetration {
+            algo::check_agents(&self.algorithm, self.agents.into(), asked.agents.into())
+        } else {
+            // How many learn is known once the scenario is set up.
+            Ok(())
+        };
+        let unfit = as_many.and_then(|()| algo::check_channel(&self.algorithm, &asked.channel)).err();
+        unfit.map(|unfit| unfit.to_string())
     }
 }

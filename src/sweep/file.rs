@@ -184,7 +184,13 @@ impl File {
                 let useless = sets.iter().find_map(|set| no_matter_of_evaluation(set));
                 let (asked, _) = resolve(&Layers { sets, ..layers.clone() })?;
                 if let Some(why) = useless.or_else(|| cell.config.cannot_serve(&asked)) {
-                    return Err(wrong(file, format!("[[evaluate]] `{}`, cell {}: {why}", evaluate.name, cell.id)));
+                    return Err(wrong(
+                        file,
+                        format!(
+                            "[[evaluate]] `{}`, cell {}: {why}; `when` says which cells it is for",
+                            evaluate.name, cell.id
+                        ),
+                    ));
                 }
             }
         }

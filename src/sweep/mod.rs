@@ -405,7 +405,7 @@ mod tests {
             assert!(error.contains(why), "{error}");
         };
         let (many, lost) = ("agents = [4, 6]", "\"channel.loss\" = [0.0, 0.5]");
-        refused("[\"mappo\", \"commformer\"]", many, "`range`, cell commformer_agents=4/seed_0: commformer learns");
+        refused("[\"mappo\", \"commformer\"]", many, "`range`, cell commformer_agents=4/seed_0: commformer learned");
         refused("[\"mappo\", \"mat\"]", lost, "cell mat_agents=4/seed_0: [channel] is for messages");
         refused("[\"mappo\"]", "seed = [7, 8]", "seed=7: has no effect in an evaluation: episodes follow from --seed");
         refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the method is the checkpoint's");
