@@ -108,6 +108,10 @@ pub struct Train {
     /// training what a step away from it gives back, so that the best policy stays the best. Danger is 1 at a crash and falls to 0
     /// where vehicles that go straight on do not touch within [`World::DANGER`](crate::env::World::DANGER). 0: none.
     pub shaping: f64,
+    /// Whether the value of the last observation stands for what would come after the horizon, as if
+    /// episodes went on. Without it the horizon is a deadline: an agent that has not arrived by then
+    /// earns nothing more.
+    pub bootstrap_horizon: bool,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
@@ -144,6 +148,7 @@ impl Default for Train {
             imitate_yields: false,
             teacher: PathBuf::new(),
             shaping: 0.0,
+            bootstrap_horizon: false,
             validate_every: 16_384,
             validation_episodes: 64,
             stop_success: 0.99,
@@ -177,7 +182,7 @@ impl Default for Simulation {
     }
 }
 
-/// The scenario's numbers that a run may change. Defaults are the scenario's own; that of `cooperation` follows from it.
+/// The scenario's numbers that a run may change. Defaults are the scenario's own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Env {
@@ -208,9 +213,10 @@ pub struct Env {
     pub lidar_range: f64,
     /// Range d_comm of the physical mask \[m\].
     pub communication_range: f64,
-    /// Share λ of the cooperative mix; the scenario's is for its own number of agents, and follows from it for another
-    /// ([`Config::resolve`]).
+    /// Weight in training of each other agent's reward beside one's own, which has weight 1.
     pub cooperation: f64,
+    /// How far apart agents share in each other's reward \[m\]; `inf`: all agents of a world.
+    pub share_range: f64,
     /// Reward per metre.
     pub reward_progress: f64,
     /// Reward per step at 80 km/h.
@@ -230,12 +236,8 @@ pub struct Env {
 }
 
 impl Env {
-    fn of(scenario: &Scenario, agents: u32) -> Self {
+    fn of(scenario: &Scenario) -> Self {
         let (seen, reward) = (&scenario.observation, &scenario.reward);
-        // Of the mix, an agent's own reward has the share 1 − λ + λ/N, each other's λ/N: among more agents, a larger λ keeps
-        // their ratio.
-        let (lambda, own, n) = (reward.cooperation, f64::from(scenario.agents.default), f64::from(agents.max(1)));
-        let kept = lambda * n / (lambda * n + (1.0 - lambda) * own);
         Self {
             observation: seen.groups,
             detection_range: seen.detection_range,
@@ -250,7 +252,8 @@ impl Env {
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
             communication_range: scenario.communication.range,
-            cooperation: (kept * 1e6).round() / 1e6,
+            cooperation: reward.cooperation,
+            share_range: reward.share_range,
             reward_progress: reward.progress,
             reward_speed: reward.speed,
             reward_arrive: reward.arrive,
@@ -277,6 +280,7 @@ impl Env {
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;
+        reward.share_range = self.share_range;
         reward.progress = self.reward_progress;
         reward.speed = self.reward_speed;
         reward.arrive = self.reward_arrive;

@@ -387,7 +387,7 @@ impl<'a> PolicyDriver<'a> {
             policy,
             task,
             seed,
-            actions: vec![0.0; worlds * n * task.spec.actions],
+            actions: vec![0.0; worlds * n * task.spec.actions.len()],
             observation: vec![0.0; worlds * n * task.spec.observation.len()],
             comm: vec![0.0; worlds * n * n],
             start: vec![0.0; worlds],
@@ -403,11 +403,11 @@ impl<'a> PolicyDriver<'a> {
         let watched =
             env.worlds().enumerate().find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
         let mut thoughts = Thoughts::default();
-        let width = self.task.agents * self.task.spec.actions;
+        let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
             Policy::Throttle(throttle) => {
                 // Where there are two, the first one steers.
-                let actions = self.task.spec.actions;
+                let actions = self.task.spec.actions.len();
                 for action in self.actions.chunks_mut(actions) {
                     action.fill(0.0);
                     action[actions - 1] = *throttle;

@@ -52,18 +52,33 @@ pub struct Rollout {
     pub teacher: Vec<f32>,
     /// Of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
+    /// Shift of each action's mean by noise of earlier steps, in units of the scheduled standard
+    /// deviation, `[T, E, N, A]`; empty where noise is independent from step to step.
+    pub carried: Vec<f32>,
+    /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T, A]`;
+    /// empty where noise is independent from step to step.
+    pub log_fresh: Vec<f32>,
     /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
     pub sampled: Vec<f32>,
     /// Added to the logarithm of the actions' standard deviation, `[E]`.
-    pub quiet: Vec<f32>,
-    /// `[T, E, N]`
+    pub log_std_offset: Vec<f32>,
+    /// Own reward of each agent, `[T, E, N]`.
     pub reward: Vec<f32>,
+    /// Weight of each other agent's reward beside one's own, which has weight 1.
+    pub cooperation: f64,
+    /// Who shares in whose reward, `[T, E, N, N]`, 1 where agent `i` shares in that of `j`; empty
+    /// where all agents of a world share.
+    pub sharing: Vec<f32>,
     /// Potential of what is observed, `[T + 1, E, N]`, 0 for those who are not there; empty where rewards are not shaped.
     pub potential: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory ended for good.
     pub terminated: Vec<f32>,
-    /// `[T, E, N]`, 1 where the trajectory was cut short.
+    /// `[T, E, N]`, 1 where the trajectory was truncated: at the horizon, or because its simulation broke off.
     pub truncated: Vec<f32>,
+    /// `[T, E]`, 1 where the simulation broke off.
+    pub interrupted: Vec<f32>,
+    /// Whether returns go on beyond the horizon by the value of the last observation.
+    pub bootstrap_horizon: bool,
 }
 
 impl Rollout {
@@ -82,12 +97,18 @@ impl Rollout {
             action: vec![0.0; rows * sizes.actions],
             teacher: Vec::new(),
             log_prob: vec![0.0; rows * sizes.actions],
+            carried: Vec::new(),
+            log_fresh: Vec::new(),
             sampled: vec![1.0; sizes.steps * sizes.envs],
-            quiet: vec![0.0; sizes.envs],
+            log_std_offset: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
+            cooperation: 0.0,
+            sharing: Vec::new(),
             potential: Vec::new(),
             terminated: vec![0.0; rows],
             truncated: vec![0.0; rows],
+            interrupted: vec![0.0; sizes.steps * sizes.envs],
+            bootstrap_horizon: false,
             sizes,
         }
     }
@@ -105,12 +126,19 @@ impl Rollout {
         first..first + size
     }
 
+    /// Whether the return of entry `i` of an array `[T, E, N]` ends there for good: the trajectory
+    /// terminated, or met its deadline. After a simulation that broke off it goes on.
+    pub fn ends(&self, i: usize) -> bool {
+        let deadline = !self.bootstrap_horizon && self.interrupted[i / self.sizes.agents] == 0.0;
+        self.terminated[i] > 0.0 || (self.truncated[i] > 0.0 && deadline)
+    }
+
     /// Generalised advantage estimation: advantages and returns, `[T, E, N]`, from values `[T + 1, E, N]` in units of
     /// the reward.
     ///
-    /// A terminated trajectory has no future; a truncated one is bootstrapped with the value of its last observation;
-    /// both end the chain. Inactive entries are zero. Rewards are shaped by the potential: each step earns what it adds to it,
-    /// and whoever ends for good has none.
+    /// A trajectory that [`ends`](Self::ends) has no future; one that is truncated otherwise is bootstrapped with the value of its
+    /// last observation; both end the chain. Inactive entries are zero. Rewards are shaped by the potential: each step earns what
+    /// it adds to it, and a trajectory that ends for good has none.
     pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let width = self.sizes.envs * self.sizes.agents;
         debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
@@ -125,11 +153,11 @@ impl Rollout {
                     *chain = 0.0;
                     continue;
                 }
-                let terminated = self.terminated[i] > 0.0;
-                if terminated || self.truncated[i] > 0.0 {
+                let ends = self.ends(i);
+                if ends || self.truncated[i] > 0.0 {
                     *chain = 0.0;
                 }
-                let next = if terminated { 0.0 } else { f64::from(values[i + width]) + potential(i + width) };
+                let next = if ends { 0.0 } else { f64::from(values[i + width]) + potential(i + width) };
                 let value = f64::from(values[i]);
                 let reward = f64::from(self.reward[i]) - potential(i);
                 *chain = reward + gamma * next - value + gamma * lambda * *chain;
@@ -140,12 +168,60 @@ impl Rollout {
         (advantage, returns)
     }
 
+    /// Adds to each active agent's advantage those of the other agents of its world, with the weight
+    /// [`Rollout::cooperation`]; `advantage: [T, E, N]` are those of the agents' own rewards.
+    ///
+    /// Advantages are linear in rewards and values, so these are the advantages of the sum of own
+    /// rewards, weighted alike, whose expectation goes on after an agent has left. Hence nobody
+    /// gains by staying: what others earn counts for the actions that changed it, not for
+    /// presence. (Neighbourhood advantages: Peng et al., CoPO, NeurIPS 2021.)
+    pub fn share_advantages(&self, advantage: &mut [f32]) {
+        let n = self.sizes.agents;
+        if self.cooperation == 0.0 {
+            return;
+        }
+        let mut own = vec![0.0; n];
+        for (row, advantage) in advantage.chunks_mut(n).enumerate() {
+            own.copy_from_slice(advantage);
+            let active = &self.active[row * n..(row + 1) * n];
+            let sharing = |i: usize, j: usize| self.sharing.get((row * n + i) * n + j).copied().unwrap_or(1.0);
+            for i in (0..n).filter(|&i| active[i] > 0.0) {
+                let others: f64 =
+                    (0..n).filter(|&j| j != i && active[j] > 0.0).map(|j| f64::from(sharing(i, j) * own[j])).sum();
+                advantage[i] += (self.cooperation * others) as f32;
+            }
+        }
+    }
+
+    /// Each agent's own reward and, weighted by [`Rollout::cooperation`], the penalties of the other
+    /// agents of its world, `[T, E, N]`: what methods learn from that replay single steps.
+    ///
+    /// A penalty is a negative reward of a step that terminates a trajectory. As nobody earns
+    /// anything by the presence of others, nobody gains by staying.
+    pub fn rewards_with_penalties(&self) -> Vec<f32> {
+        let n = self.sizes.agents;
+        let mut rewards = self.reward.clone();
+        if self.cooperation == 0.0 {
+            return rewards;
+        }
+        let penalty = |k: usize| if self.terminated[k] > 0.0 { self.reward[k].min(0.0) } else { 0.0 };
+        for (k, reward) in rewards.iter_mut().enumerate() {
+            let (row, i) = (k / n, k % n);
+            let sharing = |j: usize| self.sharing.get(k * n + j).copied().unwrap_or(1.0);
+            let others: f32 = (0..n).filter(|&j| j != i).map(|j| sharing(j) * penalty(row * n + j)).sum();
+            *reward += self.cooperation as f32 * others;
+        }
+        rewards
+    }
+
     /// The agents of each environment as one, who gets the sum of their rewards, acts while any of them does, and ends with the last:
-    /// for good, unless someone is cut short then. It has no observations, actions or memory.
+    /// for good, unless an agent is truncated then. It has no observations, actions or memory.
     #[must_use]
     pub fn team(&self) -> Self {
         let mut team =
             Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
+        team.interrupted.clone_from(&self.interrupted);
+        team.bootstrap_horizon = self.bootstrap_horizon;
         team.potential = self.potential.chunks(self.sizes.agents).map(|crew| crew.iter().sum()).collect();
         let rows = self.sizes.steps * self.sizes.envs;
         for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
@@ -231,7 +307,109 @@ mod tests {
         assert_eq!((&team.terminated[..], &team.truncated[..]), (&[0.0; 3][..], &[0.0, 0.0, 1.0][..]));
     }
 
+    /// An agent that stands and earns nothing has the less to expect the nearer the horizon is, as an
+    /// episode does not go on beyond it; it does go on where a simulation broke off.
+    #[test]
+    fn the_horizon_is_a_deadline() {
+        let sizes = Sizes { steps: 4, envs: 1, agents: 1, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+        let standing = |truncated: f32, interrupted: f32, bootstrap_horizon: bool| {
+            let mut rollout = Rollout { bootstrap_horizon, ..Rollout::new(sizes) };
+            rollout.active.fill(1.0);
+            (rollout.truncated[3], rollout.interrupted[3]) = (truncated, interrupted);
+            rollout.advantages(&[5.0; 5], 0.9, 1.0).1
+        };
+        let goes_on = [0, 1, 2, 3].map(|t| 5.0 * 0.9_f32.powi(4 - t));
+        let close = |found: Vec<f32>, expected: [f32; 4]| {
+            found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-5)
+        };
+        assert!(close(standing(0.0, 0.0, false), goes_on), "far from the horizon");
+        assert!(close(standing(1.0, 0.0, false), [0.0; 4]), "at the horizon");
+        assert!(close(standing(1.0, 1.0, false), goes_on), "where the simulation broke off");
+        assert!(close(standing(1.0, 0.0, true), goes_on), "where the setting says so");
+    }
+
+    /// A rollout of steps in which the first of several agents arrives at step `arrival` for a reward,
+    /// and the others drive on and earn at every step.
+    fn arriving_at(arrival: usize, steps: usize, agents: usize, reward: f32, others: &[f32]) -> Rollout {
+        let sizes = Sizes { steps, envs: 1, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+        let mut rollout = Rollout::new(sizes);
+        for t in 0..steps {
+            for i in 0..agents {
+                let k = t * agents + i;
+                rollout.active[k] = f32::from(u8::from(i > 0 || t <= arrival));
+                rollout.reward[k] = if i > 0 { others[k % others.len()] } else { 0.0 };
+            }
+        }
+        (rollout.reward[arrival * agents], rollout.terminated[arrival * agents]) = (reward, 1.0);
+        rollout
+    }
+
     proptest! {
+        /// Whatever the others earn and however much of it is shared, an agent that may arrive gains
+        /// nothing by waiting.
+        #[test]
+        fn nobody_gains_by_waiting(
+            steps in 2usize..30,
+            agents in 2usize..9,
+            reward in 0.0f32..10.0,
+            others in proptest::collection::vec(-2.0f32..3.0, 40),
+            cooperation in 0.0f64..1.0,
+            gamma in 0.9f64..1.0,
+        ) {
+            let of = |arrival: usize| {
+                Rollout { cooperation, ..arriving_at(arrival, steps, agents, reward, &others) }
+            };
+            // Without values and with λ = 1, advantages are returns.
+            let shared = |rollout: &Rollout| {
+                let values = vec![0.0; (steps + 1) * agents];
+                let (mut advantage, _) = rollout.advantages(&values, gamma, 1.0);
+                rollout.share_advantages(&mut advantage);
+                f64::from(advantage[0])
+            };
+            let (now, last) = (shared(&of(0)), shared(&of(steps - 1)));
+            let gain = f64::from(reward) * (1.0 - gamma.powi(steps as i32 - 1));
+            prop_assert!((now - last - gain).abs() < 1e-3 * (1.0 + now.abs()), "{now} {last} {gain}");
+            // The same of rewards of single steps, as long as the agent is there.
+            let earned = |rollout: &Rollout| {
+                let rewards = rollout.rewards_with_penalties();
+                let there = (0..steps).filter(|t| rollout.active[t * agents] > 0.0);
+                there.map(|t| gamma.powi(t as i32) * f64::from(rewards[t * agents])).sum::<f64>()
+            };
+            prop_assert!(earned(&of(0)) >= earned(&of(steps - 1)) - 1e-4);
+        }
+
+        /// What is shared is the weighted sum of the others' advantages, of those who act and are in range.
+        #[test]
+        fn advantages_are_shared_by_the_definition(
+            agents in 1usize..6,
+            numbers in proptest::collection::vec(-3.0f32..3.0, 48),
+            active in proptest::collection::vec(any::<bool>(), 48),
+            near in proptest::collection::vec(any::<bool>(), 240),
+            limited in any::<bool>(),
+            cooperation in 0.0f64..1.0,
+        ) {
+            let sizes =
+                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+            let (rows, flag) = (8, |b: bool| f32::from(u8::from(b)));
+            let mut rollout = Rollout { cooperation, ..Rollout::new(sizes) };
+            for k in 0..rows * agents {
+                rollout.active[k] = flag(active[k]);
+            }
+            if limited {
+                rollout.sharing = near[..rows * agents * agents].iter().map(|&b| flag(b)).collect();
+            }
+            let own: Vec<f32> = (0..rows * agents).map(|k| numbers[k] * rollout.active[k]).collect();
+            let mut shared = own.clone();
+            rollout.share_advantages(&mut shared);
+            for k in 0..rows * agents {
+                let (row, i) = (k / agents, k % agents);
+                let others = (0..agents).filter(|&j| j != i && (!limited || near[k * agents + j]));
+                let sum: f32 = others.map(|j| own[row * agents + j]).sum();
+                let expected = if active[k] { own[k] + cooperation as f32 * sum } else { 0.0 };
+                prop_assert!((shared[k] - expected).abs() < 1e-4, "{k}: {} {expected}", shared[k]);
+            }
+        }
+
         /// GAE is the exponentially weighted sum of k-step advantages, each computed from its definition.
         #[test]
         fn advantages_follow_the_definition(
@@ -241,10 +419,17 @@ mod tests {
             rewards in proptest::collection::vec(-3.0f32..3.0, 60),
             values in proptest::collection::vec(-3.0f32..3.0, 60),
             potentials in proptest::collection::vec(-3.0f32..3.0, 60),
+            breaks in proptest::collection::vec(any::<bool>(), 14),
+            bootstrap in any::<bool>(),
             gamma in 0.5f64..1.0,
             lambda in 0.0f64..1.0,
         ) {
-            let rollout = random_rollout(steps, width, &events, &rewards);
+            let interrupted: Vec<f32> = breaks[..steps].iter().map(|&b| f32::from(u8::from(b))).collect();
+            let rollout = Rollout {
+                interrupted: interrupted.clone(),
+                bootstrap_horizon: bootstrap,
+                ..random_rollout(steps, width, &events, &rewards)
+            };
             let values: Vec<f32> = (0..(steps + 1) * width).map(|i| values[i % values.len()]).collect();
             let (advantage, returns) = rollout.advantages(&values, gamma, lambda);
             // Shaped by a potential, whose value is less by it, nothing changes about what is better than what.
@@ -270,10 +455,11 @@ mod tests {
                     for (n, u) in (t..steps).enumerate() {
                         let discount = gamma.powi(n as i32);
                         sum += discount * f64::from(rollout.reward[at(u)]);
-                        let dead = rollout.terminated[at(u)] > 0.0;
-                        let next = if dead { 0.0 } else { f64::from(values[at(u + 1)]) };
+                        let over = rollout.terminated[at(u)] > 0.0
+                            || (rollout.truncated[at(u)] > 0.0 && !bootstrap && interrupted[u] == 0.0);
+                        let next = if over { 0.0 } else { f64::from(values[at(u + 1)]) };
                         n_step.push(sum + discount * gamma * next - f64::from(values[at(t)]));
-                        if dead || rollout.truncated[at(u)] > 0.0 {
+                        if over || rollout.truncated[at(u)] > 0.0 {
                             break;
                         }
                     }

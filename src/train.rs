@@ -144,7 +144,7 @@ impl Trainer {
             agents: task.agents,
             observation: task.spec.observation.len(),
             state: task.spec.state.len(),
-            actions: task.spec.actions,
+            actions: task.spec.actions.len(),
             memory: learner.memory(),
             graphs: learner.graphs(),
         };
@@ -167,7 +167,7 @@ impl Trainer {
             }
             Some(stored) => {
                 same_run(&config, stored)?;
-                let width = task.agents * task.spec.actions;
+                let width = task.agents * task.spec.actions.len();
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
                 let fits =
@@ -185,9 +185,11 @@ impl Trainer {
         };
         let teacher = schedule::may_imitate(&config, &progress).then(|| Teacher::new(&config)).transpose()?;
         let mut rollout = Rollout::new(sizes);
-        for (e, quiet) in rollout.quiet.iter_mut().enumerate() {
-            *quiet = -(config.exploration.spread * e as f64 / (worlds - 1).max(1) as f64) as f32;
+        for (e, offset) in rollout.log_std_offset.iter_mut().enumerate() {
+            *offset = -(config.exploration.spread * e as f64 / (worlds - 1).max(1) as f64) as f32;
         }
+        rollout.cooperation = task.scenario.reward.cooperation;
+        rollout.bootstrap_horizon = config.train.bootstrap_horizon;
         Ok(Self {
             rollout,
             memory: Tensor::from_slice(&memory).view(shape),
@@ -243,8 +245,10 @@ impl Trainer {
     fn grow(&mut self) {
         let steps = self.config.train.segment * schedule::pace(&self.config, &self.progress).growth;
         if steps != self.rollout.sizes.steps {
-            let quiet = std::mem::take(&mut self.rollout.quiet);
-            self.rollout = Rollout { quiet, ..Rollout::new(Sizes { steps, ..self.rollout.sizes }) };
+            let log_std_offset = std::mem::take(&mut self.rollout.log_std_offset);
+            let Rollout { cooperation, bootstrap_horizon, .. } = self.rollout;
+            let empty = Rollout::new(Sizes { steps, ..self.rollout.sizes });
+            self.rollout = Rollout { log_std_offset, cooperation, bootstrap_horizon, ..empty };
         }
     }
 

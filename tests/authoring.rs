@@ -182,7 +182,7 @@ fn where_vehicles_steer_pursuit_leads_along_every_route_of_every_template() {
         let checked = Scenario::check(&file);
         assert!(checked.list.is_empty(), "{template:?}: {:?}", checked.list);
         let task = Arc::new(Task::new(&checked.scenario.unwrap(), 1).unwrap());
-        assert_eq!((task.spec.actions, task.spec.agents), (2, 1));
+        assert_eq!((task.spec.actions.len(), task.spec.agents), (2, 1));
         assert_eq!(alone(&task, 6.0, 40), [1.0; 40], "{template:?}: at the speed that is imitated");
     }
 }

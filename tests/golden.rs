@@ -6,7 +6,7 @@
 
 use iwol_sumo::algo::settings::{EncoderKind, Settings};
 use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, ppo};
-use iwol_sumo::env::{EnvSpec, Feature, Features};
+use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
     Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init, MaskMode, Mixer, Mlp,
@@ -257,12 +257,16 @@ fn mixer_of_those_who_are_there() {
     case.check_gradients(&out, &[("grad_values", &values), ("grad_state", &state)]);
 }
 
+fn dimensions(count: usize) -> Vec<ActionDimension> {
+    vec![ActionDimension::named("action"); count]
+}
+
 /// One whole update of MADDPG: targets, both losses, clipping, Adam, and the networks that follow. The third agent is gone
 /// before, the second one after the step.
 #[test]
 fn maddpg() {
     let case = Case::new("maddpg");
-    let spec = EnvSpec { agents: 3, actions: 1, observation: features(4), state: features(3) };
+    let spec = EnvSpec { agents: 3, actions: dimensions(1), observation: features(4), state: features(3) };
     let mut settings = small();
     (settings.ppo.max_grad_norm, settings.ppo.value_norm_beta, settings.ppo.average) = (0.5, 0.9, 0.0);
     (settings.maddpg.updates, settings.maddpg.target_rate, settings.maddpg.action_penalty) = (1, 0.1, 0.05);
@@ -307,7 +311,7 @@ fn decisions_and_values() {
     for (name, method, value) in of_icp.into_iter().chain(others) {
         let mut case = Case::new(name);
         let actions = case.get("action").size()[2] as usize;
-        let spec = EnvSpec { agents: 3, actions, observation: features(4), state: features(3) };
+        let spec = EnvSpec { agents: 3, actions: dimensions(actions), observation: features(4), state: features(3) };
         let mut settings = small();
         (settings.network.hidden, settings.iwol.message) = (16, 8);
         // Two links of three.

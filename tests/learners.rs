@@ -4,7 +4,7 @@ use iwol_sumo::algo::{
     self, ActMode, Algorithm, Channel, ChannelNoise, Hears, Observation, Pace, Settings,
     settings::{EncoderKind, GraphNoise},
 };
-use iwol_sumo::env::{EnvSpec, Feature, Features, Group};
+use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
@@ -20,7 +20,7 @@ fn features(count: usize) -> Features {
 }
 
 fn spec(agents: usize) -> EnvSpec {
-    EnvSpec { agents, actions: 1, observation: features(4), state: features(3) }
+    EnvSpec { agents, actions: vec![ActionDimension::named("throttle")], observation: features(4), state: features(3) }
 }
 
 fn small(encoder: EncoderKind) -> Settings {
@@ -49,6 +49,10 @@ fn noise(seed: u64, shape: &[i64]) -> Tensor {
     Tensor::from_slice(&values).view(shape)
 }
 
+fn nothing() -> Tensor {
+    Tensor::zeros([0], (Kind::Float, Device::Cpu))
+}
+
 fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation {
     let (e, n, _) = x.size3().expect("[E, N, O]");
     let memory = noise(5, &[e, n, learner.memory() as i64]);
@@ -61,8 +65,9 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
     let open = Tensor::full([e, n, n * learner.graphs() as i64], 1e4, (Kind::Float, Device::Cpu));
     let input = observation(learner, x.copy(), comm.copy());
-    let quiet = Tensor::zeros([e], (Kind::Float, Device::Cpu));
-    let decision = learner.act(&input, &ActMode::Sample { action: &zero, graph: &open, quiet: &quiet });
+    let (carried, offset) = (nothing(), Tensor::zeros([e, 1, 1], (Kind::Float, Device::Cpu)));
+    let (action, graph, carried, log_std_offset) = (&zero, &open, &carried, &offset);
+    let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
 
@@ -337,8 +342,8 @@ fn shards_share_one_set_of_weights() {
             settings.iwol.decoded = 1.0;
             let mut learner = loud(name, &spec(4), &settings);
             let mut rollout = random_rollout(&*learner, 4, 3);
-            // Rows that count less, and some that teach the policy nothing.
-            rollout.quiet = vec![0.0, -0.7, -1.4];
+            // Worlds that differ in noise, and rows that teach the policy nothing.
+            rollout.log_std_offset = vec![0.0, -0.7, -1.4];
             rollout
                 .sampled
                 .iter_mut()
@@ -368,15 +373,24 @@ fn an_update_sees_the_policy_that_acted() {
         }
         let mut learner = loud(name, &spec(4), &small(encoder));
         let mut rollout = random_rollout(&*learner, 4, 3);
-        rollout.quiet = vec![0.0, -0.7, -1.4];
+        rollout.log_std_offset = vec![0.0, -0.7, -1.4];
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout);
+        // Noise that is correlated from step to step is as probable as the process says.
+        rollout.carried = Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
+        rollout.log_fresh = (0..rollout.sizes.steps).map(|t| if t == 0 { 0.0 } else { -0.5 }).collect();
+        decide(&*learner, &mut rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout);
+        let changed = Rollout { carried: Vec::new(), log_fresh: Vec::new(), ..rollout };
+        let losses = learner.update(&changed, &STILL, Seed::new(4)).expect("finite");
+        let kl = losses.iter().find(|loss| loss.0 == "ppo/approx_kl").expect("reported").1;
+        assert!(kl > 1e-3, "{name} {encoder:?}: scored as independent, it would be another policy: {kl}");
     });
 }
 
-/// Where graphs are drawn anew in an update, they are drawn as quietly as those that acted: hardly any noise, the same graph.
+/// Graphs that are drawn again in an update have as much noise as those that acted: hardly any noise, the same graph.
 #[test]
-fn graphs_that_are_drawn_again_are_as_quiet_as_those_that_acted() {
+fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
     each(|name, encoder| {
         let mut settings = small(encoder);
         settings.iwol.graph_noise = GraphNoise::Resampled;
@@ -385,7 +399,7 @@ fn graphs_that_are_drawn_again_are_as_quiet_as_those_that_acted() {
             return;
         }
         let mut rollout = random_rollout(&*learner, 4, 3);
-        rollout.quiet = vec![-8.0; 3];
+        rollout.log_std_offset = vec![-8.0; 3];
         rollout.graph_noise.fill(0.0);
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout);
@@ -396,7 +410,7 @@ fn graphs_that_are_drawn_again_are_as_quiet_as_those_that_acted() {
 fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let s = rollout.sizes;
     let (e, n) = (s.envs as i64, s.agents as i64);
-    let quiet = Tensor::from_slice(&rollout.quiet);
+    let world_offset = Tensor::from_slice(&rollout.log_std_offset).view([e, 1, 1]);
     let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
     for t in 0..s.steps {
         let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
@@ -412,7 +426,11 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
             Tensor::zeros([0], (Kind::Float, Device::Cpu))
         };
         let eps = noise(50 + t as u64, &[e, n, 1]);
-        let decision = learner.act(&input, &ActMode::Sample { action: &eps, graph: &graph, quiet: &quiet });
+        let correlated = !rollout.carried.is_empty();
+        let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
+        let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
+        let (action, graph, carried, log_std_offset) = (&eps, &graph, &carried, &(&world_offset + fresh));
+        let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
         rollout.memory[cells].copy_from_slice(&numbers(&memory));
@@ -744,7 +762,6 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
     let (e, n, o) = (32_usize, 2, 4);
     let mut settings = small(EncoderKind::Mlp);
     settings.exploration.log_std_start = -0.5;
-    settings.exploration.mean_bias = 0.0;
     settings.ppo.minibatch = 256;
     let mut learner = algo::build(name, &spec(n), &settings, Seed::new(1), Device::Cpu).expect("a learner");
     let sizes = Sizes {
@@ -805,9 +822,9 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
-            let quiet = Tensor::zeros([e as i64], (Kind::Float, Device::Cpu));
-            let mode = ActMode::Sample { action: &shaped(&eps, 1), graph: &graph, quiet: &quiet };
-            let decision = learner.act(&input, &mode);
+            let offset = Tensor::zeros([e as i64, 1, 1], (Kind::Float, Device::Cpu));
+            let (action, carried, graph, log_std_offset) = (&shaped(&eps, 1), &nothing(), &graph, &offset);
+            let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
             let numbers = |tensor: &Tensor| Vec::<f32>::try_from(tensor.reshape([-1])).expect("numbers");
             let (actions, log_probs) = (numbers(&decision.action), numbers(&decision.log_prob));
             let seen: Vec<f32> = x.iter().step_by(o).copied().collect();
@@ -875,7 +892,7 @@ fn an_empty_slot_changes_nothing() {
 #[test]
 fn several_action_dimensions_are_learned_from() {
     for name in algo::NAMES {
-        let spec = EnvSpec { actions: 2, ..spec(3) };
+        let spec = EnvSpec { actions: ["steer", "throttle"].map(ActionDimension::named).to_vec(), ..spec(3) };
         let mut learner =
             algo::build(name, &spec, &small(EncoderKind::Mlp), Seed::new(2), Device::Cpu).expect("a learner");
         let input = observation(&*learner, noise(1, &[2, 3, 4]), Tensor::ones([2, 3, 3], (Kind::Float, Device::Cpu)));

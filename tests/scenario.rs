@@ -270,7 +270,7 @@ fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("accel=\"2.909\"", "accel=\"2,909\""), @"task.xml:59:45: `2,909` is not a valid accel of <control>, allowed: a number greater than 0");
     insta::assert_snapshot!(mistake("max=\"48\"", "max=\"49\""), @"task.xml:12:21: `49` is not a valid max of <agents>, allowed: 4 to 48, the number of places of the largest net");
     insta::assert_snapshot!(mistake("default=\"8\"", "default=\"3\""), @"task.xml:12:30: `3` is not a valid default of <agents>, allowed: a whole number from 4 to 48");
-    insta::assert_snapshot!(mistake("cooperation=\"0.35\"", "cooperation=\"1.5\""), @"task.xml:68:78: `1.5` is not a valid cooperation of <reward>, allowed: 0 to 1");
+    insta::assert_snapshot!(mistake("cooperation=\"0.06\"", "cooperation=\"1.5\""), @"task.xml:68:78: `1.5` is not a valid cooperation of <reward>, allowed: 0 to 1");
     insta::assert_snapshot!(mistake("0.5:10.2", "0.2:10.2"), @"task.xml:59:72: `0.3:8.2 0.2:10.2 1:14.7` is not a valid brake of <control>, allowed: pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling");
     insta::assert_snapshot!(mistake("interval=\"0.1\"", "interval=\"0.0005\""), @"task.xml:59:30: `0.0005` is not a valid interval of <control>, allowed: 0.001 to 10, a multiple of 0.001");
     insta::assert_snapshot!(mistake("horizon=\"1000\"", "horizon=\"0\""), @"task.xml:71:18: `0` is not a valid horizon of <termination>, allowed: a whole number from 1 to 1000000");
@@ -377,7 +377,9 @@ prop_compose! {
                 borders: f64::from(counts[0] as u32) / 2.0,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },
-            reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share },
+            reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share,
+                share_range: if counts[0] % 2 == 0 { f64::INFINITY } else { p[9] },
+            },
             termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },
             communication: Communication { range: p[9] },
             traffic: Traffic {

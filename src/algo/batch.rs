@@ -35,8 +35,13 @@ pub(super) struct Batch {
     pub(super) imitation: f64,
     /// Of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
-    /// Added to the logarithm of the standard deviation, `[T · E, N]`.
-    pub(super) quiet: Tensor,
+    /// Shift of the means by noise of earlier steps, `[T · E, N, A]`; empty where noise is independent
+    /// from step to step.
+    pub(super) carried: Tensor,
+    /// Added to the logarithm of the standard deviation, `[T · E, N, A]`.
+    pub(super) log_std_offset: Tensor,
+    /// Factor on the noise of sampled graphs in each row, beside the schedule's, `[T · E]`.
+    noise_scale: Tensor,
     /// 1 where the policy learns from the action, `[T · E, N]`.
     pub(super) sampled: Tensor,
     /// Normalised over the samples that the policy learns from, `[T · E, N]`.
@@ -57,6 +62,12 @@ impl Batch {
         let start = tensor(&rollout.start, &[closed, 1]);
         let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
+        let per_step = [s.steps as i64, 1, s.actions as i64];
+        let fresh = if rollout.log_fresh.is_empty() {
+            Tensor::zeros(per_step, (Kind::Float, device))
+        } else {
+            tensor(&rollout.log_fresh, &per_step)
+        };
         let policy_graph = if s.graphs > 0 { [closed, n, n * s.graphs as i64] } else { [0, n, n] };
         Self {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
@@ -72,9 +83,13 @@ impl Batch {
             teacher: tensor(&rollout.teacher, &[-1, n, s.actions as i64]),
             imitation: 0.0,
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
-            quiet: tensor(&rollout.quiet, &[1, s.envs as i64, 1])
-                .expand([s.steps as i64, -1, n], false)
-                .reshape([rows, n]),
+            carried: tensor(&rollout.carried, &[-1, n, s.actions as i64]),
+            log_std_offset: (tensor(&rollout.log_std_offset, &[1, s.envs as i64, 1]) + fresh)
+                .view([rows, 1, s.actions as i64])
+                .expand([rows, n, s.actions as i64], false),
+            noise_scale: (tensor(&rollout.log_std_offset, &[1, -1]).exp()
+                * tensor(&rollout.sampled, &[s.steps as i64, -1]))
+            .view([-1]),
             sampled: tensor(&rollout.sampled, &[rows, 1]).expand([rows, n], false).contiguous(),
             advantage: empty(),
             returns: empty(),
@@ -102,7 +117,9 @@ impl Batch {
             let shared = |of: &[f32]| of.iter().flat_map(|&x| std::iter::repeat_n(x, agents)).collect::<Vec<_>>();
             (shared(&advantage), shared(&returns))
         } else {
-            rollout.advantages(&values, gamma, lambda)
+            let (mut advantage, returns) = rollout.advantages(&values, gamma, lambda);
+            rollout.share_advantages(&mut advantage);
+            (advantage, returns)
         };
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
@@ -117,10 +134,10 @@ impl Batch {
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
     }
 
-    /// What the noise of each row was multiplied by in acting, beside the schedule, `[(T + 1) · E, 1, 1]`; the last rows, in which nobody
-    /// acts, have that of those before.
-    pub(super) fn loudness(&self, envs: i64) -> Tensor {
-        let acted = (self.quiet.exp() * &self.sampled).narrow(1, 0, 1).unsqueeze(-1);
+    /// Factor on the noise of sampled graphs in each row, beside the schedule's, `[(T + 1) · E, 1, 1]`;
+    /// the last rows, in which no agent acts, have the factor of the rows before.
+    pub(super) fn graph_noise_scale(&self, envs: i64) -> Tensor {
+        let acted = self.noise_scale.view([-1, 1, 1]);
         let last = acted.narrow(0, acted.size()[0] - envs, envs);
         Tensor::cat(&[&acted, &last], 0)
     }
@@ -158,7 +175,9 @@ impl Batch {
             teacher: change(&self.teacher),
             imitation: self.imitation,
             log_prob: change(&self.log_prob),
-            quiet: change(&self.quiet),
+            carried: change(&self.carried),
+            log_std_offset: change(&self.log_std_offset),
+            noise_scale: change(&self.noise_scale),
             sampled: change(&self.sampled),
             advantage: change(&self.advantage),
             returns: change(&self.returns),
@@ -185,8 +204,6 @@ pub(super) struct Shard {
     /// The share of those that the policy learns from, over `weight`: means over them times this, with the shards' weights, add up to the
     /// minibatch's.
     pub(super) of_sampled: f64,
-    /// Likewise, where each counts as much as its environment's noise.
-    pub(super) of_noise: f64,
     /// Of what a loss draws at random.
     pub(super) seed: Seed,
 }
@@ -216,10 +233,8 @@ pub(super) fn minibatches(
         let sum =
             |weight: &dyn Fn(usize) -> f64| samples.iter().map(|&i| weight(rows[i as usize / agents] as usize)).sum();
         let sampled = |row: usize| f64::from(rollout.sampled[row]);
-        let noise = |row: usize| f64::from(rollout.quiet[row % rollout.sizes.envs].exp());
         Shard {
             of_sampled: sum(&sampled),
-            of_noise: sum(&|row| noise(row) * sampled(row)),
             length: length as i64,
             agents: agents as i64,
             first: indices(&rows[..chunks.len()]),
@@ -234,13 +249,11 @@ pub(super) fn minibatches(
         let parts = chunks.chunks(chunks.len().div_ceil(shards.max(1)).max(1));
         let mut parts: Vec<Shard> = parts.map(shard).filter(|shard| shard.weight > 0.0).collect();
         let total = |of: fn(&Shard) -> f64| parts.iter().map(of).sum::<f64>();
-        let [all, sampled, noise] = [total(|s| s.weight), total(|s| s.of_sampled), total(|s| s.of_noise)];
+        let [all, sampled] = [total(|s| s.weight), total(|s| s.of_sampled)];
         for part in &mut parts {
             part.weight /= all;
             // Where the policy learns from nothing, its means are 0 anyway.
-            let over_weight = |of: f64, all: f64| if all > 0.0 { of / all / part.weight } else { 0.0 };
-            (part.of_sampled, part.of_noise) =
-                (over_weight(part.of_sampled, sampled), over_weight(part.of_noise, noise));
+            part.of_sampled = if sampled > 0.0 { part.of_sampled / sampled / part.weight } else { 0.0 };
         }
         parts
     };

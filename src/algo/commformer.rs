@@ -29,7 +29,7 @@
 use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
+use super::core::{EDGE_RATE, Loss, Networks};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::parameters::{ACTOR, Places, Set};
@@ -37,7 +37,7 @@ use super::scene::Scene;
 use super::sequence::{Input, Order, Sequence, ValueHead};
 use super::{ActMode, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
-use crate::nn::graph::{sample_best, with_self_loops};
+use crate::nn::graph::{edge_rate, sample_best, with_self_loops};
 use crate::nn::{AdamConfig, Decoder, Dropout, Init, Reach, RelationBlock, ValueNorm};
 
 /// The scores of the graph.
@@ -103,7 +103,7 @@ impl Networks for CommFormer {
     const PER_AGENT: Option<&'static str> = Some("graph/edges");
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (hidden, actions, agents) = (settings.network.hidden, spec.actions as i64, spec.agents as i64);
+        let (hidden, actions, agents) = (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
         let (count, heads) = (settings.transformer.blocks, settings.transformer.heads);
         let relations = places.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
         let block = |i| RelationBlock::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
@@ -120,7 +120,7 @@ impl Networks for CommFormer {
             value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
                 decoder,
-                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration),
+                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
                 actions,
             },
             world: (settings.commformer.lambda_world > 0.0).then(|| world(places)),
@@ -174,13 +174,14 @@ impl Networks for CommFormer {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let rate = settings.commformer.dropout;
         let dropout = (rate > 0.0).then(|| Dropout::new(rate, shard.seed.rng()));
-        let Represented { representation, order, .. } = self.represent_with(&scene, dropout.as_ref());
+        let Represented { representation, order, graph, .. } = self.represent_with(&scene, dropout.as_ref());
+        let edges = shard.pick(&edge_rate(&graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
         let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
         let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
         let policy =
             PolicyTerms::new(batch, shard, self.head(), &shard.pick(&read), &settings.ppo, Ratio::PerDimension);
-        let mut report = vec![("loss/value", value.detach())];
+        let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];
         report.extend(policy.report());
         let mut total = &policy.loss + value;
         if let Some(loss) = self.world_loss(batch, shard, &representation) {

@@ -21,6 +21,9 @@ use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
+/// Name of the diagnostic: share of the physically possible edges of the learned graph that are open.
+pub(super) const EDGE_RATE: &str = "graph/edge_rate";
+
 /// The networks of one algorithm: how they decide, what they value, and what they lose on a shard.
 pub(super) trait Networks: Sized + Send {
     /// Name, as on the command line.
@@ -299,7 +302,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         batch.imitation = pace.imitation;
-        // Where the policy's graph is sampled ever more quietly, so is the value's.
+        // The noise of sampled graphs follows the schedule, in the policy and in the value alike.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
@@ -319,7 +322,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                 }
                 if N::GRAPHS > 0 {
                     batch.policy_graph =
-                        noise("resampled policy", N::GRAPHS) * batch.loudness(rollout.sizes.envs as i64);
+                        noise("resampled policy", N::GRAPHS) * batch.graph_noise_scale(rollout.sizes.envs as i64);
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
@@ -398,9 +401,10 @@ pub(super) fn act_on(
         let input = input.map(there);
         let decision = match mode {
             ActMode::Deterministic => act(&input, mode),
-            ActMode::Sample { action, graph, quiet } => {
-                let (action, graph, quiet) = (there(action), there(graph), there(quiet));
-                act(&input, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
+            ActMode::Sample { action, carried, graph, log_std_offset } => {
+                let [action, carried, graph, offset] = [action, carried, graph, log_std_offset].map(|t| there(t));
+                let (action, carried, graph, log_std_offset) = (&action, &carried, &graph, &offset);
+                act(&input, &ActMode::Sample { action, carried, graph, log_std_offset })
             }
         };
         decision.map(|tensor| tensor.to_device(Device::Cpu))

@@ -4,10 +4,10 @@
 //! Policy and value have a message path each. The graph of the policy is sampled once per decision; its noise is kept with
 //! the rollout, so that the update sees the graph that acted. Deployed policies take the most likely graph.
 
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
+use super::core::{EDGE_RATE, Loss, Networks};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::{MessageCritic, MessageTrunk, Messages};
@@ -16,6 +16,7 @@ use super::scene::Scene;
 use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
+use crate::nn::graph::edge_rate;
 
 /// Explicit IWoL.
 pub(super) struct ExIwol {
@@ -52,7 +53,7 @@ impl Networks for ExIwol {
             head: GaussianHead::new(
                 places.of(ACTOR).sub("head"),
                 message + hidden,
-                spec.actions as i64,
+                &spec.actions,
                 &settings.exploration,
             ),
             world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, message),
@@ -110,16 +111,18 @@ impl Networks for ExIwol {
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
-        let (values, _) = self.critic.shard(batch, shard);
+        let (values, ..) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let messages = self.trunk.forward(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
+        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let messages = self.trunk.forward(&scene);
+        let edges = shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let world = self.world.loss(batch, shard, &m);
 
-        let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach())];
+        let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach()), (EDGE_RATE, edges)];
         report.extend(policy.report());
         Loss { total: &policy.loss + iwol.lambda_world * &world + value, report }
     }

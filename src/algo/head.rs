@@ -5,6 +5,7 @@ use tch::{Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard};
 use super::settings::{Exploration, NoiseMode, Ppo};
 use super::{ActMode, ppo};
+use crate::env::ActionDimension;
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
 /// How far the policy is from the one that acted: a mean of (ρ - 1) - ln ρ.
@@ -15,7 +16,7 @@ pub(super) const APPROX_KL: &str = "ppo/approx_kl";
 pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
-    /// Added to the logarithm of the throttle's noise for each action's, `[A]`.
+    /// Added to the scheduled logarithm of the standard deviation in each dimension, `[A]`.
     relative: Tensor,
     mode: NoiseMode,
     /// Whether means are within -1 to 1.
@@ -23,13 +24,17 @@ pub(super) struct GaussianHead {
 }
 
 impl GaussianHead {
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: i64, exploration: &Exploration) -> Self {
-        let mean = Linear::new(path.sub("mean"), inputs, actions, Init::Orthogonal(0.01));
-        // The throttle comes last, after the steering of those that steer.
-        let _ = no_grad(|| mean.bias().narrow(0, actions - 1, 1).fill_(exploration.mean_bias));
-        let log_std = path.create("log_std", &[actions], Init::Zeros);
-        let relative = log_std.detach().zeros_like();
-        let _ = relative.narrow(0, 0, actions - 1).fill_(exploration.steering);
+    /// A head for actions of these dimensions, which say where their means begin and how much
+    /// noise they have beside the scheduled one.
+    pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: &[ActionDimension], exploration: &Exploration) -> Self {
+        let count = actions.len() as i64;
+        let mean = Linear::new(path.sub("mean"), inputs, count, Init::Orthogonal(0.01));
+        let log_std = path.create("log_std", &[count], Init::Zeros);
+        let each = |of: fn(&ActionDimension) -> f32| {
+            Tensor::from_slice(&actions.iter().map(of).collect::<Vec<_>>()).to_device(log_std.device())
+        };
+        no_grad(|| mean.bias().shallow_clone().copy_(&each(|action| action.initial_mean)));
+        let relative = each(|action| action.noise_scale.ln());
         let head = Self { mean, log_std, relative, mode: exploration.mode, bounded: false };
         head.set(exploration.log_std_start);
         head
@@ -67,12 +72,14 @@ impl GaussianHead {
     /// Actions and the log-probabilities of their dimensions, both `[E, N, A]`.
     pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
-        let (action, log_std) = match mode {
-            ActMode::Sample { action: noise, quiet, .. } => {
-                let log_std = log_std + quiet.view([-1, 1, 1]);
-                (&mean + log_std.exp() * *noise, log_std)
+        let (mean, action, log_std) = match mode {
+            ActMode::Sample { action: noise, carried, log_std_offset, .. } => {
+                let mean = shifted(&mean, &log_std, carried);
+                let log_std = log_std + *log_std_offset;
+                let action = &mean + log_std.exp() * *noise;
+                (mean, action, log_std)
             }
-            ActMode::Deterministic => (mean.shallow_clone(), log_std),
+            ActMode::Deterministic => (mean.shallow_clone(), mean, log_std),
         };
         let log_prob = gaussian_log_prob(&mean, &log_std, &action);
         (action, log_prob)
@@ -82,6 +89,12 @@ impl GaussianHead {
     pub(super) fn std(&self) -> f64 {
         self.log_std.exp().mean(Kind::Float).double_value(&[])
     }
+}
+
+/// The mean of an action given the noise of earlier steps, which is `carried` over in units of the
+/// scheduled standard deviation (empty: none).
+fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
+    if carried.numel() == 0 { mean.shallow_clone() } else { mean + log_std.exp() * carried }
 }
 
 /// Which probability the clipped ratio is one of.
@@ -112,9 +125,11 @@ impl PolicyTerms {
         ratio: Ratio,
     ) -> Self {
         let (mean, log_std) = head.forward(input);
-        let quiet = shard.active(&batch.quiet);
-        let log_std = log_std + quiet.unsqueeze(-1);
-        let log_prob = gaussian_log_prob(&mean, &log_std, &shard.active(&batch.action));
+        let carried =
+            if batch.carried.numel() > 0 { shard.active(&batch.carried) } else { batch.carried.shallow_clone() };
+        let expected = shifted(&mean, &log_std, &carried);
+        let log_std = log_std + shard.active(&batch.log_std_offset);
+        let log_prob = gaussian_log_prob(&expected, &log_std, &shard.active(&batch.action));
         let counted = |log_prob: Tensor| match ratio {
             Ratio::Joint => log_prob.sum_dim_intlist(-1, true, Kind::Float),
             Ratio::PerDimension => log_prob,
@@ -122,9 +137,7 @@ impl PolicyTerms {
         let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
         let sampled = shard.active(&batch.sampled);
-        // The gradient of a sample grows with the inverse of its noise: quiet environments would drown the others.
-        let policy =
-            ppo::policy_loss(&log_prob, &old, &advantage, &(quiet.exp() * &sampled), ppo.clip) * shard.of_noise;
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &sampled, ppo.clip) * shard.of_sampled;
         let imitation = (batch.imitation > 0.0).then(|| {
             let error = (&mean - shard.active(&batch.teacher)) / head.log_std.detach().exp();
             error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
@@ -165,10 +178,16 @@ mod tests {
     use tch::Device;
 
     #[test]
-    fn steering_begins_straight_and_has_noise_of_its_own() {
+    fn each_dimension_begins_where_the_environment_says_and_has_noise_of_its_own() {
         let (mut params, mut rng) = (Params::new(Device::Cpu), Seed::new(0).rng());
-        let exploration = Exploration { log_std_start: -0.5, steering: -1.0, mean_bias: 0.5, ..Exploration::default() };
-        let head = GaussianHead::new(params.root(&mut rng), 8, 2, &exploration);
+        let exploration = Exploration { log_std_start: -0.5, ..Exploration::default() };
+        let dimension = |name, initial_mean, noise_scale| ActionDimension {
+            initial_mean,
+            noise_scale,
+            ..ActionDimension::named(name)
+        };
+        let actions = [dimension("steer", 0.0, (-1.0_f32).exp()), dimension("throttle", 0.5, 1.0)];
+        let head = GaussianHead::new(params.root(&mut rng), 8, &actions, &exploration);
         let values = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
         let forward = || {
             let (mean, log_std) = head.forward(&Tensor::zeros([1, 8], (Kind::Float, Device::Cpu)));

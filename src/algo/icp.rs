@@ -121,7 +121,7 @@ impl<D: Decomposition> Networks for Icp<D> {
     const TEAM: bool = D::TEAM;
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (network, symbols, actions) = (&settings.network, settings.icp.symbols, spec.actions as i64);
+        let (network, symbols, actions) = (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
         let (hidden, told) = (network.hidden, network.hidden + actions);
         let heard = |i| Feature { name: format!("heard.{i}"), unit: "1".to_owned(), low: f32::MIN, high: f32::MAX };
         let group = Group { name: "heard".to_owned(), offset: 0, width: told as usize, count: 1, presence: None };
@@ -129,7 +129,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         let mixer = |places: &mut Places| Mixer::new(places.of(CRITIC).sub("mixer"), spec.state.len() as i64);
         Self {
             encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation.join(&heard), network),
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration),
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
             symbol: Linear::new(places.of(ACTOR).sub("symbol"), hidden, symbols, Init::Orthogonal(1.0)),
             decoder: Decoder::new(places.of(ACTOR).sub("decoder"), symbols, hidden, told, false),
             critic: Critic::new(places.of(CRITIC), &spec.observation, network),

@@ -11,7 +11,7 @@
 use tch::Tensor;
 
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
+use super::core::{EDGE_RATE, Loss, Networks};
 use super::decoder::{Decoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
@@ -62,11 +62,10 @@ impl LatentPolicy {
             second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
         };
         let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
-        let actions = spec.actions as i64;
         Self {
             encoder,
             latent,
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), inputs, actions, &settings.exploration),
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), inputs, &spec.actions, &settings.exploration),
             world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: Decoder::new(
                 places.of(ACTOR).sub("interaction"),
@@ -155,7 +154,7 @@ impl Networks for ImIwol {
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
-        let (values, messages) = self.critic.shard(batch, shard);
+        let (values, messages, edges) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
         let f = encode_active(&self.policy.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
@@ -170,6 +169,7 @@ impl Networks for ImIwol {
             ("loss/value", value.detach()),
             ("loss/world", world.detach()),
             ("loss/interaction", interaction.detach()),
+            (EDGE_RATE, edges),
         ];
         report.extend(policy.report());
         Loss { total: actor + value, report }

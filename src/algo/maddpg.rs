@@ -83,9 +83,9 @@ impl Actor {
         if iwol {
             return Self::Latent(LatentPolicy::new(spec, settings, places).bounded());
         }
-        let (hidden, actions) = (settings.network.hidden, spec.actions as i64);
+        let hidden = settings.network.hidden;
         let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
-        let head = GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration);
+        let head = GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration);
         Self::Plain { encoder, head: head.bounded() }
     }
 
@@ -157,7 +157,7 @@ impl Critic {
         };
         Self {
             eyes,
-            join: root(places, "join", seen + spec.actions as i64),
+            join: root(places, "join", seen + spec.actions.len() as i64),
             join_norm: LayerNorm::new(places.of(CRITIC).sub("join_norm"), hidden),
             attention: Attention::new(places.of(CRITIC).sub("others"), hidden, 1, Init::Orthogonal(1.0), false),
             deep: root(places, "deep", 2 * hidden),

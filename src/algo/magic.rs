@@ -16,11 +16,11 @@
 //! with the rollout, and there is none in evaluation (reference: always new noise). `magic.lambda_world` adds IWoL's world decoder.
 //! `experiments/magic_reinforce.toml` learns as the reference does, by REINFORCE with the value as baseline.
 
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
 use super::channel::{exchange, of_everyone, of_receivers};
-use super::core::{Loss, Networks};
+use super::core::{EDGE_RATE, Loss, Networks};
 use super::critic::PrivilegedCritic;
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
@@ -29,6 +29,7 @@ use super::parameters::{ACTOR, CRITIC, Places};
 use super::scene::Scene;
 use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
+use crate::nn::graph::edge_rate;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
 
 /// Heads of the first round.
@@ -107,7 +108,7 @@ impl Networks for Magic {
                 GraphAttention::new(places.of(ACTOR).sub("round").sub(0), hidden, HEADS, width, true),
                 GraphAttention::new(places.of(ACTOR).sub("round").sub(1), HEADS * width, 1, hidden, false),
             ],
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), 2 * hidden, spec.actions as i64, exploration),
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), 2 * hidden, &spec.actions, exploration),
             world: (settings.magic.lambda_world > 0.0).then(|| world(places)),
             critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
             hidden,
@@ -167,11 +168,13 @@ impl Networks for Magic {
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let value = ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
-        let heard = self.hear(&Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph));
+        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let heard = self.hear(&scene);
+        let edges = shard.pick(&edge_rate(&heard.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let [message, embedding] = shard.unpacked(&heard.packing, [&heard.message, &heard.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
-        let mut report = vec![("loss/value", value.detach())];
+        let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];
         report.extend(policy.report());
         let mut total = &policy.loss + value;
         if let Some(world) = &self.world {

@@ -26,12 +26,7 @@ impl Networks for Mappo {
         let network = &settings.network;
         Self {
             encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
-            head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
-                network.hidden,
-                spec.actions as i64,
-                &settings.exploration,
-            ),
+            head: GaussianHead::new(places.of(ACTOR).sub("head"), network.hidden, &spec.actions, &settings.exploration),
             critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
         }
     }

@@ -60,7 +60,8 @@ impl Networks for Mat {
     const TRAINING_ONLY: &'static [&'static str] = &["value."];
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (hidden, actions, transformer) = (settings.network.hidden, spec.actions as i64, &settings.transformer);
+        let (hidden, actions, transformer) =
+            (settings.network.hidden, spec.actions.len() as i64, &settings.transformer);
         let (count, heads) = (transformer.blocks, transformer.heads);
         let block = |i| Block::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
         let blocks = (0..count).map(block).collect();
@@ -70,7 +71,7 @@ impl Networks for Mat {
             value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
                 decoder: Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, None),
-                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, actions, &settings.exploration),
+                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
                 actions,
             },
         }

@@ -10,6 +10,7 @@ use super::encoder::Encoder;
 use super::scene::Scene;
 use super::settings::{Iwol, Network};
 use crate::env::Features;
+use crate::nn::graph::edge_rate;
 use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 
 /// Observations of all agents in, messages m and embeddings f out.
@@ -129,12 +130,14 @@ impl MessageCritic {
         self.trunk.memory()
     }
 
-    /// Values (normalised) of a shard's active samples, `[B]`, and the messages behind them, `[B, D]`.
-    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor) {
+    /// Values (normalised) of a shard's active samples, `[B]`, the messages behind them, `[B, D]`, and
+    /// the share of possible edges that were open.
+    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
+        let edges = shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let [values, message] = shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
-        (values, message)
+        (values, message, edges)
     }
 
     /// The messages at one decision, over the most likely graph, `[E, N, D]`. Only without memory: that of the value is

@@ -58,15 +58,10 @@ impl Replay {
         let s = rollout.sizes;
         self.prepare(s);
         let (rows, n) = (((s.steps + 1) * s.envs) as i64, s.agents as i64);
-        let arrays: [&[f32]; 7] = [
-            &rollout.observation,
-            &rollout.state,
-            &rollout.comm,
-            &rollout.action,
-            &rollout.reward,
-            &rollout.active,
-            &rollout.terminated,
-        ];
+        let rewards = rollout.rewards_with_penalties();
+        let ended: Vec<f32> = (0..rewards.len()).map(|i| f32::from(u8::from(rollout.ends(i)))).collect();
+        let arrays: [&[f32]; 7] =
+            [&rollout.observation, &rollout.state, &rollout.comm, &rollout.action, &rewards, &rollout.active, &ended];
         for (to, from) in self.arrays.iter().zip(arrays) {
             let from = Tensor::from_slice(from).view([-1, n, to.size()[3]]).to_device(self.device);
             // The last row was not acted upon.
@@ -222,6 +217,9 @@ mod tests {
                     && rollout.active[(row - ENVS) * AGENTS..][..AGENTS].iter().all(|a| *a == 0.0);
                 there = if begins { [true; AGENTS] } else { there };
                 let cut = events[row % events.len()] == 0;
+                if t < STEPS {
+                    rollout.interrupted[row] = f32::from(u8::from(cut && row % 2 == 0));
+                }
                 for (i, there) in there.iter_mut().enumerate() {
                     let k = row * AGENTS + i;
                     rollout.observation[k] = row as f32;
@@ -290,7 +288,7 @@ mod tests {
                         break;
                     }
                     sum += weight * f64::from(rollout.reward[cell]);
-                    weight *= if rollout.terminated[cell] > 0.0 { 0.0 } else { GAMMA };
+                    weight *= if rollout.ends(cell) { 0.0 } else { GAMMA };
                     at += ENVS;
                 }
                 prop_assert!((f64::from(reward[k]) - sum).abs() < 1e-4, "{} {}", reward[k], sum);

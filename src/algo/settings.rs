@@ -195,19 +195,14 @@ pub struct Exploration {
     pub spread: f64,
     /// Correlation of the noise of throttle and brake with that of the step before (first-order autoregressive, of the same variance), until
     /// annealing begins; none after it. Such noise moves a vehicle further from where it would be, and so finds other orders
-    /// of going first; but vehicles that must reckon with it drive slowly. Probabilities stay those of independent noise, which
-    /// makes the policy gradient a biased estimate (Hollenstein et al., AAAI 2024).
+    /// of going first; but vehicles that must reckon with it drive slowly (Hollenstein et al., AAAI 2024). Probabilities of actions
+    /// are those given the noise of the step before.
     pub correlation: f64,
     /// Environment steps over which it falls to 0; 0: it stays.
     pub correlation_steps: u64,
     /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
     /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
     pub late_steps: u32,
-    /// Added to the logarithm of the standard deviation above for that of steering: to stay on the road takes a steadier hand than
-    /// to find a speed.
-    pub steering: f64,
-    /// Mean throttle of an untrained policy: above zero, agents move at once.
-    pub mean_bias: f64,
 }
 
 impl Default for Exploration {
@@ -222,8 +217,6 @@ impl Default for Exploration {
             correlation: 0.0,
             correlation_steps: 0,
             late_steps: 60,
-            steering: -1.0,
-            mean_bias: 0.5,
         }
     }
 }

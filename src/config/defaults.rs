@@ -78,7 +78,7 @@ impl Config {
             ..ppo
         };
         // A team's return is the sum of its agents' own rewards; shares of those who are gone would be lost.
-        let (team, env) = (algo::capabilities(algorithm).is_ok_and(|c| c.team), Env::of(scenario, agents));
+        let (team, env) = (algo::capabilities(algorithm).is_ok_and(|c| c.team), Env::of(scenario));
         let config = Self {
             scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),

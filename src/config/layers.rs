@@ -82,8 +82,7 @@ impl Config {
     /// gets longer (`ppo.gamma_explored`), in runs four times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8,
     /// `train.replay_failed` that of fewer, and `train.anneal_success` 0.9. Minibatches of methods that replay are half as large
     /// (`ppo.minibatch`).
-    /// `env.cooperation`, which the scenario gives for its own number of agents, is such that the reward of each other agent keeps its
-    /// weight beside one's own. Training that begins with a trained policy begins with the noise at which others wait for success.
+    /// Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
     /// # Errors
     /// [`Error`], naming the place.
@@ -407,13 +406,6 @@ mod tests {
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
         assert_eq!(at(16).train.envs, eight.train.envs);
-        // The reward of each other agent weighs the same beside one's own.
-        let weight = |c: &Config| {
-            let (n, shared) = (f64::from(c.agents), c.env.cooperation);
-            shared / n / (1.0 - shared + shared / n)
-        };
-        assert_eq!(eight.env.cooperation, 0.35);
-        assert!([&four, &at(16), &most].iter().all(|c| (weight(c) - weight(&eight)).abs() < 1e-6));
         // What is written down is not changed.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
         let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
@@ -424,7 +416,7 @@ mod tests {
         assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
         assert_eq!(four.train.validation_episodes, 128);
         let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
-        assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.35, 0.35, 0.0, 0.0]);
+        assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.06, 0.06, 0.0, 0.0]);
         assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 

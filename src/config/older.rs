@@ -12,7 +12,6 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("ppo.target_kl", Value::Float(0.0)),
         ("exploration.correlation", Value::Float(0.0)),
         ("exploration.correlation_steps", Value::Integer(0)),
-        ("exploration.steering", Value::Float(-1.0)),
         ("iwol.graph_bias", Value::Float(0.0)),
         ("train.fewest_agents", Value::Integer(0)),
         ("train.growth", Value::Integer(1)),
@@ -32,6 +31,8 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("env.lidar_beams", Value::Integer(0)),
         ("env.lidar_range", Value::Float(50.0)),
         ("env.penetration", Value::Float(1.0)),
+        ("env.share_range", Value::Float(f64::INFINITY)),
+        ("train.bootstrap_horizon", Value::Boolean(true)),
         ("commformer.dropout", Value::Float(0.0)),
         ("maddpg.n_step", Value::Integer(1)),
     ] {

@@ -48,12 +48,32 @@ use crate::{scenario, sumo};
 pub struct EnvSpec {
     /// Agent slots N.
     pub agents: usize,
-    /// Action dimensions A, each in -1..=1.
-    pub actions: usize,
+    /// Dimensions of an action, A of them, each in -1..=1.
+    pub actions: Vec<ActionDimension>,
     /// One agent's observation, O features.
     pub observation: Features,
     /// One agent's view of the privileged state, S features.
     pub state: Features,
+}
+
+/// One dimension of the agents' actions, and how an untrained policy begins in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ActionDimension {
+    /// Name, such as `throttle`.
+    pub name: &'static str,
+    /// Mean action of an untrained policy.
+    pub initial_mean: f32,
+    /// Factor on the scheduled standard deviation of the exploration noise.
+    pub noise_scale: f32,
+    /// Whether the noise may be correlated from step to step.
+    pub correlated: bool,
+}
+
+impl ActionDimension {
+    /// A dimension that begins at 0, with the scheduled noise, which may be correlated.
+    pub const fn named(name: &'static str) -> Self {
+        Self { name, initial_mean: 0.0, noise_scale: 1.0, correlated: true }
+    }
 }
 
 /// A vector of named features, in groups that attention encoders take as tokens.

@@ -5,8 +5,8 @@
 //! settings only, never on the number of vehicles, so that one checkpoint serves any number.
 
 use super::observation::{COUNT, Encounters, SPEED, describe_encounters, moving, put_encounters};
-use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Status, Traffic};
+use super::task::Task;
 use super::{Features, Writer};
 use crate::scenario::Scenario;
 
@@ -40,6 +40,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             ("speed", "22.2 m/s", 0.0, 1.0),
             ("last_action", "1", -1.0, 1.0),
             ("to_arrival", "100 m", -1.0, 1.0),
+            ("time_left", "share of the horizon", 0.0, 1.0),
         ],
     );
     features.push("lane_ahead", OWN_LANE, &VEHICLE);
@@ -56,18 +57,13 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
     features
 }
 
-/// Writes the privileged state as seen from `slot`, `[S]`; `bounds` are the net's `[x_min, y_min, x_max, y_max]` \[m\].
-pub(super) fn write(
-    scenario: &Scenario,
-    routes: &[RouteGeometry],
-    bounds: [f64; 4],
-    traffic: &Traffic,
-    slot: usize,
-    out: &mut [f32],
-) {
+/// Writes the privileged state as seen from `slot`, `[S]`; `time_left` is the share of the horizon that
+/// is left, 1 at the start of an episode.
+pub(super) fn write(task: &Task, traffic: &Traffic, time_left: f64, slot: usize, out: &mut [f32]) {
+    let (scenario, routes) = (&task.scenario, &task.routes[..]);
     let own = &traffic.slots[slot];
     let route = &routes[own.route];
-    let [x0, y0, x1, y1] = bounds;
+    let [x0, y0, x1, y1] = task.bounds;
     let (sin, cos) = own.pose.heading.sin_cos();
     let centred = |v: f64, low: f64, high: f64| (2.0 * v - low - high) / (high - low).max(1.0);
     let mut w = Writer::new(out);
@@ -79,6 +75,7 @@ pub(super) fn write(
         own.speed.max(0.0) / SPEED,
         own.action,
         (route.arrival - own.s) / 100.0,
+        time_left,
     ]);
 
     let queue = &traffic.by_route[own.route];

@@ -6,7 +6,7 @@ use super::geometry::Size;
 use super::pursuit::way_around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
-use super::{EnvSpec, Error, observation, state};
+use super::{ActionDimension, EnvSpec, Error, observation, state};
 use crate::scenario::{Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
 use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
@@ -178,7 +178,7 @@ impl Task {
         let road = needed.then(|| Road::new(&net, length, width, border)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
-            actions: if scenario.control.steering.is_some() { 2 } else { 1 },
+            actions: actions(scenario.control.steering.is_some()),
             observation: observation::describe(scenario),
             state: state::describe(scenario),
         };
@@ -322,6 +322,18 @@ impl Task {
             departures: self.demand.sources.iter().map(departure).collect(),
         }
     }
+}
+
+/// The agents' actions: steering, where vehicles steer, then throttle and brake.
+///
+/// A vehicle whose mean throttle is 0 hardly moves under noise, as brakes are stronger than
+/// engines, so untrained policies accelerate. To stay on the road takes a steadier hand than to
+/// find a speed: steering has less noise, and a wheel that is held wrong for long leads off the
+/// road, so its noise is independent from step to step.
+fn actions(steers: bool) -> Vec<ActionDimension> {
+    let steer = ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
+    let throttle = ActionDimension { initial_mean: 0.5, ..ActionDimension::named("throttle") };
+    if steers { vec![steer, throttle] } else { vec![throttle] }
 }
 
 fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {

@@ -215,10 +215,10 @@ proptest! {
 }
 
 /// A world and what it gave at every step when slot 0 alone drives at full throttle and the others stand.
-fn lone_driver(cooperation: f64) -> (Arc<Task>, Vec<Frame>, f64, EpisodeRecord) {
+fn lone_driver(change: fn(&mut Scenario)) -> (Arc<Task>, Vec<Frame>, f64, EpisodeRecord) {
     let task = task(4, |s| {
-        s.reward.cooperation = cooperation;
         s.termination.horizon = 120;
+        change(s);
     });
     // An episode whose first agent has a free lane.
     for episode in 0.. {
@@ -241,7 +241,7 @@ fn lone_driver(cooperation: f64) -> (Arc<Task>, Vec<Frame>, f64, EpisodeRecord) 
 
 #[test]
 fn the_reward_is_way_and_speed_and_then_the_arrival() {
-    let (task, frames, _, record) = lone_driver(0.0);
+    let (task, frames, _, record) = lone_driver(|_| {});
     let scenario = &task.scenario;
     let end = frames.iter().position(|f| f.terminated[0] > 0.0).expect("it arrives");
     // By the definition, from the law of motion.
@@ -259,17 +259,26 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
     assert!((record.efficiency - 0.25 * 4.0 / 120.0).abs() < 1e-12);
 }
 
+/// What agents earn is their own affair in the environment, whatever they share in learning, and
+/// however far their radio reaches.
 #[test]
-fn the_cooperative_mix_shares_among_those_in_range() {
-    let (_, own, _, _) = lone_driver(0.0);
-    let (_, mixed, _, _) = lone_driver(0.5);
-    // All four are within 100 m of each other; only the first earns anything.
-    for (own, mixed) in own.iter().zip(&mixed) {
-        let earned = own.reward[0];
-        assert!((mixed.reward[0] - (0.5 * earned + 0.5 * earned / 4.0)).abs() < 1e-6);
-        for other in &mixed.reward[1..] {
-            assert!((other - 0.5 * earned / 4.0).abs() < 1e-6);
+fn rewards_depend_neither_on_cooperation_nor_on_the_radio() {
+    let own = lone_driver(|_| {}).1;
+    let changes: [fn(&mut Scenario); 3] = [
+        |s| s.reward.cooperation = 1.0,
+        |s| s.communication.range = 5.0,
+        |s| (s.reward.cooperation, s.communication.range) = (0.5, 0.0),
+    ];
+    for change in changes {
+        for (own, other) in own.iter().zip(&lone_driver(change).1) {
+            assert_eq!(own.reward, other.reward);
+            assert!(other.sharing.is_empty(), "all agents of the world share");
         }
+    }
+    // The share has a range of its own.
+    for frame in lone_driver(|s| s.reward.share_range = 0.0).1 {
+        let alone = |i: usize, j: usize| f32::from(u8::from(i == j)) * frame.comm[i * 4 + i];
+        assert!((0..16).all(|k| frame.sharing[k] == alone(k / 4, k % 4)), "{:?}", frame.sharing);
     }
 }
 
@@ -421,11 +430,12 @@ fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
     world.interrupt();
     assert_eq!(world.frame().truncated, [1.0; 4]);
     assert_eq!(world.frame().active, [0.0; 4]);
+    assert!(world.frame().interrupted, "which is no deadline");
     assert!(world.take_finished().expect("a record").interrupted);
     // The fresh simulator is empty: a Remove would fail the check in `Rails`.
     let mut rails = Rails::new(&task);
     exchange(&mut world, &mut rails, &[0.0; 4]);
-    assert!(world.frame().start);
+    assert!(world.frame().start && !world.frame().interrupted);
     assert_eq!(world.episode(), 1);
 }
 
@@ -679,7 +689,7 @@ fn agents_are_told_what_the_rule_goes_by() {
 
 #[test]
 fn a_crash_replaces_the_reward_of_its_step() {
-    let task = task(8, |s| s.reward.cooperation = 0.0);
+    let task = task(8, |_| {});
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
     let mut crashes = 0;

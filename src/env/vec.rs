@@ -77,7 +77,7 @@ impl VecEnv {
         for (e, world) in env.worlds_mut().enumerate() {
             world.reset(options.episodes.start + e as u64);
         }
-        let actions = vec![0.0; env.worlds * task.agents * task.spec.actions];
+        let actions = vec![0.0; env.worlds * task.agents * task.spec.actions.len()];
         env.step(&actions)?;
         Ok(env)
     }
@@ -93,7 +93,7 @@ impl VecEnv {
     pub fn restore(task: &Arc<Task>, options: &VecOptions, states: &[WorldState]) -> Result<Self, Error> {
         assert_eq!(states.len(), options.worlds, "one state per world");
         let mut env = Self::idle(task, options)?;
-        let width = task.agents * task.spec.actions;
+        let width = task.agents * task.spec.actions.len();
         let steps: Vec<usize> = states.iter().map(|state| state.actions.len() / width).collect();
         let longest = steps.iter().copied().max().unwrap_or(0);
         let mut actions = vec![0.0; env.worlds * width];
@@ -219,7 +219,7 @@ impl VecEnv {
     /// # Errors
     /// [`Error`].
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
-        let width = self.task.agents * self.task.spec.actions;
+        let width = self.task.agents * self.task.spec.actions.len();
         self.hosts.par_iter_mut().for_each(|host| {
             host.failed = guarded(|| host.act(actions, width)).err();
         });

@@ -138,8 +138,10 @@ impl World {
                 active: vec![0.0; n],
                 start: false,
                 reward: vec![0.0; n],
+                sharing: vec![0.0; if task.scenario.reward.share_range.is_finite() { n * n } else { 0 }],
                 terminated: vec![0.0; n],
                 truncated: vec![0.0; n],
+                interrupted: false,
             },
             own_rewards: vec![0.0; n],
             positions: vec![0.0; n],
@@ -274,6 +276,7 @@ impl World {
     /// [`Error::Vanished`] when SUMO lost a vehicle.
     pub fn observe(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         let n = self.task.agents;
+        self.frame.interrupted = false;
         match self.phase {
             Phase::Idle | Phase::Ended => return Ok(()),
             Phase::Spawning => {
@@ -300,7 +303,8 @@ impl World {
             fcfs::inherit(&self.task.routes, &self.traffic, &mut self.turns, &mut self.blocked);
         }
         if self.step > 0 {
-            self.mix_rewards();
+            let own = self.frame.reward.iter_mut().zip(&self.own_rewards);
+            own.for_each(|(reward, own)| *reward = *own as f32);
         }
         let horizon = self.step >= self.task.scenario.termination.horizon;
         let mut acting = 0;
@@ -313,12 +317,17 @@ impl World {
             acting += u32::from(present && !horizon);
         }
         physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
+        if !self.frame.sharing.is_empty() {
+            let range = self.task.scenario.reward.share_range;
+            physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
+        }
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
         let (task, traffic, turns, present) = (&*self.task, &self.traffic, &self.turns, &self.present);
+        let time_left = 1.0 - f64::from(self.step) / f64::from(self.task.scenario.termination.horizon);
         let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
             if present[i] {
                 observation::write(task, traffic, turns, i, seen);
-                state::write(&task.scenario, &task.routes, task.bounds, traffic, i, known);
+                state::write(task, traffic, time_left, i, known);
             } else {
                 seen.fill(0.0);
                 known.fill(0.0);
@@ -378,6 +387,7 @@ impl World {
             self.frame.reward.fill(0.0);
             self.frame.terminated.fill(0.0);
             self.frame.start = false;
+            self.frame.interrupted = true;
         } else if self.phase == Phase::Spawning {
             self.order.repeat(self.episode);
         }
@@ -517,27 +527,6 @@ impl World {
                     self.pairs.ours(j as u32, i as u32, reason);
                 }
             }
-        }
-    }
-
-    /// Cooperative mix: (1 − λ) · own + λ / n · (sum over agents within communication range, itself included), n: agents
-    /// of the episode.
-    fn mix_rewards(&mut self) {
-        let n = self.crew;
-        let lambda = self.task.scenario.reward.cooperation;
-        let range = self.task.scenario.communication.range;
-        let slots = &self.traffic.slots;
-        for i in 0..n {
-            let mut near = 0.0;
-            if lambda > 0.0 {
-                for j in 0..n {
-                    // Agents that have just arrived are off the road, but their last reward counts.
-                    if i == j || slots[i].pose.distance(&slots[j].pose) <= range {
-                        near += self.own_rewards[j];
-                    }
-                }
-            }
-            self.frame.reward[i] = ((1.0 - lambda) * self.own_rewards[i] + lambda * near / n as f64) as f32;
         }
     }
 

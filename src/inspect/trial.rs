@@ -91,7 +91,7 @@ impl Trial {
             observation: ranges(&task.spec.observation),
             state: ranges(&task.spec.state),
         };
-        let width = task.spec.actions;
+        let width = task.spec.actions.len();
         let mut actions = vec![0.0; task.agents * width];
         let begin = Instant::now();
         for _ in 0..steps {

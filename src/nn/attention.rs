@@ -10,6 +10,9 @@ pub enum Mask<'a> {
     /// Added: 0 for a key that is seen, minus infinity for one that is not. Broadcast to the shape of the logits. Every
     /// row needs at least one key that is seen.
     Add(&'a Tensor),
+    /// The graph `[B, 1, Q, T]` of 0 and 1 by which weights are multiplied before they are
+    /// normalised ([`graph_softmax`]).
+    Graph(&'a Tensor),
     /// Multiplied: a key with factor 0 keeps the logit 0, hence still gets weight.
     Multiply(&'a Tensor),
 }
@@ -60,12 +63,28 @@ impl SelfAttention {
     fn mix(queries: &Tensor, keys: &Tensor, values: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, heads, count, head) = queries.size4().expect("queries are [B, heads, Q, d]");
         let logits = (queries * (1.0 / (head as f64).sqrt())).matmul(&keys.transpose(-2, -1));
-        let logits = match mask {
-            Mask::Add(bias) => logits + bias,
-            Mask::Multiply(factor) => logits * factor,
+        let weights = match mask {
+            Mask::Add(bias) => softmax(&(logits + bias)),
+            Mask::Graph(graph) => graph_softmax(&logits, graph),
+            Mask::Multiply(factor) => softmax(&(logits * factor)),
         };
-        softmax(&logits).matmul(values).transpose(1, 2).reshape([batch, count, heads * head])
+        weights.matmul(values).transpose(1, 2).reshape([batch, count, heads * head])
     }
+}
+
+/// Attention weights over a graph G of 0 and 1: `G_ij exp(logit_ij) / Σ_k G_ik exp(logit_ik)`, over the
+/// last dimension.
+///
+/// A closed edge has weight 0 exactly, whatever its logit. It has a gradient nevertheless: that of
+/// what is read, `out_i = Σ_j weight_ij v_j`, is `∂out_i/∂G_ij = exp(logit_ij) (v_j - out_i) / Σ`, so
+/// that a learned graph finds out what an edge would bring. Edges that are physically impossible
+/// get no gradient where the graph is a product with the physical mask. Every row needs an open edge.
+pub(super) fn graph_softmax(logits: &Tensor, graph: &Tensor) -> Tensor {
+    /// A closed edge counts as at most e⁹ times the strongest open one, lest it overflow.
+    const MOST: f64 = 9.0;
+    let top = tch::no_grad(|| logits.masked_fill(&graph.le(0.5), f64::NEG_INFINITY).amax(-1, true));
+    let exponentials = (logits - top).clamp_max(MOST).exp() * graph;
+    &exponentials / exponentials.sum_dim_intlist(-1, true, Kind::Float)
 }
 
 /// Softmax over the last dimension. On rows of fewer than 16 keys libtorch's own takes about twice as long as elementwise operations, and from 16
@@ -111,6 +130,36 @@ mod tests {
             let worst = (logits.grad() - expected * (along - mean)).abs().max().double_value(&[]);
             assert!(worst < 1e-5, "gradient, {keys} keys: {worst}");
             assert_eq!(logits.grad().masked_select(&cut).abs().sum(Kind::Float).double_value(&[]), 0.0);
+        }
+    }
+
+    #[test]
+    fn closed_edges_have_no_weight_and_the_gradient_of_the_formula() {
+        for keys in [5, 20] {
+            let draw = |seed: u64, width: i64| {
+                let values = Init::Uniform(2.0).sample(&[keys, width], &mut Seed::new(seed).rng());
+                Tensor::from_slice(&values).view([keys, width])
+            };
+            let graph = draw(1, keys).gt(0.0).to_kind(Kind::Float);
+            let _ = graph.diagonal(0, 0, 1).fill_(1.0);
+            let graph = graph.set_requires_grad(true);
+            let (logits, values, along) = (draw(2, keys), draw(3, 4), draw(4, 4));
+            let weights = graph_softmax(&logits, &graph);
+            let closed = graph.detach().lt(0.5);
+            assert_eq!(weights.masked_select(&closed).abs().sum(Kind::Float).double_value(&[]), 0.0);
+            let other = logits.where_self(&closed.logical_not(), &(&logits * 3.0 - 1.0));
+            assert!(graph_softmax(&other, &graph).equal(&weights), "a closed edge's logit changes nothing");
+            assert!((&weights - softmax(&logits.masked_fill(&closed, -1e30))).abs().max().double_value(&[]) < 1e-6);
+
+            let out = weights.matmul(&values);
+            (&out * &along).sum(Kind::Float).backward();
+            let sum = (logits.exp() * graph.detach()).sum_dim_intlist(-1, true, Kind::Float);
+            let change = values.matmul(&along.transpose(0, 1)).transpose(0, 1);
+            let mean = (out.detach() * &along).sum_dim_intlist(-1, true, Kind::Float);
+            let expected = logits.exp() / sum * (change - mean);
+            let worst = (graph.grad() - &expected).abs().max().double_value(&[]);
+            assert!(worst < 1e-4, "{keys}: {worst}");
+            assert!(graph.grad().masked_select(&closed).abs().min().double_value(&[]) > 0.0, "closed ones too");
         }
     }
 

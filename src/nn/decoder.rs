@@ -8,7 +8,7 @@ use std::f64::consts::SQRT_2;
 use rand::RngExt as _;
 use tch::{Kind, Tensor};
 
-use super::attention::softmax;
+use super::attention::{graph_softmax, softmax};
 use super::{Init, LayerNorm, Linear, Path};
 use crate::rng::Rng;
 
@@ -27,10 +27,11 @@ impl Reach {
         Self { bias, graph: None }
     }
 
-    /// As [`Reach::of`], by a learned graph whose gradient is that of a factor on the attention weights; `relation: [B, N, N]`
-    /// (0 or 1) is what attention with relations knows of a pair.
+    /// As [`Reach::of`], by a learned graph of 0 and 1, whose edges have gradients whether they are
+    /// open or closed; `relation: [B, N, N]` (0 or 1) is what attention with relations knows of a pair.
     pub fn over(graph: &Tensor, relation: &Tensor) -> Self {
-        Self { graph: Some((graph.unsqueeze(1), relation.detach().unsqueeze(1))), ..Self::of(graph) }
+        let graph = graph.unsqueeze(1);
+        Self { bias: graph.zeros_like().detach(), graph: Some((graph, relation.detach().unsqueeze(1))) }
     }
 
     /// The same without those who come later in the sequence.
@@ -41,7 +42,8 @@ impl Reach {
         Self { bias: self.bias.masked_fill(&later, f64::NEG_INFINITY), graph }
     }
 
-    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere.
+    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere; a
+    /// learned graph acts beside it.
     pub fn bias(&self) -> &Tensor {
         &self.bias
     }
@@ -128,11 +130,10 @@ impl Attention {
             let (none, one) = (of(0), of(1));
             logits = (logits + (&none + (one - &none) * kinds) * scale) * scale;
         }
-        let weights = softmax(&(logits + &reach.bias));
+        let logits = logits + &reach.bias;
         let weights = match &reach.graph {
-            // Not in place: libtorch's softmax needs its result for the gradient.
-            Some((graph, _)) => weights * graph,
-            None => weights,
+            Some((graph, _)) => graph_softmax(&logits, graph),
+            None => softmax(&logits),
         };
         let mixed = weights.matmul(values).transpose(1, 2);
         let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");

@@ -89,6 +89,16 @@ pub fn sample_best(scores: &Tensor, count: i64, temperature: f64) -> Tensor {
     hard + (&soft - soft.detach())
 }
 
+/// For each listener the share of its physically possible edges to others that are open, `[B, N]`,
+/// without gradient; 0 where none is possible. Both arguments are `[B, N, N]`.
+pub fn edge_rate(graph: &Tensor, physical: &Tensor) -> Tensor {
+    tch::no_grad(|| {
+        let physical = physical.to_kind(Kind::Float);
+        let others = |x: &Tensor| x.sum_dim_intlist(-1, false, Kind::Float) - x.diagonal(0, 1, 2);
+        others(&(graph * &physical)) / others(&physical).clamp_min(1.0)
+    })
+}
+
 /// `graph: [B, N, N]` (floating point) with its diagonal set to 1; no gradient flows through the diagonal.
 pub fn with_self_loops(graph: &Tensor) -> Tensor {
     let eye = Tensor::eye(graph.size()[1], (Kind::Float, graph.device()));
@@ -152,6 +162,16 @@ mod tests {
         let expected = with_self_loops(&scheduler.scores(&f.get(0), &Packing::full(1, 4)).sigmoid()).get(0);
         let worst = (frequency - expected).abs().max().double_value(&[]);
         assert!(worst < 0.02, "{worst}");
+    }
+
+    #[test]
+    fn the_edge_rate_counts_possible_edges_between_different_agents() {
+        let graph = Tensor::from_slice(&[1_f32, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).view([1, 3, 3]);
+        let physical = Tensor::from_slice(&[1_f32, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 1.0]).view([1, 3, 3]);
+        // Possible: 0-1, 0-2, 1-0, 2-0; open among them: 0-1. The edge 1-2 is not possible.
+        let rates = |physical: &Tensor| Vec::<f32>::try_from(edge_rate(&graph, physical).view([-1])).expect("numbers");
+        assert_eq!(rates(&physical), [0.5, 0.0, 0.0]);
+        assert_eq!(rates(&physical.zeros_like()), [0.0; 3]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::attention::softmax;
+use super::attention::graph_softmax;
 use super::graph::sample_edges;
 use super::{Init, Linear, Packing, Path};
 
@@ -52,8 +52,9 @@ impl Scheduler {
     }
 }
 
-/// Multi-head graph attention: additive scores are multiplied by the graph before the softmax, the weights after it, and once more
-/// when they are normalised, so that only those who are listened to count.
+/// Multi-head graph attention by additive scores, whose weights are normalised over the graph's open
+/// edges. The reference multiplies scores, weights and normalised weights by the graph: the same
+/// weights, but no gradient for a closed edge.
 #[derive(Debug)]
 pub struct GraphAttention {
     heads: i64,
@@ -89,9 +90,7 @@ impl GraphAttention {
         let score = |by: &Tensor| (&h * by).sum_dim_intlist(-1, false, Kind::Float).transpose(1, 2);
         let sum = score(&self.listener).unsqueeze(3) + score(&self.speaker).unsqueeze(2);
         let scores = &sum * 0.2 + sum.relu() * 0.8;
-        let graph = graph.unsqueeze(1);
-        let weights = softmax(&(scores * &graph)) * &graph;
-        let weights = &weights / (weights.sum_dim_intlist(-1, true, Kind::Float) + 1e-15) * &graph;
+        let weights = graph_softmax(&scores, &graph.unsqueeze(1));
         let mixed = weights.matmul(&h.transpose(1, 2)).transpose(1, 2);
         let out = if self.joined {
             mixed.reshape([batch, agents, self.heads * self.width])

@@ -15,7 +15,7 @@ use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 #[serde(rename_all = "kebab-case")]
 pub enum MaskMode {
     /// Only edges are attended to: what is sent over a cut edge changes nothing, bit for bit, and gets no gradient. The
-    /// gradient of an edge is that of its renormalised attention weight, so a learned graph is trained.
+    /// gradient of an edge, open or closed, is that of its renormalised attention weight, so a learned graph is trained.
     #[default]
     Hard,
     /// Logits are multiplied by the graph, as in the released code: a cut edge has logit 0 and still leaks.
@@ -111,7 +111,7 @@ impl GraphTransformer {
     /// to messages `[P, D]`. Every agent must listen to somebody, usually itself, and none to an empty place.
     pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
         let mut x = self.embed(f);
-        let mask = self.mask_of(graph);
+        let mask = graph.unsqueeze(1);
         for block in &self.blocks {
             x = block.forward(&x, packing, self.masked(&mask));
         }
@@ -126,7 +126,7 @@ impl GraphTransformer {
     pub fn forward_one(&self, f: &Tensor, place: &Tensor, graph: &Tensor) -> Tensor {
         let [block] = &self.blocks[..] else { panic!("{} rounds, and not one", self.blocks.len()) };
         let x = self.embed(&f.flatten(0, 1)).view([f.size()[0], f.size()[1], -1]);
-        self.speak(&block.forward_one(&x, place, self.masked(&self.mask_of(graph))))
+        self.speak(&block.forward_one(&x, place, self.masked(&graph.unsqueeze(1))))
     }
 
     /// Rounds L.
@@ -142,30 +142,12 @@ impl GraphTransformer {
         self.out.forward(&self.head_norm.forward(&self.head.forward(x).gelu("none")))
     }
 
-    fn mask_of(&self, graph: &Tensor) -> Tensor {
-        match self.mask {
-            MaskMode::Hard => hard_bias(graph),
-            MaskMode::LogitMul => graph.unsqueeze(1),
-        }
-    }
-
     fn masked<'a>(&self, mask: &'a Tensor) -> Mask<'a> {
         match self.mask {
-            MaskMode::Hard => Mask::Add(mask),
+            MaskMode::Hard => Mask::Graph(mask),
             MaskMode::LogitMul => Mask::Multiply(mask),
         }
     }
-}
-
-/// The logarithm of the graph as a bias `[B, 1, N, N]` on logits: 0 on edges, and elsewhere so low that the softmax is exactly 0, which is what its
-/// gradient is then, too.
-///
-/// On edges it is written `G - 1`, which has the value of `ln G` and its derivative at 1. Thus the softmax of the biased
-/// logits equals `softmax(masked logits) * G`, renormalised over each row, in value and in the gradient of `G`:
-/// `∂out_i/∂G_ij = att_ij (v_j - out_i)`.
-fn hard_bias(graph: &Tensor) -> Tensor {
-    let cut = (graph.detach() - 1.0) * 1e30;
-    (graph - 1.0 + cut).unsqueeze(1)
 }
 
 #[cfg(test)]
@@ -297,6 +279,31 @@ mod tests {
         assert_eq!(gradients[0].select(1, 4).abs().max().double_value(&[]), 0.0);
         assert!(gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0), "the scheduler is trained");
     }
+
+    /// Where the scheduler closes every edge, it still finds out what the possible ones would bring,
+    /// and nothing of those that are physically cut.
+    #[test]
+    fn closed_edges_have_a_gradient_where_they_are_possible() {
+        let scheduler_gradient = |physical: &Tensor| {
+            let mut params = Params::new(Device::Cpu);
+            let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
+            let network = transformer(MaskMode::Hard);
+            let f = uniform(&[3, AGENTS, WIDTH], 5);
+            // Far below zero: no edge is sampled, though the soft sample is not quite 0.
+            let noise = Tensor::full([3, AGENTS, AGENTS], -20.0, (Kind::Float, Device::Cpu));
+            let graph = scheduler.forward(&f.flatten(0, 1), &Packing::full(3, AGENTS), physical, Some(&noise));
+            let eye = Tensor::eye(AGENTS, (Kind::Float, Device::Cpu)).expand([3, AGENTS, AGENTS], false);
+            assert!(graph.equal(&eye), "all edges are closed");
+            messages(&network, &f, &graph).square().sum(Kind::Float).backward();
+            let named = params.named();
+            let largest = named.iter().map(|(_, t)| t.grad()).filter(Tensor::defined);
+            largest.map(|grad| grad.abs().max().double_value(&[])).fold(0.0, f64::max)
+        };
+        assert!(scheduler_gradient(&Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu))) > 0.0);
+        let alone = Tensor::eye(AGENTS, (Kind::Float, Device::Cpu)).expand([3, AGENTS, AGENTS], false).contiguous();
+        assert_eq!(scheduler_gradient(&alone), 0.0);
+    }
+
     /// Leaving the absent out changes nothing for those who are there.
     #[test]
     fn packed_agents_send_the_same_messages() {

@@ -256,7 +256,7 @@ impl Recorder {
     pub fn new(task: &Task, episode: u64) -> Self {
         let mut recorder = Self {
             episode,
-            actions: task.spec.actions,
+            actions: task.spec.actions.len(),
             x: Vec::new(),
             y: Vec::new(),
             heading: Vec::new(),

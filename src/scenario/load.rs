@@ -55,7 +55,7 @@ const OBSERVATION: Names = &[
     "lidarBeams",
     "lidarRange",
 ];
-const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation"];
+const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation", "shareRange"];
 
 impl Scenario {
     /// Reads a scenario file and checks it against its nets.
@@ -201,6 +201,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 out_of_road: self.any(reward, "outOfRoad")?,
                 crash: self.any(reward, "crash")?,
                 cooperation: self.number(reward, "cooperation", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
+                share_range: match reward.attribute("shareRange") {
+                    None => f64::INFINITY,
+                    Some(_) => self.not_negative(reward, "shareRange")?,
+                },
             },
             termination: Termination {
                 horizon: self.whole(termination, "horizon", 1, 1_000_000)?,

@@ -290,8 +290,10 @@ pub struct Reward {
     pub out_of_road: f64,
     /// Replaces the step's reward in a crash.
     pub crash: f64,
-    /// Share λ of the cooperative mix in training, 0 to 1.
+    /// Weight in training of each other agent's reward beside one's own, which has weight 1; 0 to 1.
     pub cooperation: f64,
+    /// How far apart agents share in each other's reward \[m\]; infinite: all agents of a world.
+    pub share_range: f64,
 }
 
 impl Reward {

@@ -98,7 +98,11 @@ impl Scenario {
         writeln!(xml, "/>")?;
         let r = self.reward;
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
-        writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;
+        write!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"", r.out_of_road, r.crash, r.cooperation)?;
+        if r.share_range.is_finite() {
+            write!(xml, " shareRange=\"{}\"", r.share_range)?;
+        }
+        writeln!(xml, "/>")?;
         let t = self.termination;
         write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"", t.horizon, t.wreck_time)?;
         if t.border != Border::Line {

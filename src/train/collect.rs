@@ -11,6 +11,8 @@ use crate::env::{VecEnv, World};
 use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
 
+const FLOAT: (tch::Kind, tch::Device) = (tch::Kind::Float, tch::Device::Cpu);
+
 impl Trainer {
     /// Plays as many steps as the rollout has, in all worlds.
     ///
@@ -19,11 +21,14 @@ impl Trainer {
     pub(super) fn collect(&mut self, seed: Seed) -> Result<(), Error> {
         let s = self.rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
-        let mut noise = vec![0.0; s.envs * s.agents * s.actions];
+        let mut drawn = vec![0.0; s.envs * s.agents * s.actions];
         // Each iteration begins anew: what it draws depends on its number alone.
-        let mut correlated =
-            CorrelatedNoise::new(s.envs * s.agents, s.actions, schedule::correlation(&self.config, &self.progress));
-        let quiet = Tensor::from_slice(&self.rollout.quiet);
+        let correlation = schedule::correlation(&self.config, &self.progress);
+        let mut noise = CorrelatedNoise::new(s.envs * s.agents, &self.task.spec.actions, correlation);
+        let correlated = noise.is_correlated();
+        self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
+        self.rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
+        let world_offset = Tensor::from_slice(&self.rollout.log_std_offset).view([e, 1, 1]);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
@@ -42,10 +47,24 @@ impl Trainer {
             }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
-                noise.copy_from_slice(correlated.next(&mut rng));
+                noise.advance(&mut rng);
+                drawn.copy_from_slice(noise.drawn());
                 let width = s.agents * s.actions;
-                for (noise, _) in noise.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
+                for (noise, _) in drawn.chunks_mut(width).zip(&late).filter(|(_, late)| **late) {
                     noise.fill(0.0);
+                }
+                let (mut carried, mut offset) = (Tensor::zeros([0], FLOAT), world_offset.shallow_clone());
+                if correlated {
+                    let actions = self.rollout.at(t, s.actions);
+                    let row = &mut self.rollout.carried[actions];
+                    row.copy_from_slice(noise.carried());
+                    for ((row, offset), late) in row.chunks_mut(width).zip(&self.rollout.log_std_offset).zip(&late) {
+                        let scale = if *late { 0.0 } else { offset.exp() };
+                        row.iter_mut().for_each(|carried| *carried *= scale);
+                    }
+                    carried = Tensor::from_slice(row).view([e, n, a]);
+                    self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions].copy_from_slice(noise.log_fresh());
+                    offset += Tensor::from_slice(noise.log_fresh()).view([1, 1, a]);
                 }
                 let graph = if s.graphs > 0 {
                     if self.learner.graph_lasts() {
@@ -55,9 +74,9 @@ impl Trainer {
                     let cell = self.rollout.at(t, s.agents * s.graphs);
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
                 } else {
-                    Tensor::zeros([0], (tch::Kind::Float, tch::Device::Cpu))
+                    Tensor::zeros([0], FLOAT)
                 };
-                let action = Tensor::from_slice(&noise).view([e, n, a]);
+                let action = Tensor::from_slice(&drawn).view([e, n, a]);
                 let observation = Observation {
                     observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)])
                         .view([e, n, -1]),
@@ -65,7 +84,8 @@ impl Trainer {
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
-                self.learner.act(&observation, &ActMode::Sample { action: &action, graph: &graph, quiet: &quiet })
+                let (action, carried, graph, log_std_offset) = (&action, &carried, &graph, &offset);
+                self.learner.act(&observation, &ActMode::Sample { action, carried, graph, log_std_offset })
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut self.rollout.action, t);
@@ -81,6 +101,7 @@ impl Trainer {
                     self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
                     self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
                     self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
+                    self.rollout.interrupted[t * s.envs + e] = f32::from(u8::from(frame.interrupted));
                 }
             });
         }
@@ -128,6 +149,11 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
         rollout.state[state].copy_from_slice(&frame.state);
         rollout.comm[comm].copy_from_slice(&frame.comm);
         rollout.active[active].copy_from_slice(&frame.active);
+        if !frame.sharing.is_empty() && t < s.steps {
+            rollout.sharing.resize(s.steps * s.envs * s.agents * s.agents, 0.0);
+            let cell = rollout.cell(t, e, s.agents);
+            rollout.sharing[cell].copy_from_slice(&frame.sharing);
+        }
         rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
     }
     if s.memory > 0 {
@@ -137,14 +163,14 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
     }
 }
 
-/// Row `t` of the noise of graphs. Quiet worlds are as close to the most likely graph as to the mean action.
+/// Row `t` of the noise of graphs. Worlds with less noise of actions have less noise of graphs.
 fn store_graph_noise(rollout: &mut Rollout, t: usize, late: &[bool], schedule: f32, mut rng: Rng) {
     let s = rollout.sizes;
     let row = rollout.at(t, s.agents * s.graphs);
     rng::fill_logistic(&mut rng, &mut rollout.graph_noise[row]);
     for (e, late) in late.iter().enumerate() {
         let of_world = rollout.cell(t, e, s.agents * s.graphs);
-        let scale = f32::from(u8::from(!late)) * (rollout.quiet[e] + schedule).exp();
+        let scale = f32::from(u8::from(!late)) * (rollout.log_std_offset[e] + schedule).exp();
         rollout.graph_noise[of_world].iter_mut().for_each(|noise| *noise *= scale);
     }
 }

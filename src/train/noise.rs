@@ -1,37 +1,75 @@
 //! Exploration noise that is correlated in time.
 
+use crate::env::ActionDimension;
 use crate::rng::{self, Rng};
 
-/// The noise of a rollout's actions: standard normal at each step, that of throttle and brake correlated from one to the next. That of
-/// steering, where there is any, is not: a wheel that is held wrong for long leads off the road.
+/// The noise of a rollout's actions: a first-order autoregressive process of variance 1 in every
+/// dimension that may be correlated, independent from step to step in the others.
+///
+/// Given the noise of the step before, the noise of a step is Gaussian: its mean is what is
+/// [`carried`](Self::carried) over, its deviation the share that is drawn anew. Probabilities of
+/// actions are of that distribution, so that the policy gradient is that of the policy that acts.
 pub(super) struct CorrelatedNoise {
-    correlation: f32,
-    actions: usize,
+    /// Of each dimension of the action, from 0 to below 1.
+    correlation: Vec<f32>,
+    /// The last step's noise, `[agents, A]`.
     values: Vec<f32>,
     drawn: Vec<f32>,
+    carried: Vec<f32>,
+    log_fresh: Vec<f32>,
     begun: bool,
 }
 
 impl CorrelatedNoise {
-    /// For so many agents with so many actions each, of which the throttle is the last; `correlation` is from 0 to below 1.
-    pub(super) fn new(agents: usize, actions: usize, correlation: f32) -> Self {
-        let count = agents * actions;
-        Self { correlation, actions, values: vec![0.0; count], drawn: vec![0.0; count], begun: false }
+    /// The noise of so many agents with actions of these dimensions; `correlation` is from 0 to below 1.
+    pub(super) fn new(agents: usize, actions: &[ActionDimension], correlation: f32) -> Self {
+        let count = agents * actions.len();
+        let of = |action: &ActionDimension| if action.correlated { correlation } else { 0.0 };
+        Self {
+            correlation: actions.iter().map(of).collect(),
+            values: vec![0.0; count],
+            drawn: vec![0.0; count],
+            carried: vec![0.0; count],
+            log_fresh: vec![0.0; actions.len()],
+            begun: false,
+        }
     }
 
-    /// The next step's. What `rng` gives is all that it depends on, besides the steps before.
-    pub(super) fn next(&mut self, rng: &mut Rng) -> &[f32] {
+    /// Whether any dimension is correlated.
+    pub(super) fn is_correlated(&self) -> bool {
+        self.correlation.iter().any(|&correlation| correlation > 0.0)
+    }
+
+    /// Draws the next step's noise. The result depends on `rng` and on the steps before alone.
+    pub(super) fn advance(&mut self, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.drawn);
-        // The first step's is as strong as that of all others.
-        let (kept, new) =
-            if self.begun { (self.correlation, (1.0 - self.correlation.powi(2)).sqrt()) } else { (0.0, 1.0) };
-        self.begun = true;
-        for (values, drawn) in self.values.chunks_mut(self.actions).zip(self.drawn.chunks(self.actions)) {
-            let throttle = self.actions - 1;
-            values[..throttle].copy_from_slice(&drawn[..throttle]);
-            values[throttle] = kept * values[throttle] + new * drawn[throttle];
+        let a = self.correlation.len();
+        for (k, &correlation) in self.correlation.iter().enumerate() {
+            // The first step has no step before it, and noise of the same variance.
+            let kept = if self.begun { correlation } else { 0.0 };
+            let fresh = (1.0 - kept * kept).sqrt();
+            self.log_fresh[k] = fresh.ln();
+            for i in (k..self.values.len()).step_by(a) {
+                self.carried[i] = kept * self.values[i];
+                self.values[i] = self.carried[i] + fresh * self.drawn[i];
+            }
         }
-        &self.values
+        self.begun = true;
+    }
+
+    /// What is drawn anew in the current step, standard normal, `[agents, A]`.
+    pub(super) fn drawn(&self) -> &[f32] {
+        &self.drawn
+    }
+
+    /// Mean of the current step's noise given the step before, `[agents, A]`.
+    pub(super) fn carried(&self) -> &[f32] {
+        &self.carried
+    }
+
+    /// Logarithm of the factor on what is drawn anew in the current step, `[A]`.
+    pub(super) fn log_fresh(&self) -> &[f32] {
+        &self.log_fresh
     }
 }
 
@@ -42,16 +80,27 @@ mod tests {
     use super::*;
     use crate::rng::Seed;
 
+    fn dimensions() -> [ActionDimension; 2] {
+        let steer = ActionDimension { correlated: false, ..ActionDimension::named("steer") };
+        [steer, ActionDimension::named("throttle")]
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
         #[test]
         fn as_strong_at_every_step_and_correlated_as_asked(correlation in 0.0..0.95_f32, seed in 0..u64::MAX) {
             const COUNT: usize = 20_000;
             let mut rng = Seed::new(seed).rng();
-            let mut noise = CorrelatedNoise::new(COUNT, 2, correlation);
-            let mut before = noise.next(&mut rng).to_vec();
+            let mut noise = CorrelatedNoise::new(COUNT, &dimensions(), correlation);
+            let whole = |noise: &CorrelatedNoise| {
+                let fresh = |i: usize| noise.log_fresh()[i % 2].exp();
+                (0..2 * COUNT).map(|i| noise.carried()[i] + fresh(i) * noise.drawn()[i]).collect::<Vec<_>>()
+            };
+            noise.advance(&mut rng);
+            let mut before = whole(&noise);
             for _ in 0..4 {
-                let now = noise.next(&mut rng).to_vec();
+                noise.advance(&mut rng);
+                let now = whole(&noise);
                 // Steering, then throttle.
                 for (action, correlation) in [0.0, correlation].into_iter().enumerate() {
                     let mean = |of: &dyn Fn(usize) -> f32| {
@@ -72,10 +121,13 @@ mod tests {
     fn without_correlation_it_is_what_is_drawn() {
         let mut drawn = vec![0.0; 7];
         let (mut rng, mut same) = (Seed::new(3).rng(), Seed::new(3).rng());
-        let mut noise = CorrelatedNoise::new(7, 1, 0.0);
+        let mut noise = CorrelatedNoise::new(7, &[ActionDimension::named("throttle")], 0.0);
+        assert!(!noise.is_correlated());
         for _ in 0..3 {
             rng::fill_normal(&mut same, &mut drawn);
-            assert_eq!(noise.next(&mut rng), drawn);
+            noise.advance(&mut rng);
+            assert_eq!(noise.drawn(), drawn);
+            assert!(noise.carried().iter().chain(noise.log_fresh()).all(|&x| x == 0.0));
         }
     }
 }

@@ -55,7 +55,7 @@ impl Teacher {
     /// What it would do before the next step in the worlds of `env`: `actions: [E, N, A]`.
     pub(super) fn show(&self, env: &VecEnv, actions: &mut [f32]) {
         let spec = env.spec();
-        let world = spec.agents * spec.actions;
+        let world = spec.agents * spec.actions.len();
         match self {
             Self::Pursuit(pursuit) => {
                 env.worlds().zip(actions.chunks_mut(world)).for_each(|(world, acts)| world.pursue(*pursuit, acts));
@@ -172,7 +172,7 @@ mod tests {
             hosting: Hosting { processes: 1, ..Hosting::default() }.beside(),
         };
         let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
-        let mut actions = vec![0.0; env.len() * task.agents * task.spec.actions];
+        let mut actions = vec![0.0; env.len() * task.agents * task.spec.actions.len()];
         let mut ended = Vec::new();
         while ended.len() < 2 {
             teacher.show(&env, &mut actions);

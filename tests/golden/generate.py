@@ -176,6 +176,13 @@ def graph():
     put("graph", f=f, physical=physical, noise=gumbel[..., 0] - gumbel[..., 1])
 
 
+def graph_softmax(logits, graph, dim):
+    """Weights in proportion to G exp(logit), over `dim`: 0 on closed edges, whose G has a gradient."""
+    top = logits.detach().masked_fill(graph.detach() < 0.5, -torch.inf).amax(dim, keepdim=True)
+    weights = (logits - top).exp() * graph
+    return weights / weights.sum(dim, keepdim=True)
+
+
 def transformer():
     batch, agents, width, heads = 3, 5, 8, 2
     in_norm, input_layer, embed_norm = norm(width), linear(width, width), norm(width)
@@ -198,8 +205,7 @@ def transformer():
         logits = q @ k.transpose(-2, -1) / math.sqrt(width / heads)
         g_heads = g.unsqueeze(1)
         if hard:
-            weights = logits.masked_fill(g_heads < 0.5, -torch.inf).softmax(-1) * g_heads
-            weights = weights / weights.sum(-1, keepdim=True)
+            weights = graph_softmax(logits, g_heads, -1)
         else:
             weights = (logits * g_heads).softmax(-1)
         return attention.out_proj((weights @ v).transpose(1, 2).reshape(batch, agents, width))
@@ -260,7 +266,8 @@ def mat_attention(layers, heads, query, among, seen):
 
 
 def relation_attention(layers, heads, query, among, graph, kinds, table):
-    """RelationMultiheadAttention of cformer.py: a vector for each pair, and the graph as a factor after the softmax."""
+    """RelationMultiheadAttention of cformer.py: a vector for each pair. The graph is a factor on the weights before
+    they are normalised, so that closed edges have a gradient (cformer.py: after the softmax over open edges)."""
     b, n, width = query.shape
     q, k, v = (layers[name](x).view(b, n, heads, -1) for name, x in (("query", query), ("key", among), ("value", among)))
     scale = (width // heads) ** -0.5
@@ -268,7 +275,7 @@ def relation_attention(layers, heads, query, among, graph, kinds, table):
     ra, rb = layers["relations"](embedded).chunk(2, -1)
     ra, rb = ra.view(b, n, n, heads, -1), rb.view(b, n, n, heads, -1)
     score = torch.einsum("bijhd,bijhd->bijh", (q.unsqueeze(2) + ra) * scale, k.unsqueeze(1) + rb) * scale
-    score = score.masked_fill(graph.unsqueeze(-1) == 0, -torch.inf).softmax(2) * graph.unsqueeze(-1)
+    score = graph_softmax(score, graph.unsqueeze(-1), 2)
     return layers["out"](torch.einsum("bijh,bjhd->bihd", score, v).reshape(b, n, width))
 
 
@@ -357,12 +364,10 @@ def magic():
         bias = torch.randn(heads * 3 if joined else 3)
         h = (f @ weight.T).view(batch, agents, heads, 3)
         outs = []
-        for k in range(heads):  # GraphAttention.forward of gnn_layers.py, a head at a time, with `normalize`
+        for k in range(heads):  # GraphAttention.forward of gnn_layers.py, a head at a time; closed edges have a gradient
             hk = h[:, :, k]
             e = F.leaky_relu((hk @ a_i[k]).unsqueeze(2) + (hk @ a_j[k]).unsqueeze(1), negative_slope=0.2)
-            att = (e * g).softmax(-1) * g + 1e-15
-            att = att / att.sum(-1, keepdim=True) * g
-            outs.append(att @ hk)
+            outs.append(graph_softmax(e, g, -1) @ hk)
         out = (torch.cat(outs, -1) if joined else torch.stack(outs).mean(0)) + bias
         gf, gg = grad(out, f, g)
         put_params("magic", {f"{name}.weight": weight, f"{name}.listener": a_i, f"{name}.speaker": a_j, f"{name}.bias": bias})

@@ -155,7 +155,7 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
         agents: task.agents,
         observation: task.spec.observation.len(),
         state: task.spec.state.len(),
-        actions: task.spec.actions,
+        actions: task.spec.actions.len(),
         memory: learner.memory(),
         graphs: learner.graphs(),
     });

@@ -31,12 +31,12 @@ impl World {
         let (task, n) = (&*self.task, self.task.agents);
         let reverses = task.scenario.control.steering.is_some_and(|steering| steering.reverse);
         let waits = if gives_way { fcfs::giving_way(task, &self.traffic) } else { vec![false; n] };
-        for (i, action) in actions.chunks_mut(task.spec.actions).enumerate() {
+        for (i, action) in actions.chunks_mut(task.spec.actions.len()).enumerate() {
             let [steer, throttle] = self.pursuit(i, if waits[i] { 0.0 } else { speed });
             // Where full brake drives nobody backwards, it is the shortest way to stand.
             let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
             // Who is on rails has no steering.
-            action.iter_mut().zip(&wanted[2 - task.spec.actions..]).for_each(|(to, from)| *to = *from as f32);
+            action.iter_mut().zip(&wanted[2 - task.spec.actions.len()..]).for_each(|(to, from)| *to = *from as f32);
         }
     }
 
@@ -65,7 +65,7 @@ impl World {
                     match slot.status {
                         Status::Active if self.driver == Driver::Agents => {
                             let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
-                            let actions = &actions[i * task.spec.actions..(i + 1) * task.spec.actions];
+                            let actions = &actions[i * task.spec.actions.len()..(i + 1) * task.spec.actions.len()];
                             let action = |k: usize| {
                                 let action = f64::from(actions[k]);
                                 if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }

@@ -16,12 +16,18 @@ pub struct Frame {
     pub active: Vec<f32>,
     /// Whether a new trajectory starts here (memories are cleared).
     pub start: bool,
-    /// `[N]`: what the last step gave, with the cooperative mix.
+    /// `[N]`: each agent's own reward of the last step.
     pub reward: Vec<f32>,
+    /// Who shares in whose reward, `[N, N]`: 1 where agents are no further apart than the scenario's
+    /// share range; empty where it has none, and all agents share.
+    pub sharing: Vec<f32>,
     /// `[N]`, 1 where the last step ended an agent's trajectory for good.
     pub terminated: Vec<f32>,
-    /// `[N]`, 1 where the last step cut an agent's trajectory short.
+    /// `[N]`, 1 where the last step truncated an agent's trajectory: at the horizon, or because the
+    /// simulation broke off.
     pub truncated: Vec<f32>,
+    /// Whether the simulation broke off in the last step.
+    pub interrupted: bool,
 }
 
 /// An agent as an onlooker sees it.
@@ -43,7 +49,7 @@ pub struct AgentView {
     pub lateral: f64,
     /// \[m/s\]
     pub speed: f64,
-    /// What the last step gave it, without the cooperative mix.
+    /// Its own reward of the last step.
     pub reward: f64,
 }
 

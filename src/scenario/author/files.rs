@@ -168,7 +168,8 @@ impl Layout {
                 arrive: 10.0,
                 out_of_road: -10.0,
                 crash: -10.0,
-                cooperation: 0.35,
+                cooperation: 0.06,
+                share_range: f64::INFINITY,
             },
             termination: Termination {
                 horizon: horizon.clamp(500.0, 1e6) as u32,
@@ -223,7 +224,7 @@ fn on_lot(scenario: Scenario) -> Scenario {
     Scenario {
         control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering, ..scenario.control },
         observation: Observation { foresight: 0.0, ..scenario.observation },
-        reward: Reward { arrive: 100.0, cooperation: 0.5, ..scenario.reward },
+        reward: Reward { arrive: 100.0, cooperation: 0.17, ..scenario.reward },
         ..scenario
     }
 }
