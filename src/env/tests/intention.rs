@@ -353,3 +353,27 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
     }
     assert!(differences[0] > 100 && differences[1] == 0, "{differences:?}");
 }
+
+/// Following the vehicles and observing them takes no memory once there was an observation.
+#[test]
+fn what_is_hidden_takes_no_memory_in_a_step() {
+    for intention in [Intention::Hidden, Intention::Signalled] {
+        let task = task_of("intersection_turns", intention, 30.0);
+        let places: Vec<Place> =
+            (0..VEHICLES).map(|k| (k as f64 / 8.5, 0.1 + k as f64 / 20.0, 0.0, 0.0, 5.0)).collect();
+        let mut traffic = scene(&task, &places);
+        let mut intentions = Intentions::new(&task).expect("something is hidden");
+        let (mut turns, mut blocked) = (Vec::new(), Vec::new());
+        let mut seen = vec![0.0; task.spec.observation.len()];
+        let mut step = || {
+            traffic.refresh();
+            intentions.update(&task, &traffic, true);
+            traffic.take_turns(&task.routes, Some(&intentions), 20.0);
+            let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
+            inherit(knowledge, &mut turns, &mut blocked);
+            (0..VEHICLES).for_each(|i| observation::write(&task, knowledge, &turns, i, &mut seen));
+        };
+        step();
+        assert_eq!(allocation_counter::measure(step).count_total, 0, "{intention:?}");
+    }
+}
