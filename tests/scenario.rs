@@ -275,9 +275,9 @@ fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("interval=\"0.1\"", "interval=\"0.0005\""), @"task.xml:59:30: `0.0005` is not a valid interval of <control>, allowed: 0.001 to 10, a multiple of 0.001");
     insta::assert_snapshot!(mistake("horizon=\"1000\"", "horizon=\"0\""), @"task.xml:71:18: `0` is not a valid horizon of <termination>, allowed: a whole number from 1 to 1000000");
     insta::assert_snapshot!(mistake("detectionRange=\"100\"", "detectionRange=\"inf\""), @"task.xml:64:36: `inf` is not a valid detectionRange of <observation>, allowed: a number greater than 0");
-    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hiden\""), @"");
-    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hidden\" signalDistance=\"20\""), @"");
-    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"signalled\" signalDistance=\"0\""), @"");
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hiden\""), @"task.xml:64:72: `hiden` is not a valid intention of <observation>, allowed: seen, signalled or hidden; did you mean `hidden`?");
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hidden\" signalDistance=\"20\""), @r#"task.xml:64:91: `20` is not a valid signalDistance of <observation>, allowed: only with intention="signalled": otherwise no vehicle has an indicator"#);
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"signalled\" signalDistance=\"0\""), @"task.xml:64:94: `0` is not a valid signalDistance of <observation>, allowed: 1 to 200");
     insta::assert_snapshot!(mistake("name=\"intersection\"", "name=\"../out\""), @"task.xml:8:11: `../out` is not a valid name of <scenario>, allowed: 1 to 64 letters, digits, `-` and `_`");
 }
 

@@ -5,6 +5,7 @@
 //! that begin alike, those are open whose paths have not yet left the vehicle aside. Every feature group reads other vehicles'
 //! routes through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
 
+use super::geometry::Stance;
 use super::lidar::to_box;
 use super::routes::RouteGeometry;
 use super::slots::{Slot, Status, Traffic};
@@ -12,10 +13,10 @@ use super::task::Task;
 use crate::scenario::Intention;
 use crate::sumo::net::{EdgeFunction, Net, Path};
 
-/// A route is open while its path is at most this much farther from the vehicle's centre than the nearest candidate's \[m\].
+/// A route is open while its path is at most this much farther from the vehicle than the nearest candidate's \[m\].
 const PARTED: f64 = 1.0;
-/// Least cosine of the angle between the directions of two paths of which both are open.
-const SAME_DIRECTION: f64 = 0.5;
+/// A path that the vehicle stands across counts as so much farther, one that leads the other way twice as much \[m\].
+const ACROSS: f64 = 3.0;
 
 /// A route that a vehicle may be on, and where the vehicle is on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -150,10 +151,8 @@ fn passages(net: &Net, path: &Path) -> Vec<Passage> {
 #[derive(Debug, Clone, Copy)]
 struct Tracked {
     candidate: Candidate,
-    /// Distance from the vehicle's centre to the route \[m\].
+    /// How far the vehicle is from the route, its heading taken into account \[m\].
     apart: f64,
-    /// Direction of the route there.
-    direction: [f64; 2],
     /// The vehicle could still take the route.
     open: bool,
     /// The route agrees with the vehicle's indicator.
@@ -194,10 +193,7 @@ impl Intentions {
         let slots = task.slots();
         Some(Self {
             most,
-            tracked: vec![
-                Tracked { candidate: none, apart: 0.0, direction: [1.0, 0.0], open: false, agrees: false };
-                slots * most
-            ],
+            tracked: vec![Tracked { candidate: none, apart: 0.0, open: false, agrees: false }; slots * most],
             counts: vec![0; slots],
             queues: vec![Vec::with_capacity(slots); task.routes.len()],
             sees_indicator: vec![false; slots * slots],
@@ -228,7 +224,8 @@ impl Intentions {
             let tracked = &mut self.tracked[j * self.most..][..alike.len()];
             for (entry, &route) in tracked.iter_mut().zip(alike) {
                 let hint = (!begins).then_some(entry.candidate.segment);
-                *entry = locate(&task.routes[route], route, slot, hint, steers && j < task.agents);
+                let geometry = &task.routes[route];
+                *entry = locate(geometry, route, slot, traffic.stance(j), hint, steers && j < task.agents);
             }
             close_parted(tracked);
             if let Some(distance) = signals {
@@ -275,24 +272,30 @@ impl Intentions {
 }
 
 /// Where a vehicle is on a route; looked for near the segment `hint`, or on the whole route without one.
-fn locate(geometry: &RouteGeometry, route: usize, slot: &Slot, hint: Option<usize>, on_path: bool) -> Tracked {
+fn locate(
+    geometry: &RouteGeometry,
+    route: usize,
+    slot: &Slot,
+    stance: Stance,
+    hint: Option<usize>,
+    on_path: bool,
+) -> Tracked {
     let path = if on_path { &geometry.path } else { geometry.lanes() };
     let centre = [slot.pose.x, slot.pose.y];
     let (s, lateral, segment) = hint.map_or_else(|| path.nearest(centre), |hint| path.project(centre, hint));
     let s = if on_path { s } else { geometry.on_way(s) };
     let outside = (-s).max(s - geometry.path.length()) - slot.size[0];
     let candidate = Candidate { route, s, lateral, segment };
-    let (apart, direction) = (lateral.abs() + outside.max(0.0), path.direction(segment));
-    Tracked { candidate, apart, direction, open: true, agrees: true }
+    let ([x, y], [u, v]) = (stance.along, path.direction(segment));
+    let apart = lateral.abs() + outside.max(0.0) + ACROSS * (1.0 - x * u - y * v);
+    Tracked { candidate, apart, open: true, agrees: true }
 }
 
 /// Closes the routes whose paths have parted from where the vehicle is.
 fn close_parted(tracked: &mut [Tracked]) {
-    let Some(nearest) = tracked.iter().min_by(|a, b| a.apart.total_cmp(&b.apart)) else { return };
-    let (apart, [x, y]) = (nearest.apart + PARTED, nearest.direction);
+    let nearest = tracked.iter().map(|entry| entry.apart).fold(f64::INFINITY, f64::min);
     for entry in tracked {
-        let [u, v] = entry.direction;
-        entry.open = entry.apart <= apart && x * u + y * v > SAME_DIRECTION;
+        entry.open = entry.apart <= nearest + PARTED;
     }
 }
 
