@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use toml::Table;
 
 use crate::algo::{self, settings};
-use crate::scenario::{Lidar, NeighbourOrder, ObservationGroups, Scenario};
+use crate::scenario::{Intention, Lidar, NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::{Choice, Hosting};
 
 /// What is trained when nothing names a method.
@@ -195,6 +195,10 @@ pub struct Env {
     /// In which order: `distance`, nearest first, or `bearing`, from those straight ahead to those behind, in the same direction nearest first
     /// and with positions on a second, finer scale.
     pub neighbour_order: NeighbourOrder,
+    /// What is known of where others will go: `seen`, `signalled` or `hidden`.
+    pub intention: Intention,
+    /// How far before a junction a vehicle's indicator is on, where intentions are signalled \[m\].
+    pub signal_distance: f64,
     /// Streams in the observation.
     pub conflict_streams: usize,
     /// Vehicles per stream in the observation.
@@ -243,6 +247,8 @@ impl Env {
             detection_range: seen.detection_range,
             neighbours: seen.neighbours,
             neighbour_order: seen.neighbour_order,
+            intention: seen.intention,
+            signal_distance: seen.signal_distance,
             conflict_streams: seen.conflict_streams,
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
@@ -271,6 +277,8 @@ impl Env {
         seen.detection_range = self.detection_range;
         seen.neighbours = self.neighbours;
         seen.neighbour_order = self.neighbour_order;
+        seen.intention = self.intention;
+        seen.signal_distance = self.signal_distance;
         seen.conflict_streams = self.conflict_streams;
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;

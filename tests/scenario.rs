@@ -17,7 +17,7 @@ use iwol_sumo::{
     evaluate::{Onlooker, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, Jitter, Lidar, NeighbourOrder, Net, Observation,
+        AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
         ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
     },
     sumo::{
@@ -275,6 +275,9 @@ fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("interval=\"0.1\"", "interval=\"0.0005\""), @"task.xml:59:30: `0.0005` is not a valid interval of <control>, allowed: 0.001 to 10, a multiple of 0.001");
     insta::assert_snapshot!(mistake("horizon=\"1000\"", "horizon=\"0\""), @"task.xml:71:18: `0` is not a valid horizon of <termination>, allowed: a whole number from 1 to 1000000");
     insta::assert_snapshot!(mistake("detectionRange=\"100\"", "detectionRange=\"inf\""), @"task.xml:64:36: `inf` is not a valid detectionRange of <observation>, allowed: a number greater than 0");
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hiden\""), @"task.xml:64:72: `hiden` is not a valid intention of <observation>, allowed: seen, signalled or hidden; did you mean `hidden`?");
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"hidden\" signalDistance=\"20\""), @r#"task.xml:64:91: `20` is not a valid signalDistance of <observation>, allowed: only with intention="signalled": otherwise no vehicle has an indicator"#);
+    insta::assert_snapshot!(mistake("intention=\"hidden\"", "intention=\"signalled\" signalDistance=\"0\""), @"task.xml:64:94: `0` is not a valid signalDistance of <observation>, allowed: 1 to 200");
     insta::assert_snapshot!(mistake("name=\"intersection\"", "name=\"../out\""), @"task.xml:8:11: `../out` is not a valid name of <scenario>, allowed: 1 to 64 letters, digits, `-` and `_`");
 }
 
@@ -371,6 +374,8 @@ prop_compose! {
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
                 neighbour_order: NeighbourOrder::NAMES[counts[2] % 2].1,
+                intention: Intention::NAMES[counts[1] % 3].1,
+                signal_distance: if counts[1] % 3 == 1 { 1.0 + f64::from(counts[2] as u32) } else { 30.0 },
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
                 foresight: f64::from(counts[2] as u32) / 2.0,
                 turns: f64::from(counts[1] as u32) / 2.0,

@@ -243,7 +243,7 @@ fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, pl
     here.insert((*last).to_owned(), value);
     let bad = |message: String| Error::Value { place: place.clone(), key: keys.join("."), message };
     let config: Config =
-        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(e.message().to_owned()))?;
+        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(with_nearest(e.message())))?;
     if !algo::NAMES.contains(&config.algorithm.as_str()) {
         let similar =
             nearest(&config.algorithm, algo::NAMES).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
@@ -255,6 +255,14 @@ fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, pl
     }
     places.insert(keys.join("."), place);
     Ok(())
+}
+
+/// A message about a word that is none of those allowed, with the nearest of these: the message quotes the word and then them.
+fn with_nearest(message: &str) -> String {
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    let word = quoted.next().filter(|_| message.starts_with("unknown variant"));
+    let similar = word.and_then(|word| nearest(word, quoted));
+    similar.map_or_else(|| message.to_owned(), |similar| format!("{message}; did you mean `{similar}`?"))
 }
 
 /// What can be wrong with a configuration.
@@ -492,6 +500,19 @@ mod tests {
             "c.toml:2:11: bad value for `iwol.heads`: allowed: a divisor of iwol.message"
         );
         assert!(message("", &["device=gpu"]).contains("write cpu, cuda or cuda:<number>"));
+        assert_eq!(
+            message("", &["env.intention=hiden"]),
+            "--set env.intention=hiden: bad value for `env.intention`: unknown variant `hiden`, expected one of `seen`, \
+             `signalled`, `hidden`; did you mean `hidden`?"
+        );
+        assert_eq!(
+            message("", &["env.signal_distance=20"]),
+            "--set env.signal_distance=20: bad value for `env.signal_distance`: allowed: 30, the default, unless \
+             env.intention is signalled: otherwise no vehicle has an indicator"
+        );
+        assert!(message("", &["env.intention=signalled", "env.signal_distance=0"]).contains("allowed: 1 to 200"));
+        let signalled = resolve("", &["env.intention=signalled", "env.signal_distance=20"]).unwrap();
+        assert_eq!(signalled.env.signal_distance, 20.0);
         assert!(message("", &["env.observation=all"]).contains("unknown variant"));
         assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
         assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));

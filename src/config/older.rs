@@ -28,6 +28,8 @@ pub fn complete_older(table: &mut Table) -> bool {
         ("env.turns", Value::Float(0.0)),
         ("env.borders", Value::Float(0.0)),
         ("env.neighbour_order", Value::String("distance".to_owned())),
+        ("env.intention", Value::String("seen".to_owned())),
+        ("env.signal_distance", Value::Float(30.0)),
         ("env.lidar_beams", Value::Integer(0)),
         ("env.lidar_range", Value::Float(50.0)),
         ("env.penetration", Value::Float(1.0)),

@@ -2,7 +2,7 @@
 
 use super::Config;
 use crate::algo::{self, settings};
-use crate::scenario::Lidar;
+use crate::scenario::{Intention, Lidar, Observation};
 
 impl Config {
     /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
@@ -174,6 +174,12 @@ impl Config {
             (&["channel.falsified"], share(c.falsified), "0 to 1"),
             (&["env.detection_range"], finite_range(e.detection_range), "0 or more"),
             (&["env.neighbours"], e.neighbours <= 16, "0 to 16"),
+            (&["env.signal_distance"], (1.0..=200.0).contains(&e.signal_distance), "1 to 200"),
+            (
+                &["env.signal_distance", "env.intention"],
+                e.intention == Intention::Signalled || e.signal_distance == Observation::SIGNAL_DISTANCE,
+                "30, the default, unless env.intention is signalled: otherwise no vehicle has an indicator",
+            ),
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),
             (&["env.stream_vehicles"], e.stream_vehicles <= 16, "0 to 16"),
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),

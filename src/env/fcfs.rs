@@ -2,6 +2,7 @@
 //! (Dresner and Stone, JAIR 2008): vehicles' turns, and a driver that needs no training.
 
 use super::foresight::{Course, DRIVING, passing};
+use super::intention::{Candidate, Knowledge};
 use super::routes::RouteGeometry;
 use super::slots::{Slot, Status, Traffic};
 use super::task::Task;
@@ -43,35 +44,73 @@ impl Free {
     }
 }
 
-/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned.
-pub(super) fn free(routes: &[RouteGeometry], traffic: &Traffic, turns: &[u32], slot: usize, j: usize) -> Free {
-    let (own, other) = (&traffic.slots[slot], &traffic.slots[j]);
-    let way = |least: f64, at: f64, close_to: f64| {
-        let speed = own.speed.max(least);
-        let [close, soon] = passing(Course::new(routes, own, speed), Course::new(routes, other, at), HORIZON);
-        if close > close_to { speed * HORIZON * (1.0 - soon) } else { f64::INFINITY }
-    };
-    let before =
-        |at: f64| Free { way: way(DRIVING, at, TOO_CLOSE), slow: way(DRIVING / 2.0, at, TOO_CLOSE), ..Free::ALL };
-    if j == slot || other.status == Status::Empty || is_behind(routes, own, other) {
-        Free::ALL
-    } else if is_behind(routes, other, own) || other.status == Status::Wreck {
-        before(other.speed)
-    } else if turns[j] < turns[slot] {
-        before(other.speed).min(before(other.speed.max(DRIVING)))
-    } else {
-        Free { blocked: way(DRIVING, 0.0, IN_THE_WAY), ..Free::ALL }
+/// How another vehicle stands to an agent.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Standing {
+    /// It is behind the agent.
+    Behind,
+    /// It is ahead of the agent, or a wreck.
+    Ahead,
+    /// Its turn is before the agent's.
+    Before,
+    /// Its turn is after the agent's.
+    After,
+}
+
+/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever of the routes that the other may
+/// take the agent can drive least far.
+pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usize) -> Free {
+    let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
+    let (own, other) = (&slots[slot], &slots[j]);
+    if j == slot || other.status == Status::Empty {
+        return Free::ALL;
     }
+    let standing = |place: &Candidate| {
+        if is_behind(routes, &Candidate::of(own), place) {
+            Standing::Behind
+        } else if is_behind(routes, place, &Candidate::of(own)) || other.status == Status::Wreck {
+            Standing::Ahead
+        } else if turns[j] < turns[slot] {
+            Standing::Before
+        } else {
+            Standing::After
+        }
+    };
+    let on = |place: Candidate| {
+        let way = |least: f64, at: f64, close_to: f64| {
+            let speed = own.speed.max(least);
+            let course = Course::on(routes, place, other.size, at);
+            let [close, soon] = passing(Course::new(routes, own, speed), course, HORIZON);
+            if close > close_to { speed * HORIZON * (1.0 - soon) } else { f64::INFINITY }
+        };
+        let before =
+            |at: f64| Free { way: way(DRIVING, at, TOO_CLOSE), slow: way(DRIVING / 2.0, at, TOO_CLOSE), ..Free::ALL };
+        match standing(&place) {
+            Standing::Behind => Free::ALL,
+            Standing::Ahead => before(other.speed),
+            Standing::Before => before(other.speed).min(before(other.speed.max(DRIVING))),
+            Standing::After => Free { blocked: way(DRIVING, 0.0, IN_THE_WAY), ..Free::ALL },
+        }
+    };
+    let reach = other.speed.max(DRIVING) * HORIZON;
+    let new = |(k, place): &(usize, Candidate)| {
+        let same = |earlier: Candidate| {
+            knowledge.are_one(&earlier, place, reach) && standing(&earlier) == standing(place)
+        };
+        !knowledge.candidates(j).take(*k).any(same)
+    };
+    knowledge.candidates(j).enumerate().filter(new).map(|(_, place)| on(place)).fold(Free::ALL, Free::min)
 }
 
 /// Which vehicles brake now: for one that comes before them, is ahead, or stands in their way.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut turns, mut blocked) = (Vec::new(), Vec::new());
-    inherit(&task.routes, traffic, &mut turns, &mut blocked);
+    let knowledge = Knowledge::full(&task.routes, traffic);
+    inherit(knowledge, &mut turns, &mut blocked);
     let control = &task.scenario.control;
     let brakes = control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING);
     let gives_way = |(slot, own): (usize, &Slot)| {
-        let seen = |free: Free, j| free.min(self::free(&task.routes, traffic, &turns, slot, j));
+        let seen = |free: Free, j| free.min(self::free(knowledge, &turns, slot, j));
         let free = (0..turns.len()).fold(Free::ALL, seen);
         let braking = own.speed * own.speed / (2.0 * brakes);
         // Who has not entered yet waits outside, where it is in nobody's way.
@@ -94,26 +133,29 @@ pub(super) fn to_entry(task: &Task, slot: &Slot) -> Option<f64> {
 }
 
 /// Whether `behind` comes to where `ahead` is on its way.
-fn is_behind(routes: &[RouteGeometry], ahead: &Slot, behind: &Slot) -> bool {
+fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 
 /// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has that one's turn, if it is before its
-/// own: otherwise each of them would wait for the other. `blocked` is scratch.
-pub(super) fn inherit(
-    routes: &[RouteGeometry],
-    traffic: &Traffic,
-    turns: &mut Vec<u32>,
-    blocked: &mut Vec<(usize, usize)>,
-) {
+/// own: otherwise each of them would wait for the other. One that may take several routes is in the way of another if it is so for
+/// any route that the other may take. `blocked` is scratch.
+pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &mut Vec<(usize, usize)>) {
+    let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;
     turns.clear();
     // Who has not come near is after all who have.
     turns.extend(slots.iter().map(|slot| slot.turn.wrapping_sub(1)));
     let drives = |i: usize| slots[i].status == Status::Active;
     let stands_in_the_way = |i: usize, j: usize| {
-        let course = |k: usize, speed: f64| Course::new(routes, &slots[k], speed);
-        !is_behind(routes, &slots[j], &slots[i]) && passing(course(i, 0.0), course(j, DRIVING), BLOCKED)[0] > IN_THE_WAY
+        let waits_behind = |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
+        // Where it stands is the same on all of its routes.
+        let own = knowledge.candidates(i).next().map(|own| Course::on(routes, own, slots[i].size, 0.0));
+        let meets = |other: Candidate| {
+            let course = Course::on(routes, other, slots[j].size, DRIVING);
+            own.is_some_and(|own| passing(own, course, BLOCKED)[0] > IN_THE_WAY)
+        };
+        !knowledge.candidates(i).any(waits_behind) && knowledge.different(j, DRIVING * BLOCKED).any(meets)
     };
     blocked.clear();
     for i in (0..slots.len()).filter(|&i| drives(i)) {
@@ -166,7 +208,7 @@ mod tests {
 
     fn inherited(task: &Task, traffic: &Traffic) -> Vec<u32> {
         let mut turns = Vec::new();
-        inherit(&task.routes, traffic, &mut turns, &mut Vec::new());
+        inherit(Knowledge::full(&task.routes, traffic), &mut turns, &mut Vec::new());
         turns
     }
 
@@ -175,12 +217,12 @@ mod tests {
         let task = task();
         let at = [("west_straight", 25.0), ("south_straight", 12.0), ("east_straight", 15.0), ("north_straight", 30.0)];
         let mut traffic = traffic(&task, &at);
-        traffic.take_turns(&task.routes, 20.0);
+        traffic.take_turns(&task.routes, None, 20.0);
         let turns = |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.turn).collect::<Vec<_>>();
         assert_eq!(turns(&traffic), [0, 1, 2, 0]);
         // Who comes later is behind, however close it gets.
         traffic.slots[0].s += 24.0;
-        traffic.take_turns(&task.routes, 20.0);
+        traffic.take_turns(&task.routes, None, 20.0);
         assert_eq!(turns(&traffic), [3, 1, 2, 0]);
         traffic.refresh();
         assert_eq!(inherited(&task, &traffic), [2, 0, 1, u32::MAX], "those who have not come near are last");
@@ -228,8 +270,9 @@ mod tests {
             );
             prop_assume!(touch > 1.2);
             let (turns, waits) = (inherited(&task, &traffic), giving_way(&task, &traffic));
-            let blocked = free(&task.routes, &traffic, &turns, 0, 1).blocked < RESERVE;
-            let behind = is_behind(&task.routes, &traffic.slots[1], &traffic.slots[0]);
+            let blocked = free(Knowledge::full(&task.routes, &traffic), &turns, 0, 1).blocked < RESERVE;
+            let places = [0, 1].map(|k| Candidate::of(&traffic.slots[k]));
+            let behind = is_behind(&task.routes, &places[1], &places[0]);
             prop_assert!(!waits[0] || blocked || behind, "{names:?} {waits:?}");
         }
     }

@@ -1,6 +1,7 @@
 //! How closely two vehicles will pass each other if both keep to their ways and speeds: what a driver foresees.
 
-use super::geometry::{Stance, separation};
+use super::geometry::{Size, Stance, separation};
+use super::intention::Candidate;
 use super::routes::RouteGeometry;
 use super::slots::Slot;
 use crate::sumo::net::Path;
@@ -16,25 +17,32 @@ const LOOK: (f64, f64, f64) = (0.6, 0.1, 0.4);
 #[derive(Clone, Copy)]
 pub(super) struct Course<'a> {
     path: &'a Path,
-    slot: &'a Slot,
+    place: Candidate,
+    size: Size,
     speed: f64,
 }
 
 impl<'a> Course<'a> {
-    pub(super) fn new(routes: &'a [RouteGeometry], slot: &'a Slot, speed: f64) -> Self {
-        Self { path: &routes[slot.route].path, slot, speed }
+    /// On the vehicle's own route.
+    pub(super) fn new(routes: &'a [RouteGeometry], slot: &Slot, speed: f64) -> Self {
+        Self::on(routes, Candidate::of(slot), slot.size, speed)
+    }
+
+    /// On a route that it may take.
+    pub(super) fn on(routes: &'a [RouteGeometry], place: Candidate, size: Size, speed: f64) -> Self {
+        Self { path: &routes[place.route].path, place, size, speed }
     }
 
     /// Where it is; looked for from a segment of its way on, which becomes the one that it is on.
     fn at(&self, time: f64, segment: &mut usize) -> Stance {
-        let (point, on) = self.path.locate_from(self.slot.s + self.speed * time, *segment);
+        let (point, on) = self.path.locate_from(self.place.s + self.speed * time, *segment);
         *segment = on;
-        Stance::beside(point, self.path.direction(on), self.slot.lateral)
+        Stance::beside(point, self.path.direction(on), self.place.lateral)
     }
 
     /// How far from its middle it reaches \[m\].
     fn reach(&self) -> f64 {
-        let [length, width] = self.slot.size;
+        let [length, width] = self.size;
         (length * length + width * width).sqrt() / 2.0
     }
 }
@@ -45,13 +53,13 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
     let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
     let (mut least, mut when, mut time) = (CLOSE, horizon, 0.0);
-    let mut segments = [a.slot.segment, b.slot.segment];
+    let mut segments = [a.place.segment, b.place.segment];
     while time < horizon && least > 0.0 {
         let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
         let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
         let far = (dx * dx + dy * dy).sqrt() - reach;
         // Few pairs are so close that it matters how they stand.
-        let apart = if far < least { separation((own, a.slot.size), (other, b.slot.size)) } else { far };
+        let apart = if far < least { separation((own, a.size), (other, b.size)) } else { far };
         if apart < least {
             (least, when) = (apart.max(0.0), time);
         }
@@ -62,6 +70,11 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
         time += ((apart - least) / closing).max(step);
     }
     [1.0 - least / CLOSE, 1.0 - when / horizon]
+}
+
+/// Of two passings the closer one, and of equally close ones the sooner.
+pub(super) fn closer(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    if a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).is_lt() { b } else { a }
 }
 
 #[cfg(test)]
@@ -82,8 +95,8 @@ mod tests {
     fn crossing(s: [f64; 2], speed: [f64; 2]) -> [f64; 2] {
         let points = [[[0.0, 0.0], [100.0, 0.0]], [[50.0, -50.0], [50.0, 50.0]]];
         let paths = points.map(|points| Path::from_points(points, 3.5).expect("two points"));
-        let slots = s.map(|s| Slot { s, size: [4.0, 2.0], ..EMPTY });
-        let course = |i: usize| Course { path: &paths[i], slot: &slots[i], speed: speed[i] };
+        let place = |i: usize| Candidate { route: i, s: s[i], lateral: 0.0, segment: 0 };
+        let course = |i: usize| Course { path: &paths[i], place: place(i), size: [4.0, 2.0], speed: speed[i] };
         passing(course(0), course(1), HORIZON)
     }
 

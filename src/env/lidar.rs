@@ -144,7 +144,7 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 /// Tells the distance from a point along a unit vector to a box \[m\]; 0 from inside.
-fn to_box(from: [f64; 2], target: Stance, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
+pub(super) fn to_box(from: [f64; 2], target: Stance, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
     let [cos, sin] = target.along;
     let own = move |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
     let at = own([from[0] - target.middle[0], from[1] - target.middle[1]]);

@@ -11,6 +11,7 @@ mod failures;
 mod fcfs;
 mod foresight;
 mod geometry;
+mod intention;
 mod lidar;
 mod metrics;
 mod observation;

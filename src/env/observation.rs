@@ -12,9 +12,10 @@
 use std::f64::consts::PI;
 
 use super::fcfs::{self, Free};
-use super::foresight::{Course, DRIVING, passing};
+use super::foresight::{Course, DRIVING, closer, passing};
+use super::intention::{Candidate, Knowledge};
 use super::routes::RouteGeometry;
-use super::slots::{CLEARED, Status, Traffic};
+use super::slots::{CLEARED, Slot, Status, Traffic};
 use super::task::Task;
 use super::{Features, Writer, lidar};
 use crate::scenario::{NeighbourOrder, Observation, Scenario};
@@ -210,12 +211,15 @@ struct View<'a> {
     scenario: &'a Scenario,
     routes: &'a [RouteGeometry],
     traffic: &'a Traffic,
+    knowledge: Knowledge<'a>,
     slot: usize,
 }
 
-/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where agents are told of them.
-pub(super) fn write(task: &Task, traffic: &Traffic, turns: &[u32], slot: usize, out: &mut [f32]) {
-    let (scenario, routes) = (&task.scenario, &task.routes[..]);
+/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where agents are told of them. Of others'
+/// routes the agent learns what `knowledge` has.
+pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: usize, out: &mut [f32]) {
+    let (scenario, routes, traffic) = (&task.scenario, &task.routes[..], knowledge.traffic);
+    let knowledge = knowledge.to(slot);
     let own = &traffic.slots[slot];
     let route = &routes[own.route];
     let mut w = Writer::new(out);
@@ -256,12 +260,12 @@ pub(super) fn write(task: &Task, traffic: &Traffic, turns: &[u32], slot: usize, 
     if let Some(road) = task.road.as_ref().filter(|_| borders > 0.0) {
         w.put(road.margins(&own.pose, BORDERS_AHEAD, borders).map(|margin| 1.0 - margin / borders));
     }
-    let view = View { scenario, routes, traffic, slot };
+    let view = View { scenario, routes, traffic, knowledge, slot };
     let groups = scenario.observation.groups;
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    put_encounters(&mut w, (routes, traffic, turns), slot, Encounters::of(&scenario.observation), |j| view.seen(j));
+    put_encounters(&mut w, knowledge, turns, slot, Encounters::of(&scenario.observation), |j| view.seen(j));
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -323,20 +327,21 @@ impl View<'_> {
         }
     }
 
-    /// The nearest vehicle in front on the agent's lanes, and how many there are.
+    /// The nearest vehicle in front on the agent's lanes, and how many there are; vehicles whose routes are hidden count on any route
+    /// that they could still take.
     fn put_leader(&self, w: &mut Writer) {
         let traffic = self.traffic;
         let own = &traffic.slots[self.slot];
         let mut ahead = 0;
         let mut leader: Option<(f64, usize)> = None;
-        for (r, queue) in traffic.by_route.iter().enumerate() {
-            for &j in queue.iter().filter(|&&j| self.seen(j)) {
-                let position = self.routes[own.route].shared_position(r, traffic.slots[j].s);
-                if let Some(gap) = position.map(|s| s - own.s).filter(|&gap| gap > 0.0) {
-                    ahead += 1;
-                    if leader.is_none_or(|(best, _)| gap < best) {
-                        leader = Some((gap, j));
-                    }
+        let route = &self.routes[own.route];
+        let gap_on = |place: Candidate| route.shared_position(place.route, place.s).map(|s| s - own.s);
+        for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j)) {
+            let gaps = self.knowledge.candidates(j).filter_map(gap_on).filter(|&gap| gap > 0.0);
+            if let Some(gap) = gaps.min_by(f64::total_cmp) {
+                ahead += 1;
+                if leader.is_none_or(|(best, _)| gap < best) {
+                    leader = Some((gap, j));
                 }
             }
         }
@@ -350,9 +355,10 @@ impl View<'_> {
         w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
     }
 
-    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere.
+    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere. A vehicle whose route is hidden is
+    /// in the stream of each route that it could still take, but only once among those that the agent does not meet.
     fn put_streams(&self, w: &mut Writer) {
-        let (traffic, settings) = (self.traffic, &self.scenario.observation);
+        let (traffic, knowledge, settings) = (self.traffic, self.knowledge, &self.scenario.observation);
         let own = &traffic.slots[self.slot];
         let route = &self.routes[own.route];
         for stream in 0..settings.conflict_streams {
@@ -363,16 +369,20 @@ impl View<'_> {
             let own_distance = conflict.own - own.s;
             let approaching = || {
                 // Queues are sorted by position, furthest first: next to the conflict point first.
-                traffic.by_route[conflict.route]
-                    .iter()
-                    .map(|&j| (conflict.other - traffic.slots[j].s, j))
-                    .filter(|&(u, j)| u > -CLEARED && self.seen(j))
+                let queue = knowledge.on_route(conflict.route);
+                queue.map(|(s, j)| (conflict.other - s, j)).filter(|&(u, j)| u > -CLEARED && self.seen(j))
             };
             w.put([own_distance / FAR, own_distance / NEAR, approaching().count() as f64 / COUNT, 1.0]);
             put_vehicles(w, traffic, approaching(), settings.stream_vehicles);
         }
-        let others = route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
-        let distances = others.map(|(r, j)| (self.routes[r].to_first_conflict(traffic.slots[j].s), j));
+        let distances = route.apart.iter().flat_map(|&r| {
+            let to_conflict = move |(s, j): (f64, usize)| (self.routes[r].to_first_conflict(s), j);
+            let listed = move |j: usize| {
+                let before = |place: Candidate| place.route < r && route.apart.contains(&place.route);
+                knowledge.candidates(j).any(before)
+            };
+            knowledge.on_route(r).filter(move |&(_, j)| !listed(j)).map(to_conflict)
+        });
         let near = distances.filter(|&(u, j)| u > -2.0 * CLEARED && self.seen(j));
         put_vehicles(w, traffic, near, settings.stream_vehicles);
     }
@@ -393,14 +403,17 @@ impl Encounters {
 }
 
 /// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
-/// meet: at the end of the gap between them, and a flag says so.
+/// meet: at the end of the gap between them, and a flag says so. Of the routes that a vehicle could still take, the one counts on
+/// which the two meet soonest; how closely they pass is told of the route on which they pass closest.
 pub(super) fn put_encounters(
     w: &mut Writer,
-    (routes, traffic, turns): (&[RouteGeometry], &Traffic, &[u32]),
+    knowledge: Knowledge<'_>,
+    turns: &[u32],
     slot: usize,
     Encounters { count, foresight, turns: told }: Encounters,
     seen: impl Fn(usize) -> bool,
 ) {
+    let Knowledge { routes, traffic, .. } = knowledge;
     let own = &traffic.slots[slot];
     let mut soonest = [(f64::INFINITY, 0.0, 0.0, false, usize::MAX); 16];
     let count = count.min(soonest.len());
@@ -408,15 +421,11 @@ pub(super) fn put_encounters(
         if j == slot || other.status == Status::Empty || !seen(j) {
             continue;
         }
-        let ahead = routes[own.route].shared_position(other.route, other.s).map(|s| s - own.s).filter(|way| *way > 0.0);
-        let (own_way, other_way) = match ahead {
-            Some(way) => (way - f64::midpoint(own.size[0], other.size[0]), 0.0),
-            None => match routes[own.route].next_meeting(own.s, other.route, other.s, CLEARED) {
-                Some(meeting) => (meeting.own - own.s, meeting.other - other.s),
-                None => continue,
-            },
-        };
-        let entry = (own_way.max(other_way), own_way, other_way, ahead.is_some(), j);
+        let met = knowledge.candidates(j).filter_map(|place| meet(&routes[own.route], own, &place, other));
+        // Of equally soon ones the first, and so the one on the route with the smallest number.
+        let first = met.min_by(|a, b| a.0.max(a.1).total_cmp(&b.0.max(b.1)));
+        let Some((own_way, other_way, ahead)) = first else { continue };
+        let entry = (own_way.max(other_way), own_way, other_way, ahead, j);
         if entry.0 < soonest[count - 1].0 {
             let at = soonest[..count].partition_point(|other| other.0 <= entry.0);
             soonest[at..count].rotate_right(1);
@@ -441,8 +450,12 @@ pub(super) fn put_encounters(
             sin,
         ]);
         if foresight > 0.0 {
-            let at_speed =
-                |speed| passing(Course::new(routes, own, speed), Course::new(routes, other, other.speed), foresight);
+            let at_speed = |speed| {
+                let own = Course::new(routes, own, speed);
+                let on = |place| passing(own, Course::on(routes, place, other.size, other.speed), foresight);
+                let different = knowledge.different(j, other.speed * foresight);
+                different.map(on).reduce(closer).unwrap_or_default()
+            };
             let foreseen = at_speed(own.speed);
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
@@ -453,9 +466,22 @@ pub(super) fn put_encounters(
         w.put([moving(other.status), 1.0]);
     }
     if told {
-        let of = |j| fcfs::free(routes, traffic, turns, slot, j);
+        let of = |j| fcfs::free(knowledge, turns, slot, j);
         let free = (0..traffic.slots.len()).filter(|&j| seen(j)).map(of).fold(Free::ALL, Free::min);
         w.put([free.way, free.slow, free.blocked].map(|way| way / NEAR));
+    }
+}
+
+/// Where an agent on `route` next meets another vehicle on one of that vehicle's candidate routes: the distances of both to that
+/// place \[m\], and whether the other is ahead on the agent's own route.
+fn meet(route: &RouteGeometry, own: &Slot, place: &Candidate, other: &Slot) -> Option<(f64, f64, bool)> {
+    let ahead = route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
+    match ahead {
+        Some(way) => Some((way - f64::midpoint(own.size[0], other.size[0]), 0.0, true)),
+        None => {
+            let met = route.next_meeting(own.s, place.route, place.s, CLEARED)?;
+            Some((met.own - own.s, met.other - place.s, false))
+        }
     }
 }
 

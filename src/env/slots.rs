@@ -5,6 +5,7 @@
 
 use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
+use super::intention::Intentions;
 use super::routes::RouteGeometry;
 use super::steering::Motion;
 
@@ -160,13 +161,20 @@ impl Traffic {
         }
     }
 
-    /// Gives turns to those who have come within `near` metres of where their ways first meet others', the closest first.
-    pub(super) fn take_turns(&mut self, routes: &[RouteGeometry], near: f64) {
-        let way = |slot: &Slot| routes[slot.route].to_first_conflict(slot.s);
-        let waits = |slot: &Slot| slot.status != Status::Empty && slot.turn == 0 && way(slot) <= near;
+    /// Gives turns to those who have come within `near` metres of where their ways first meet others', the closest first. Of a
+    /// vehicle whose route is hidden, the distance is that to the first conflict point on any route that it could still take.
+    pub(super) fn take_turns(&mut self, routes: &[RouteGeometry], intentions: Option<&Intentions>, near: f64) {
+        let way = |j: usize, slot: &Slot| {
+            let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
+            hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))
+        };
         loop {
-            let waiting = self.slots.iter_mut().filter(|slot| waits(slot));
-            let Some(next) = waiting.min_by(|a, b| way(a).total_cmp(&way(b))) else {
+            let waiting = self.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
+                let waits = slot.status != Status::Empty && slot.turn == 0;
+                let distance = if waits { way(j, slot) } else { f64::INFINITY };
+                (distance <= near).then_some((distance, slot))
+            });
+            let Some((_, next)) = waiting.min_by(|a, b| a.0.total_cmp(&b.0)) else {
                 return;
             };
             self.turn += 1;

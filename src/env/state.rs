@@ -4,6 +4,7 @@
 //! vehicles next to every meeting point with their speeds, last actions and fates. Its size depends on the scenario's
 //! settings only, never on the number of vehicles, so that one checkpoint serves any number.
 
+use super::intention::Knowledge;
 use super::observation::{COUNT, Encounters, SPEED, describe_encounters, moving, put_encounters};
 use super::slots::{CLEARED, Status, Traffic};
 use super::task::Task;
@@ -95,7 +96,7 @@ pub(super) fn write(task: &Task, traffic: &Traffic, time_left: f64, slot: usize,
         put_counts(&mut w, traffic, queue.iter().copied());
     }
     if scenario.observation.encounters > 0 {
-        put_encounters(&mut w, (routes, traffic, &[]), slot, MET, |_| true);
+        put_encounters(&mut w, Knowledge::full(routes, traffic), &[], slot, MET, |_| true);
     }
     let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
     put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::geometry::Size;
+use super::intention::Forks;
 use super::pursuit::way_around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
@@ -81,6 +82,8 @@ pub struct Task {
     pub(super) road: Option<Road>,
     /// Where each route lies in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
+    /// Which routes begin alike, and where they part.
+    pub(super) forks: Forks,
     /// Corners of the net's bounding box: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
     net_file: std::path::PathBuf,
@@ -157,6 +160,7 @@ impl Task {
                 route
             })
             .collect::<Vec<_>>();
+        let forks = Forks::new(&net, &routes);
         let end = |route: &crate::scenario::Route| route.edges.last().cloned();
         let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
         let reserved = scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
@@ -198,6 +202,7 @@ impl Task {
             several_lanes,
             road,
             junctions,
+            forks,
             spec,
             bounds,
             net_file: choice.file.clone(),

@@ -20,6 +20,7 @@ use super::comm::physical_mask;
 use super::failures::{Crash, Failures, UPSTREAM};
 use super::fcfs;
 use super::geometry::{Pose, boxes_overlap};
+use super::intention::{Intentions, Knowledge};
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::road::BESIDE;
@@ -95,6 +96,8 @@ pub struct World {
     /// Agents of the current episode; the first slots are theirs.
     crew: usize,
     traffic: Traffic,
+    /// Routes that the vehicles could take, where the scenario hides which they do.
+    intentions: Option<Intentions>,
     others: Others,
     frame: Frame,
     own_rewards: Vec<f64>,
@@ -130,6 +133,7 @@ impl World {
             step: 0,
             crew: n,
             traffic: Traffic::new(task.slots(), task.routes.len()),
+            intentions: Intentions::new(&task),
             others: Others::new(&task),
             frame: Frame {
                 observation: vec![0.0; n * o],
@@ -282,6 +286,7 @@ impl World {
             Phase::Spawning => {
                 self.place(world, snapshot)?;
                 self.phase = Phase::Running;
+                self.intentions.iter_mut().for_each(Intentions::begin);
                 self.frame.start = true;
                 self.frame.reward.fill(0.0);
                 self.frame.terminated.fill(0.0);
@@ -297,10 +302,16 @@ impl World {
             }
         }
         self.traffic.refresh();
+        let steers = self.steers();
+        if let Some(intentions) = &mut self.intentions {
+            intentions.update(&self.task, &self.traffic, steers);
+        }
+        let intentions = self.intentions.as_ref();
         let turns = self.task.scenario.observation.turns;
-        self.traffic.take_turns(&self.task.routes, if turns > 0.0 { turns } else { TURNS });
+        self.traffic.take_turns(&self.task.routes, intentions, if turns > 0.0 { turns } else { TURNS });
         if turns > 0.0 {
-            fcfs::inherit(&self.task.routes, &self.traffic, &mut self.turns, &mut self.blocked);
+            let knowledge = Knowledge::public(&self.task, &self.traffic, intentions);
+            fcfs::inherit(knowledge, &mut self.turns, &mut self.blocked);
         }
         if self.step > 0 {
             let own = self.frame.reward.iter_mut().zip(&self.own_rewards);
@@ -324,9 +335,10 @@ impl World {
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
         let (task, traffic, turns, present) = (&*self.task, &self.traffic, &self.turns, &self.present);
         let time_left = 1.0 - f64::from(self.step) / f64::from(self.task.scenario.termination.horizon);
+        let knowledge = Knowledge::public(task, traffic, self.intentions.as_ref());
         let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
             if present[i] {
-                observation::write(task, traffic, turns, i, seen);
+                observation::write(task, knowledge, turns, i, seen);
                 state::write(task, traffic, time_left, i, known);
             } else {
                 seen.fill(0.0);
@@ -355,18 +367,38 @@ impl World {
     /// What agents would see and hear with the settings of another task of the same scenario, but for when vehicles get their turns:
     /// `seen: [N, O]` of that task's, zeros where an agent is gone, and the physical mask `comm: [N, N]`.
     pub(crate) fn observe_as(&self, task: &Task, seen: &mut [f32], comm: &mut [f32]) {
+        // What this world knows of where vehicles have been goes for that task as well.
+        let tracked = Intentions::new(task).map(|new| self.intentions.clone().unwrap_or(new));
+        let intentions = tracked.map(|mut intentions| {
+            intentions.update(task, &self.traffic, self.steers());
+            intentions
+        });
+        let knowledge = Knowledge::public(task, &self.traffic, intentions.as_ref());
         let mut turns = Vec::new();
         if task.scenario.observation.turns > 0.0 {
-            fcfs::inherit(&task.routes, &self.traffic, &mut turns, &mut Vec::new());
+            fcfs::inherit(knowledge, &mut turns, &mut Vec::new());
         }
         for (i, seen) in seen.chunks_mut(task.spec.observation.len()).enumerate() {
             if self.present[i] {
-                observation::write(task, &self.traffic, &turns, i, seen);
+                observation::write(task, knowledge, &turns, i, seen);
             } else {
                 seen.fill(0.0);
             }
         }
         physical_mask(&self.poses, &self.present, task.scenario.communication.range, comm);
+    }
+
+    /// Whether agents steer, so that they follow their routes' paths and not the lanes.
+    fn steers(&self) -> bool {
+        self.driver == Driver::Agents && self.task.scenario.control.steering.is_some()
+    }
+
+    /// Sends the vehicle of a slot along another route from where it is.
+    #[cfg(test)]
+    pub(super) fn send(&mut self, slot: usize, route: usize) {
+        let slot = &mut self.traffic.slots[slot];
+        slot.route = route;
+        (slot.s, slot.lateral, slot.segment) = self.task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
     }
 
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.

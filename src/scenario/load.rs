@@ -8,7 +8,7 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Border, Communication, Control, Error, Jitter, Lidar, NeighbourOrder, Net, Observation,
+    AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
     ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
@@ -46,6 +46,8 @@ const OBSERVATION: Names = &[
     "detectionRange",
     "neighbours",
     "neighbourOrder",
+    "intention",
+    "signalDistance",
     "conflictStreams",
     "streamVehicles",
     "encounters",
@@ -143,6 +145,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
+        let intention = self.intention(observation)?;
         let reward = self.leaf(part("reward")?, REWARD)?;
         let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border"])?;
         let communication = self.leaf(part("communication")?, &["range"])?;
@@ -169,6 +172,8 @@ impl<'a, 'input> Reader<'a, 'input> {
                 detection_range: self.positive(observation, "detectionRange")?,
                 neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
                 neighbour_order: self.neighbour_order(observation)?,
+                intention,
+                signal_distance: self.signal_distance(observation, intention)?,
                 conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
                 stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
                 encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
@@ -269,6 +274,27 @@ impl<'a, 'input> Reader<'a, 'input> {
         let Some(name) = node.attribute("neighbourOrder") else { return Ok(NeighbourOrder::default()) };
         let known = NeighbourOrder::NAMES.iter().find(|entry| entry.0 == name);
         known.map(|entry| entry.1).ok_or_else(|| self.value(node, "neighbourOrder", "distance or bearing"))
+    }
+
+    fn intention(&self, node: Node<'a, 'input>) -> Result<Intention, Error> {
+        let Some(name) = node.attribute("intention") else { return Ok(Intention::default()) };
+        let known = Intention::NAMES.iter().find(|entry| entry.0 == name);
+        known.map(|entry| entry.1).ok_or_else(|| {
+            let similar = nearest(name, Intention::NAMES.iter().map(|entry| entry.0));
+            let similar = similar.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+            self.value(node, "intention", format!("seen, signalled or hidden{similar}"))
+        })
+    }
+
+    fn signal_distance(&self, node: Node<'a, 'input>, intention: Intention) -> Result<f64, Error> {
+        if !node.has_attribute("signalDistance") {
+            return Ok(Observation::SIGNAL_DISTANCE);
+        }
+        if intention != Intention::Signalled {
+            let allowed = "only with intention=\"signalled\": otherwise no vehicle has an indicator";
+            return Err(self.value(node, "signalDistance", allowed));
+        }
+        self.number(node, "signalDistance", "1 to 200", |v| (1.0..=200.0).contains(&v))
     }
 
     fn name(&self, root: Node<'a, 'input>) -> Result<String, Error> {

@@ -229,6 +229,31 @@ impl NeighbourOrder {
     }
 }
 
+/// What an agent knows of another vehicle's intention: the part of the route that the vehicle has not yet begun.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Intention {
+    /// The whole route.
+    #[default]
+    Seen,
+    /// The direction at the next junction, from the vehicle's indicator: within [`Observation::signal_distance`] of the junction,
+    /// within the detection range and with no other vehicle in between. Otherwise nothing.
+    Signalled,
+    /// Nothing: the vehicle may take every route that its position leaves open (paper).
+    Hidden,
+}
+
+impl Intention {
+    /// As in XML and settings.
+    pub const NAMES: [(&str, Self); 3] =
+        [("seen", Self::Seen), ("signalled", Self::Signalled), ("hidden", Self::Hidden)];
+
+    /// The name in XML and settings.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
+    }
+}
+
 /// What an agent sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
@@ -240,6 +265,11 @@ pub struct Observation {
     pub neighbours: usize,
     /// In which order.
     pub neighbour_order: NeighbourOrder,
+    /// What is known of where others will go.
+    pub intention: Intention,
+    /// How far before a junction a vehicle's indicator is on, where intentions are signalled;
+    /// [`Observation::SIGNAL_DISTANCE`] where they are not \[m\].
+    pub signal_distance: f64,
     /// Crossing or merging streams described, in the order in which the agent meets them.
     pub conflict_streams: usize,
     /// Vehicles described per stream, those next to the conflict point first.
@@ -255,6 +285,11 @@ pub struct Observation {
     pub borders: f64,
     /// Distances to whatever is around.
     pub lidar: Lidar,
+}
+
+impl Observation {
+    /// How far before a junction an indicator is on where the scenario does not say \[m\].
+    pub const SIGNAL_DISTANCE: f64 = 30.0;
 }
 
 /// Beams in all directions, which end at vehicles and where the road ends.

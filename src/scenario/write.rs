@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{Border, Lidar, NeighbourOrder, Scenario, Traffic};
+use super::{Border, Intention, Lidar, NeighbourOrder, Scenario, Traffic};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -79,6 +79,10 @@ impl Scenario {
         write!(xml, "streamVehicles=\"{}\"", o.stream_vehicles)?;
         if o.neighbour_order != NeighbourOrder::default() {
             write!(xml, " neighbourOrder=\"{}\"", o.neighbour_order.name())?;
+        }
+        write!(xml, " intention=\"{}\"", o.intention.name())?;
+        if o.intention == Intention::Signalled {
+            write!(xml, " signalDistance=\"{}\"", o.signal_distance)?;
         }
         if o.encounters > 0 {
             write!(xml, " encounters=\"{}\"", o.encounters)?;

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use super::super::write::escape;
 use super::super::{
-    AgentRange, Border, Communication, Control, Jitter, Lidar, NeighbourOrder, Net, Observation, ObservationGroups,
-    Reward, Route, SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
+    AgentRange, Border, Communication, Control, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
+    ObservationGroups, Reward, Route, SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
@@ -154,6 +154,8 @@ impl Layout {
                 detection_range: DETECTION,
                 neighbours: 4,
                 neighbour_order: NeighbourOrder::default(),
+                intention: Intention::Hidden,
+                signal_distance: Observation::SIGNAL_DISTANCE,
                 conflict_streams: streams,
                 stream_vehicles: longest_row.min(3) as usize,
                 encounters: 0,

@@ -1,0 +1,406 @@
+//! What an agent knows of where the other vehicles will go.
+//!
+//! Where the scenario hides intentions, an agent has to expect every route that a vehicle could still take: its *candidates*.
+//! They follow from the vehicle's pose and from the place where it began, never from the route that it is on: of the routes
+//! that begin alike, those are open whose paths have not yet left the vehicle aside. Every feature group reads other vehicles'
+//! routes through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
+
+use super::geometry::Stance;
+use super::lidar::to_box;
+use super::routes::RouteGeometry;
+use super::slots::{Slot, Status, Traffic};
+use super::task::Task;
+use crate::scenario::Intention;
+use crate::sumo::net::{EdgeFunction, Net, Path};
+
+/// A route is open while its path is at most this much farther from the vehicle than the nearest candidate's \[m\].
+const PARTED: f64 = 1.0;
+/// A path that the vehicle stands across counts as so much farther, one that leads the other way twice as much \[m\].
+const ACROSS: f64 = 3.0;
+
+/// A route that a vehicle may be on, and where the vehicle is on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Candidate {
+    pub(super) route: usize,
+    /// Position of the vehicle's centre along the route \[m\].
+    pub(super) s: f64,
+    /// Offset from the route's path, positive to the left \[m\].
+    pub(super) lateral: f64,
+    /// Segment of the path at which to begin to look for positions.
+    pub(super) segment: usize,
+}
+
+impl Candidate {
+    /// The route that the vehicle is on.
+    pub(super) fn of(slot: &Slot) -> Self {
+        Self { route: slot.route, s: slot.s, lateral: slot.lateral, segment: slot.segment }
+    }
+}
+
+/// What an indicator shows. A vehicle that turns back shows the same as one that turns left (in left-hand traffic, right).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Indicator {
+    Off,
+    Left,
+    Right,
+}
+
+impl Indicator {
+    /// For a direction as SUMO's nets have it.
+    fn of(direction: &str) -> Self {
+        match direction {
+            "l" | "L" | "t" => Self::Left,
+            "r" | "R" | "T" => Self::Right,
+            _ => Self::Off,
+        }
+    }
+}
+
+/// Where a route passes a junction, as positions along its path \[m\].
+#[derive(Debug, Clone, Copy)]
+struct Passage {
+    /// Index into the net's junctions; none where the net does not list it.
+    junction: Option<usize>,
+    from: f64,
+    to: f64,
+    indicator: Indicator,
+}
+
+/// Which routes of a task begin alike, and where they part.
+#[derive(Debug, Clone)]
+pub(super) struct Forks {
+    /// For every route the routes that begin alike, itself included, in ascending order.
+    alike: Vec<Vec<usize>>,
+    /// For every route and each of `alike`: up to which position both paths have the same points \[m\].
+    together: Vec<Vec<f64>>,
+    /// For every route its junctions, in driving order.
+    passages: Vec<Vec<Passage>>,
+}
+
+impl Forks {
+    pub(super) fn new(net: &Net, routes: &[RouteGeometry]) -> Self {
+        // Routes that begin alike get one label: the smallest of their indices.
+        let mut labels: Vec<usize> = (0..routes.len()).collect();
+        for a in 0..routes.len() {
+            for b in 0..a {
+                if labels[a] != labels[b] && begin_alike(&routes[a], &routes[b]) {
+                    let (kept, gone) = (labels[a].min(labels[b]), labels[a].max(labels[b]));
+                    labels.iter_mut().filter(|label| **label == gone).for_each(|label| *label = kept);
+                }
+            }
+        }
+        let like = |a: usize| (0..routes.len()).filter(|&b| labels[b] == labels[a]).collect::<Vec<_>>();
+        let alike: Vec<Vec<usize>> = (0..routes.len()).map(like).collect();
+        let together = |(a, alike): (usize, &Vec<usize>)| {
+            alike.iter().map(|&b| common_length(&routes[a].path, &routes[b].path)).collect()
+        };
+        let together = alike.iter().enumerate().map(together).collect();
+        Self { alike, together, passages: routes.iter().map(|route| passages(net, &route.path)).collect() }
+    }
+
+    /// Whether a vehicle moves in the same way on both candidate routes, as far as `reach` metres ahead.
+    fn are_one(&self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
+        let place = self.alike[a.route].iter().position(|&route| route == b.route);
+        let together = place.map_or(f64::NEG_INFINITY, |k| self.together[a.route][k]);
+        a.s == b.s && a.lateral == b.lateral && a.s + reach.max(0.0) < together
+    }
+}
+
+/// Whether one of two routes begins on the other.
+fn begin_alike(a: &RouteGeometry, b: &RouteGeometry) -> bool {
+    if a.is_walked() != b.is_walked() {
+        return false;
+    }
+    let begins_on = |a: &Path, b: &Path| match a.lanes.first() {
+        Some(lane) => b.lanes.contains(lane),
+        None => {
+            let (_, lateral, segment) = b.nearest(a.points[0]);
+            let ([ax, ay], [bx, by]) = (a.direction(0), b.direction(segment));
+            lateral.abs() < 0.1 && ax * bx + ay * by > 0.99
+        }
+    };
+    begins_on(a.lanes(), b.lanes()) || begins_on(b.lanes(), a.lanes())
+}
+
+/// Up to which position two paths have the same points \[m\].
+fn common_length(a: &Path, b: &Path) -> f64 {
+    let common = a.points.iter().zip(&b.points).take_while(|(p, q)| p == q).count();
+    common.checked_sub(1).map_or(0.0, |last| a.cumulative[last])
+}
+
+fn passages(net: &Net, path: &Path) -> Vec<Passage> {
+    let stretches: Vec<(usize, f64, f64)> = path.lane_stretches().collect();
+    let is_road = |k: &usize| net.edges[net.lanes[stretches[*k].0].edge].function == EdgeFunction::Normal;
+    let roads: Vec<usize> = (0..stretches.len()).filter(is_road).collect();
+    let passage = |pair: &[usize]| {
+        let [(lane, _, from), (next, to, _)] = [stretches[pair[0]], stretches[pair[1]]];
+        let via = (pair[1] > pair[0] + 1).then(|| stretches[pair[0] + 1].0);
+        let connection = net.connections_from(lane).find(|c| c.to == next && c.via == via);
+        let id = net.edges[net.lanes[lane].edge].to.as_deref();
+        Passage {
+            junction: net.junctions.iter().position(|junction| Some(junction.id.as_str()) == id),
+            from,
+            to,
+            indicator: connection.map_or(Indicator::Off, |c| Indicator::of(&c.dir)),
+        }
+    };
+    roads.windows(2).map(passage).collect()
+}
+
+/// A candidate under observation.
+#[derive(Debug, Clone, Copy)]
+struct Tracked {
+    candidate: Candidate,
+    /// How far the vehicle is from the route, its heading taken into account \[m\].
+    apart: f64,
+    /// The vehicle could still take the route.
+    open: bool,
+    /// The route agrees with the vehicle's indicator.
+    agrees: bool,
+}
+
+/// A vehicle on one of its candidates.
+#[derive(Debug, Clone, Copy)]
+struct Queued {
+    slot: usize,
+    s: f64,
+    agrees: bool,
+}
+
+/// The candidates of all vehicles of a world.
+#[derive(Debug, Clone)]
+pub(super) struct Intentions {
+    /// Most candidates of a vehicle.
+    most: usize,
+    /// `[slots, most]`.
+    tracked: Vec<Tracked>,
+    /// How many of them a slot has; 0 where its vehicle's route is the only one that begins as it does.
+    counts: Vec<usize>,
+    /// Vehicles by candidate route, furthest along first.
+    queues: Vec<Vec<Queued>>,
+    /// Whether the first slot's agent sees the second's indicator, `[slots, slots]`.
+    sees_indicator: Vec<bool>,
+}
+
+impl Intentions {
+    /// Of a task in which something is hidden; none where every route is known.
+    pub(super) fn new(task: &Task) -> Option<Self> {
+        let most = task.forks.alike.iter().map(Vec::len).max().unwrap_or(0);
+        if task.scenario.observation.intention == Intention::Seen || most < 2 {
+            return None;
+        }
+        let none = Candidate { route: 0, s: 0.0, lateral: 0.0, segment: 0 };
+        let slots = task.slots();
+        Some(Self {
+            most,
+            tracked: vec![Tracked { candidate: none, apart: 0.0, open: false, agrees: false }; slots * most],
+            counts: vec![0; slots],
+            queues: vec![Vec::with_capacity(slots); task.routes.len()],
+            sees_indicator: vec![false; slots * slots],
+        })
+    }
+
+    /// A new episode begins: nothing is known of where vehicles have been.
+    pub(super) fn begin(&mut self) {
+        self.counts.fill(0);
+    }
+
+    /// Follows the vehicles. `steers`: agents follow their routes' paths by themselves; SUMO keeps others on lanes.
+    pub(super) fn update(&mut self, task: &Task, traffic: &Traffic, steers: bool) {
+        let seen = &task.scenario.observation;
+        let signals = (seen.intention == Intention::Signalled).then_some(seen.signal_distance);
+        self.queues.iter_mut().for_each(Vec::clear);
+        for (j, slot) in traffic.slots.iter().enumerate() {
+            let begins = std::mem::take(&mut self.counts[j]) == 0;
+            let alike = &task.forks.alike[slot.route];
+            if slot.status == Status::Empty {
+                continue;
+            }
+            if alike.len() == 1 {
+                self.queues[slot.route].push(Queued { slot: j, s: slot.s, agrees: true });
+                continue;
+            }
+            self.counts[j] = alike.len();
+            let tracked = &mut self.tracked[j * self.most..][..alike.len()];
+            for (entry, &route) in tracked.iter_mut().zip(alike) {
+                let hint = (!begins).then_some(entry.candidate.segment);
+                let geometry = &task.routes[route];
+                *entry = locate(geometry, route, slot, traffic.stance(j), hint, steers && j < task.agents);
+            }
+            close_parted(tracked);
+            if let Some(distance) = signals {
+                read_indicator(&task.forks, slot, distance, tracked);
+            }
+            for entry in tracked.iter().filter(|entry| entry.open) {
+                let queued = Queued { slot: j, s: entry.candidate.s, agrees: entry.agrees };
+                self.queues[entry.candidate.route].push(queued);
+            }
+        }
+        for queue in &mut self.queues {
+            queue.sort_unstable_by(|a, b| b.s.total_cmp(&a.s).then(a.slot.cmp(&b.slot)));
+        }
+        if signals.is_some() {
+            self.look(task, traffic);
+        }
+    }
+
+    /// The candidates of a slot's vehicle, closed ones too; empty where its route is known.
+    fn of(&self, slot: usize) -> &[Tracked] {
+        &self.tracked[slot * self.most..][..self.counts[slot]]
+    }
+
+    /// Distance of a vehicle to the first conflict point on any open route \[m\]; none where its route is known.
+    pub(super) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
+        let open = self.of(slot).iter().filter(|entry| entry.open);
+        open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s)).min_by(f64::total_cmp)
+    }
+
+    /// Finds out which agents see which indicators.
+    fn look(&mut self, task: &Task, traffic: &Traffic) {
+        let (slots, n) = (&traffic.slots, traffic.slots.len());
+        self.sees_indicator.fill(false);
+        for j in 0..n {
+            if self.of(j).iter().all(|entry| entry.agrees || !entry.open) {
+                continue;
+            }
+            for i in (0..task.agents).filter(|&i| i != j && slots[i].status == Status::Active) {
+                let near = traffic.distance(i, j) <= task.scenario.observation.detection_range;
+                self.sees_indicator[i * n + j] = near && in_sight(traffic, i, j);
+            }
+        }
+    }
+}
+
+/// Where a vehicle is on a route; looked for near the segment `hint`, or on the whole route without one.
+fn locate(
+    geometry: &RouteGeometry,
+    route: usize,
+    slot: &Slot,
+    stance: Stance,
+    hint: Option<usize>,
+    on_path: bool,
+) -> Tracked {
+    let path = if on_path { &geometry.path } else { geometry.lanes() };
+    let centre = [slot.pose.x, slot.pose.y];
+    let (s, lateral, segment) = hint.map_or_else(|| path.nearest(centre), |hint| path.project(centre, hint));
+    let s = if on_path { s } else { geometry.on_way(s) };
+    let outside = (-s).max(s - geometry.path.length()) - slot.size[0];
+    let candidate = Candidate { route, s, lateral, segment };
+    let ([x, y], [u, v]) = (stance.along, path.direction(segment));
+    let apart = lateral.abs() + outside.max(0.0) + ACROSS * (1.0 - x * u - y * v);
+    Tracked { candidate, apart, open: true, agrees: true }
+}
+
+/// Closes the routes whose paths have parted from where the vehicle is.
+fn close_parted(tracked: &mut [Tracked]) {
+    let nearest = tracked.iter().map(|entry| entry.apart).fold(f64::INFINITY, f64::min);
+    for entry in tracked {
+        entry.open = entry.apart <= nearest + PARTED;
+    }
+}
+
+/// Marks the routes that agree with the indicator of the vehicle, which shows the direction at the next junction from `distance`
+/// metres before it until the vehicle has left it.
+fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Tracked]) {
+    let next = |entry: &Tracked, of: &dyn Fn(&Passage) -> bool| {
+        let Candidate { route, s, .. } = entry.candidate;
+        forks.passages[route].iter().find(|passage| passage.to >= s && of(passage)).copied()
+    };
+    let own = tracked.iter().find(|entry| entry.candidate.route == slot.route).copied();
+    let shown = own.and_then(|own| {
+        let front = own.candidate.s + slot.size[0] / 2.0;
+        next(&own, &|_| true).filter(|passage| passage.from - front <= distance)
+    });
+    let Some(shown) = shown else { return };
+    for entry in &mut *tracked {
+        let there = next(entry, &|passage| passage.junction == shown.junction);
+        entry.agrees = there.is_some_and(|there| there.indicator == shown.indicator);
+    }
+    // A vehicle far beside its route may show what no open route has: then its indicator tells nothing.
+    if !tracked.iter().any(|entry| entry.open && entry.agrees) {
+        tracked.iter_mut().for_each(|entry| entry.agrees = true);
+    }
+}
+
+/// Whether no third vehicle's body is on the line between the centres of two.
+fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
+    let distance = traffic.distance(i, j);
+    let [from, to] = [i, j].map(|k| traffic.stance(k).middle);
+    let along = [0, 1].map(|axis| (to[axis] - from[axis]) / distance.max(f64::MIN_POSITIVE));
+    let hides = |(k, body): (usize, &Slot)| {
+        let half = body.size.map(|side| side / 2.0);
+        let third = k != i && k != j && body.status != Status::Empty;
+        third
+            && traffic.distance(i, k) <= distance + half[0] + half[1]
+            && to_box(from, traffic.stance(k), half)(along).is_some_and(|to_body| to_body < distance)
+    };
+    !traffic.slots.iter().enumerate().any(hides)
+}
+
+/// What is known of the vehicles' routes, to an agent or to everybody.
+#[derive(Clone, Copy)]
+pub(super) struct Knowledge<'a> {
+    pub(super) routes: &'a [RouteGeometry],
+    pub(super) traffic: &'a Traffic,
+    hidden: Option<(&'a Intentions, &'a Forks)>,
+    /// The agent, whose sight decides which indicators are known; without one, none is.
+    reader: Option<usize>,
+}
+
+impl<'a> Knowledge<'a> {
+    /// All routes are known: for training's privileged state and drivers that follow rules.
+    pub(super) fn full(routes: &'a [RouteGeometry], traffic: &'a Traffic) -> Self {
+        Self { routes, traffic, hidden: None, reader: None }
+    }
+
+    /// What everybody knows: all routes, less what the scenario hides.
+    pub(super) fn public(task: &'a Task, traffic: &'a Traffic, intentions: Option<&'a Intentions>) -> Self {
+        let hidden = intentions.map(|intentions| (intentions, &task.forks));
+        Self { hidden, ..Self::full(&task.routes, traffic) }
+    }
+
+    /// What the agent of a slot knows of the others.
+    pub(super) fn to(self, reader: usize) -> Self {
+        Self { reader: Some(reader), ..self }
+    }
+
+    /// The routes that the vehicle of a slot may take, in ascending order: one at least.
+    pub(super) fn candidates(self, slot: usize) -> impl Iterator<Item = Candidate> + Clone + use<'a> {
+        let tracked = self.hidden.map_or(&[][..], |(intentions, _)| intentions.of(slot));
+        let known = tracked.is_empty().then(|| Candidate::of(&self.traffic.slots[slot]));
+        let reads = !tracked.is_empty() && self.sees_indicator(slot);
+        let open = tracked.iter().filter(move |entry| entry.open && (entry.agrees || !reads));
+        known.into_iter().chain(open.map(|entry| entry.candidate))
+    }
+
+    /// The same without those on which the vehicle moves as on an earlier one, as far as `reach` metres ahead.
+    pub(super) fn different(self, slot: usize, reach: f64) -> impl Iterator<Item = Candidate> + use<'a> {
+        let all = self.candidates(slot);
+        let new =
+            move |(k, one): &(usize, Candidate)| !all.clone().take(*k).any(|other| self.are_one(&other, one, reach));
+        self.candidates(slot).enumerate().filter(new).map(|(_, candidate)| candidate)
+    }
+
+    /// Whether a vehicle moves in the same way on two of its candidate routes, as far as `reach` metres ahead.
+    pub(super) fn are_one(self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
+        self.hidden.is_some_and(|(_, forks)| forks.are_one(a, b, reach))
+    }
+
+    /// Positions \[m\] and slots of the vehicles that may be on a route, furthest along first.
+    pub(super) fn on_route(self, route: usize) -> impl Iterator<Item = (f64, usize)> + Clone + use<'a> {
+        let (known, open) = match self.hidden {
+            None => (&self.traffic.by_route[route][..], &[][..]),
+            Some((intentions, _)) => (&[][..], &intentions.queues[route][..]),
+        };
+        let open = open.iter().filter(move |entry| entry.agrees || !self.sees_indicator(entry.slot));
+        known.iter().map(move |&j| (self.traffic.slots[j].s, j)).chain(open.map(|entry| (entry.s, entry.slot)))
+    }
+
+    fn sees_indicator(self, slot: usize) -> bool {
+        let n = self.traffic.slots.len();
+        match (self.hidden, self.reader) {
+            (Some((intentions, _)), Some(reader)) => intentions.sees_indicator[reader * n + slot],
+            _ => false,
+        }
+    }
+}

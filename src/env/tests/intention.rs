@@ -1,0 +1,379 @@
+//! What a scenario hides of vehicles' routes shows in no observation.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use super::super::fcfs::inherit;
+use super::super::intention::{Candidate, Intentions, Knowledge};
+use super::super::observation;
+use super::super::slots::{EMPTY, Slot, Status, Traffic};
+use super::*;
+use crate::scenario::{Intention, Lidar, Observation, SpawnRow};
+
+/// Scenarios with routes that begin alike.
+const FORKED: [&str; 3] = ["intersection_turns_small", "intersection_turns", "parking_lot"];
+/// Vehicles in a scene.
+const VEHICLES: usize = 8;
+
+/// A scenario with every feature group in its agents' observations.
+fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
+    let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    scenario.observation = Observation {
+        groups: ObservationGroups::Both,
+        neighbours: 8,
+        conflict_streams: 12,
+        stream_vehicles: 4,
+        encounters: 8,
+        foresight: 4.0,
+        turns: 20.0,
+        borders: 3.0,
+        lidar: Lidar { beams: 24, range: 50.0 },
+        intention,
+        signal_distance,
+        ..scenario.observation
+    };
+    scenario
+}
+
+/// The task of a scenario, made once.
+fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> {
+    static MADE: Mutex<BTreeMap<String, Arc<Task>>> = Mutex::new(BTreeMap::new());
+    let make = || Arc::new(Task::new(&scenario(name, intention, signal_distance), VEHICLES as u32).expect("a task"));
+    let mut made = MADE.lock().expect("no test has panicked while it made a task");
+    Arc::clone(made.entry(format!("{name} {intention:?} {signal_distance}")).or_insert_with(make))
+}
+
+/// A vehicle's route and place as shares of what there is, its offset \[m\], its turn of heading \[rad\] and its speed \[m/s\].
+type Place = (f64, f64, f64, f64, f64);
+
+fn place() -> impl Strategy<Value = Place> {
+    (0.0..1.0, 0.0..1.0, -1.5..1.5, -0.4..0.4, -1.0..14.0)
+}
+
+/// Sends the vehicle of a slot along another route from where it is.
+fn send(task: &Task, slot: &mut Slot, route: usize) {
+    slot.route = route;
+    (slot.s, slot.lateral, slot.segment) = task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
+}
+
+fn scene(task: &Task, places: &[Place]) -> Traffic {
+    let mut traffic = Traffic::new(places.len(), task.routes.len());
+    for (k, (slot, &(route, at, lateral, turned, speed))) in traffic.slots.iter_mut().zip(places).enumerate() {
+        let route = (route * task.routes.len() as f64) as usize;
+        let path = &task.routes[route].path;
+        let (point, heading) = path.at(at * path.length());
+        let pose = Pose { heading: heading + turned, ..Pose::beside(point, heading, lateral) };
+        // One in eight is a wreck.
+        let status = if k % 8 == 7 { Status::Wreck } else { Status::Active };
+        *slot = Slot { status, size: [4.515, 1.852], pose, speed, departed: true, ..EMPTY };
+        send(task, slot, route);
+    }
+    traffic
+}
+
+/// All agents' observations, as a world has them in the first step of an episode.
+fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
+    let mut traffic = traffic.clone();
+    traffic.refresh();
+    let mut intentions = Intentions::new(task);
+    if let Some(intentions) = &mut intentions {
+        intentions.update(task, &traffic, true);
+    }
+    traffic.take_turns(&task.routes, intentions.as_ref(), task.scenario.observation.turns);
+    let knowledge = Knowledge::public(task, &traffic, intentions.as_ref());
+    let (mut turns, mut seen) = (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
+    inherit(knowledge, &mut turns, &mut Vec::new());
+    seen.iter_mut().enumerate().for_each(|(i, seen)| observation::write(task, knowledge, &turns, i, seen));
+    seen
+}
+
+/// Names of the features that differ between the observations of agents other than `but`.
+fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<String> {
+    let mut names = Vec::new();
+    for (i, (a, b)) in a.iter().zip(b).enumerate().filter(|(i, _)| *i != but) {
+        let values = a.iter().zip(b).zip(&task.spec.observation.list);
+        let differ = values.filter(|((a, b), _)| a.to_bits() != b.to_bits());
+        names.extend(differ.map(|((a, b), feature)| format!("agent {i}: {} {a} {b}", feature.name)));
+    }
+    names
+}
+
+/// Routes other than its own on which a vehicle may be that began where it did.
+fn alike(task: &Task, route: usize) -> Vec<usize> {
+    let begin = |k: usize| task.routes[k].path.lanes.first();
+    (0..task.routes.len()).filter(|&k| k != route && begin(k) == begin(route)).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    /// Wherever a vehicle is, and whichever route that begins alike it is on, the others observe the same.
+    #[test]
+    fn a_hidden_route_changes_no_observation(
+        name in prop::sample::select(&FORKED[..]),
+        places in prop::collection::vec(place(), VEHICLES),
+        sent in 0..VEHICLES,
+    ) {
+        let task = task_of(name, Intention::Hidden, 30.0);
+        let traffic = scene(&task, &places);
+        let before = observe(&task, &traffic);
+        for route in alike(&task, traffic.slots[sent].route) {
+            let mut other = traffic.clone();
+            send(&task, &mut other.slots[sent], route);
+            let differ = differing(&task, &before, &observe(&task, &other), sent);
+            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.route_id(route));
+        }
+    }
+
+    /// An indicator that is not yet on tells nothing, and one that is tells the direction only.
+    #[test]
+    fn a_route_is_hidden_until_it_is_signalled(
+        name in prop::sample::select(&FORKED[..]),
+        places in prop::collection::vec(place(), VEHICLES),
+        sent in 0..VEHICLES,
+    ) {
+        let task = task_of(name, Intention::Signalled, 2.0);
+        let mut traffic = scene(&task, &places);
+        // On its first lane, where it is farther from the next junction than its signal reaches.
+        let slot = &mut traffic.slots[sent];
+        let path = &task.routes[slot.route].path;
+        let end = path.lane_stretches().next().map_or(0.0, |(_, _, end)| end);
+        let (point, heading) = path.at(places[sent].1 * (end - slot.size[0] / 2.0 - 3.0));
+        slot.pose = Pose::beside(point, heading, places[sent].2 / 5.0);
+        send(&task, slot, slot.route);
+        let before = observe(&task, &traffic);
+        for route in alike(&task, traffic.slots[sent].route) {
+            let mut other = traffic.clone();
+            send(&task, &mut other.slots[sent], route);
+            let differ = differing(&task, &before, &observe(&task, &other), sent);
+            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.route_id(route));
+        }
+    }
+
+    /// A vehicle on its route may be on it, at the same place.
+    #[test]
+    fn a_vehicle_on_its_route_may_take_it(
+        name in prop::sample::select(&FORKED[..]),
+        places in prop::collection::vec(place(), VEHICLES),
+    ) {
+        let task = task_of(name, Intention::Hidden, 30.0);
+        let places: Vec<Place> = places.iter().map(|&(r, at, lateral, h, v)| (r, at, lateral / 5.0, h, v)).collect();
+        let mut traffic = scene(&task, &places);
+        traffic.refresh();
+        let mut intentions = Intentions::new(&task).expect("something is hidden");
+        intentions.update(&task, &traffic, true);
+        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
+        for (j, slot) in traffic.slots.iter().enumerate() {
+            let own = Candidate::of(slot);
+            prop_assert!(knowledge.candidates(j).any(|one| one == own), "{own:?} of {name}");
+            prop_assert!(knowledge.on_route(slot.route).any(|one| one == (slot.s, j)));
+        }
+    }
+
+    /// Where no route but one begins on a lane, nothing is hidden of the vehicles there.
+    #[test]
+    fn a_route_that_is_the_only_one_is_known(places in prop::collection::vec(place(), VEHICLES)) {
+        let of = |intention| {
+            let mut scenario = scenario("intersection_turns_small", intention, 30.0);
+            // Behind the straight routes of all arms the left one of the west arm.
+            let kept = [3, 6, 9, 0, 1];
+            scenario.routes = kept.iter().map(|&route| scenario.routes[route].clone()).collect();
+            let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8 };
+            scenario.nets[0].spawns = vec![row];
+            Task::new(&scenario, VEHICLES as u32).expect("a task")
+        };
+        let [seen, hidden] = [Intention::Seen, Intention::Hidden].map(of);
+        prop_assert!(Intentions::new(&hidden).is_some() && Intentions::new(&seen).is_none());
+        // On one of the first three.
+        let places: Vec<Place> = places.iter().map(|&(r, at, lateral, h, v)| (0.59 * r, at, lateral, h, v)).collect();
+        let traffic = scene(&seen, &places);
+        let differ = differing(&seen, &observe(&seen, &traffic), &observe(&hidden, &traffic), VEHICLES);
+        prop_assert!(differ.is_empty(), "{differ:?}");
+    }
+}
+
+/// The groups of features that tell others' routes where those are seen, so that the tests above can fail.
+#[test]
+fn a_seen_route_changes_what_depends_on_it() {
+    let places = |k: usize| -> Vec<Place> {
+        let mut rng = Seed::new(k as u64).rng();
+        let mut draw = |low: f64, high: f64| {
+            let share = crate::rng::below(&mut rng, 10_000) as f64 / 1e4;
+            low + share * (high - low)
+        };
+        (0..VEHICLES).map(|_| (draw(0.0, 1.0), draw(0.0, 0.6), 0.0, 0.0, draw(0.0, 10.0))).collect()
+    };
+    for (intention, told) in [(Intention::Seen, true), (Intention::Signalled, true), (Intention::Hidden, false)] {
+        let mut groups = HashSet::new();
+        for name in FORKED {
+            let task = task_of(name, intention, 30.0);
+            for k in 0..40 {
+                let traffic = scene(&task, &places(k));
+                let before = observe(&task, &traffic);
+                for route in alike(&task, traffic.slots[0].route) {
+                    let mut other = traffic.clone();
+                    send(&task, &mut other.slots[0], route);
+                    for feature in differing(&task, &before, &observe(&task, &other), 0) {
+                        let group = feature.split(' ').nth(2).and_then(|name| name.split(['.', '_']).next());
+                        groups.insert(
+                            group.unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit()).to_owned(),
+                        );
+                    }
+                }
+            }
+        }
+        for group in ["leader", "stream", "apart", "encounter", "free"] {
+            assert_eq!(groups.contains(group), told, "{intention:?}: {groups:?}");
+        }
+        assert!(!["ego", "neighbour", "lidar", "borders"].iter().any(|group| groups.contains(*group)), "{groups:?}");
+    }
+}
+
+/// An indicator is read where it is on and in sight, and tells the direction at the next junction.
+#[test]
+fn an_indicator_is_seen_past_nobody() {
+    let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
+    let route = |id: &str| (0..task.routes.len()).find(|&k| task.route_id(k) == id).expect("a route");
+    let mut traffic = Traffic::new(VEHICLES, task.routes.len());
+    let mut put = |k: usize, id: &str, at: f64| {
+        let path = &task.routes[route(id)].path;
+        let ([x, y], heading) = path.at(at);
+        let status = Status::Active;
+        traffic.slots[k] = Slot { status, size: [4.5, 1.8], pose: Pose { x, y, heading }, departed: true, ..EMPTY };
+        send(&task, &mut traffic.slots[k], route(id));
+    };
+    let end = task.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
+    // The first is behind the second, the third comes towards both.
+    put(0, "west_straight", end - 20.0);
+    put(1, "west_left", end - 8.0);
+    put(2, "east_straight", 20.0);
+    put(3, "west_right", end - 29.0);
+    traffic.refresh();
+    let mut intentions = Intentions::new(&task).expect("something is hidden");
+    intentions.update(&task, &traffic, true);
+    let known = |to: usize, of: usize| {
+        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions)).to(to);
+        knowledge.candidates(of).map(|one| task.route_id(one.route)).collect::<Vec<_>>()
+    };
+    let all = ["west_straight", "west_left", "west_right"];
+    assert_eq!(known(0, 1), ["west_left"]);
+    assert_eq!(known(2, 1), ["west_left"], "from the front as well");
+    assert_eq!(known(3, 1), all, "the first is in between");
+    assert_eq!(known(1, 0), ["west_straight"], "an indicator that is off");
+    let everybody = Knowledge::public(&task, &traffic, Some(&intentions));
+    assert_eq!(everybody.candidates(1).count(), 3, "nobody's sight");
+    // Beyond the range, and before the indicator is on.
+    for (signal_distance, detection_range) in [(30.0, 5.0), (4.0, 100.0)] {
+        let mut task = Task::clone(&task);
+        task.scenario.observation.signal_distance = signal_distance;
+        task.scenario.observation.detection_range = detection_range;
+        intentions.update(&task, &traffic, true);
+        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions)).to(0);
+        assert_eq!(knowledge.candidates(1).count(), 3);
+    }
+}
+
+/// Which routes are open from the beginning of a turn to its end, and where nothing is to be hidden.
+#[test]
+fn routes_close_where_they_part() {
+    let task = task_of("intersection_turns_small", Intention::Hidden, 30.0);
+    let left = (0..task.routes.len()).find(|&k| task.route_id(k) == "west_left").expect("a route");
+    let path = &task.routes[left].path;
+    let end = path.lane_stretches().next().expect("a lane").2;
+    let mut intentions = Intentions::new(&task).expect("something is hidden");
+    let mut open = Vec::new();
+    for k in 0..60 {
+        let mut traffic = Traffic::new(VEHICLES, task.routes.len());
+        let ([x, y], heading) = path.at(end - 10.0 + f64::from(k) / 2.0);
+        let pose = Pose { x, y, heading };
+        traffic.slots[0] = Slot { status: Status::Active, size: [4.5, 1.8], pose, departed: true, ..EMPTY };
+        send(&task, &mut traffic.slots[0], left);
+        traffic.refresh();
+        intentions.update(&task, &traffic, true);
+        open.push(Knowledge::public(&task, &traffic, Some(&intentions)).candidates(0).count());
+    }
+    assert!(open.is_sorted_by(|a, b| a >= b), "{open:?}");
+    assert!(open[..20].iter().all(|&count| count == 3) && open[40..].iter().all(|&count| count == 1), "{open:?}");
+    // Where every vehicle's route is the only one from its lane, hiding costs nothing.
+    for name in ["intersection", "mixed_cross", "pedestrians_cross"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
+        let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+        assert_eq!(scenario.observation.intention, Intention::Hidden);
+        assert!(Intentions::new(&Task::new(&scenario, 8).expect("a task")).is_none(), "{name}");
+    }
+}
+
+/// A vehicle that steers where its actions take it, through whole episodes: which route it means to take shows nowhere.
+#[test]
+fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
+    let mut differences = [0; 2];
+    for (seed, name) in (0..4).flat_map(|seed| FORKED.map(|name| (seed, name))) {
+        for (k, intention) in [Intention::Seen, Intention::Hidden].into_iter().enumerate() {
+            let task = task_of(name, intention, 30.0);
+            let mut worlds = [0, 1].map(|_| world(&task, seed));
+            let snapshot = Snapshot {
+                vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 }); VEHICLES],
+                ..Snapshot::default()
+            };
+            let mut actions = vec![0.0; 2 * VEHICLES];
+            for world in &mut worlds {
+                world.reset(0);
+                world.act(0, &actions, &mut Vec::new());
+            }
+            let agents = worlds[0].agents().collect::<Vec<_>>();
+            // Every second vehicle of the second world means to go elsewhere than it drives.
+            let mut sent = [false; VEHICLES];
+            for (j, agent) in agents.iter().enumerate().filter(|(j, _)| j % 2 == 1) {
+                if let Some(&route) = alike(&task, agent.route).first() {
+                    worlds[1].send(j, route);
+                    sent[j] = true;
+                }
+            }
+            for step in 0..120 {
+                for world in &mut worlds {
+                    world.observe(0, &snapshot).expect("nothing vanishes");
+                }
+                let ends = |world: &World| world.agents().map(|agent| (agent.driving, agent.wreck)).collect::<Vec<_>>();
+                if ends(&worlds[0]) != ends(&worlds[1]) || !worlds[0].is_running() {
+                    break;
+                }
+                let width = task.spec.observation.len();
+                let [a, b] = worlds.each_ref().map(|world| world.frame().observation.chunks(width));
+                for (i, (a, b)) in a.zip(b).enumerate().filter(|(i, _)| !sent[*i]) {
+                    differences[k] += usize::from(a != b);
+                    assert!(a == b || intention == Intention::Seen, "{name}, seed {seed}, step {step}, agent {i}");
+                }
+                worlds[0].pursue(Pursuit { speed: 6.0, gives_way: step % 40 < 30 }, &mut actions);
+                for world in &mut worlds {
+                    world.act(0, &actions, &mut Vec::new());
+                }
+            }
+        }
+    }
+    assert!(differences[0] > 100 && differences[1] == 0, "{differences:?}");
+}
+
+/// Following the vehicles and observing them takes no memory once there was an observation.
+#[test]
+fn what_is_hidden_takes_no_memory_in_a_step() {
+    for intention in [Intention::Hidden, Intention::Signalled] {
+        let task = task_of("intersection_turns", intention, 30.0);
+        let places: Vec<Place> =
+            (0..VEHICLES).map(|k| (k as f64 / 8.5, 0.1 + k as f64 / 20.0, 0.0, 0.0, 5.0)).collect();
+        let mut traffic = scene(&task, &places);
+        let mut intentions = Intentions::new(&task).expect("something is hidden");
+        let (mut turns, mut blocked) = (Vec::new(), Vec::new());
+        let mut seen = vec![0.0; task.spec.observation.len()];
+        let mut step = || {
+            traffic.refresh();
+            intentions.update(&task, &traffic, true);
+            traffic.take_turns(&task.routes, Some(&intentions), 20.0);
+            let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
+            inherit(knowledge, &mut turns, &mut blocked);
+            (0..VEHICLES).for_each(|i| observation::write(&task, knowledge, &turns, i, &mut seen));
+        };
+        step();
+        assert_eq!(allocation_counter::measure(step).count_total, 0, "{intention:?}");
+    }
+}
