@@ -18,7 +18,7 @@ use iwol_sumo::{
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, Jitter, Lidar, NeighbourOrder, Net, Observation,
-        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
+        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -57,7 +57,8 @@ fn the_shipped_scenario_is_the_task() {
     assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
     assert_eq!(scenario.control.brake, [(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)]);
     assert_eq!((scenario.control.interval, scenario.control.accel, scenario.control.drag), (0.1, 2.909, 0.364));
-    assert_eq!(scenario.termination, Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line });
+    let termination = Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line };
+    assert_eq!(scenario.termination, termination);
 }
 
 #[test]
@@ -366,7 +367,11 @@ prop_compose! {
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
-                interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake, steering: None,
+                interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
+                steering: (counts[0] % 2 == 1).then(|| Steering {
+                    max_angle: 0.1 + f64::from(counts[2] as u32), track: 0.1 + share, friction: 0.01 + fewer,
+                    reverse: counts[1] % 2 == 1, ..Steering::default()
+                }),
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],

@@ -91,7 +91,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
             let mut motion = Motion::at(Pose { x, y, heading });
             let (mut s, mut segment) = (6.0, 0);
             for _ in 0..500 {
-                let throttle = (6.0 - motion.speed) / (0.5 * control.accel);
+                let throttle = (6.0 - motion.velocity.x) / (0.5 * control.accel);
                 let at = [motion.pose.x, motion.pose.y];
                 let lateral;
                 (s, lateral, segment) = route.path.project(at, segment);
