@@ -134,13 +134,14 @@ impl<'a, 'input> Reader<'a, 'input> {
         let agents = self.agents(part("agents")?, &nets)?;
         let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
         let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
-        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border"])?;
+        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
         let places = Places {
             routes: route_places,
             nets: net_places,
             lateral: Self::offset(jitter, "lateral"),
             traffic_type: Self::offset(traffic, "type"),
             traffic_files: Self::offset(traffic, "files"),
+            broken_lines: Self::offset(termination, "brokenLines"),
         };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
@@ -206,6 +207,12 @@ impl<'a, 'input> Reader<'a, 'input> {
                 horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
                 wreck_time: self.not_negative(termination, "wreckTime")?,
                 border: self.border(termination)?,
+                broken_lines: termination
+                    .attribute("brokenLines")
+                    .unwrap_or_default()
+                    .split_whitespace()
+                    .map(Into::into)
+                    .collect(),
             },
             communication: Communication { range: self.not_negative(communication, "range")? },
             traffic: self.traffic(root)?,

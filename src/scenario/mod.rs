@@ -320,7 +320,7 @@ impl Reward {
 }
 
 /// When an episode or an agent ends.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Termination {
     /// Truncation after this many steps.
     pub horizon: u32,
@@ -328,6 +328,8 @@ pub struct Termination {
     pub wreck_time: f64,
     /// What ends the road for a vehicle that steers.
     pub border: Border,
+    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken one, which vehicles may cross.
+    pub broken_lines: Vec<String>,
 }
 
 /// What ends the road for a vehicle that steers. Whoever's centre is on no lane has left it, too.

@@ -109,10 +109,13 @@ impl Scenario {
         let r = self.reward;
         write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
         writeln!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"/>", r.out_of_road, r.crash, r.cooperation)?;
-        let t = self.termination;
+        let t = &self.termination;
         write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"", t.horizon, t.wreck_time)?;
         if t.border != Border::Line {
             write!(xml, " border=\"{}\"", t.border.name())?;
+        }
+        if !t.broken_lines.is_empty() {
+            write!(xml, " brokenLines=\"{}\"", escape(&t.broken_lines.join(" ")))?;
         }
         writeln!(xml, "/>")?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;

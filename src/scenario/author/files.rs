@@ -174,6 +174,7 @@ impl Layout {
                 horizon: horizon.clamp(500.0, 1e6) as u32,
                 wreck_time: 2.5,
                 border: Border::Line,
+                broken_lines: Vec::new(),
             },
             communication: Communication { range: RADIO },
             traffic: Traffic::default(),
