@@ -131,6 +131,9 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     assert!((pursuit.success.mean - 0.29).abs() <= 0.06, "success {}", pursuit.success.mean);
     within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
     assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
+    within("episode length", pursuit.episode_length.mean, 93.2, 0.08);
+    let (_, fast) = play_on(&path, &Policy::by_name("pursuit:8").expect("a policy"), 5, 400);
+    assert!(fast.out_of_road.mean < 0.01, "pure pursuit at 8 m/s leaves the road: {}", fast.out_of_road.mean);
     let (_, straight) = play_on(&path, &Policy::Throttle(1.0), 5, 400);
     assert_eq!(straight.success.mean, 0.0);
     assert!((straight.window_reward.mean + 8.2).abs() <= 3.0, "window reward {}", straight.window_reward.mean);
