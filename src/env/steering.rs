@@ -267,10 +267,11 @@ mod tests {
             let motions = drive(true, speed, [[steer, throttle]; 30]);
             let what = format!("{speed} m/s, {steer}, {throttle}");
             // The model is off by 0.065 m/s after 1 s and by 0.106 m/s after 3 s (root mean
-            // squares over random drives), and in yaw rate by a few per cent.
-            close(&what, signed(&motions[9]), after_1, 0.15);
-            close(&what, signed(&motions[29]), after_3, 0.25);
-            close(&what, motions[4].yaw_rate.abs(), yaw, 0.01 + 0.06 * yaw);
+            // squares over random drives); most where tyres slide, as they do at full lock.
+            let sliding = if steer == 1.0 { 2.0 } else { 1.0 };
+            close(&what, signed(&motions[9]), after_1, 0.1 * sliding);
+            close(&what, signed(&motions[29]), after_3, 0.2);
+            close(&what, motions[4].yaw_rate.abs(), yaw, 0.005 + 0.05 * sliding * yaw);
         }
     }
 
@@ -346,7 +347,7 @@ mod tests {
             headings.push(motion.pose.heading);
         }
         for (k, rate) in measured.into_iter().enumerate() {
-            let found = (headings[5 * k + 6] - headings[5 * k + 1]) / 0.1;
+            let found = (headings[5 * k + 5] - headings[5 * k]) / 0.1;
             close(&format!("interval {k}"), found, rate, 0.035);
         }
     }
