@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use iwol_sumo::env::Task;
+use iwol_sumo::env::{Motion, Pose, Task};
 use iwol_sumo::evaluate::{Evaluation, Metrics, Onlooker, Policy, evaluate};
-use iwol_sumo::rng::Seed;
+use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::Hosting;
 
@@ -130,9 +130,148 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     let (_, pursuit) = play_on(&path, &Policy::by_name("pursuit:4").expect("a policy"), 5, 1000);
     assert!((pursuit.success.mean - 0.29).abs() <= 0.06, "success {}", pursuit.success.mean);
     within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
-    assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
+    within("episode length", pursuit.episode_length.mean, 93.2, 0.1);
+    // Where the arc out of space 5 ends beside the line between the directions, some touch that.
+    assert!(pursuit.out_of_road.mean < 0.015, "pure pursuit leaves the road: {}", pursuit.out_of_road.mean);
     let (_, straight) = play_on(&path, &Policy::Throttle(1.0), 5, 400);
     assert_eq!(straight.success.mean, 0.0);
     assert!((straight.window_reward.mean + 8.2).abs() <= 3.0, "window reward {}", straight.window_reward.mean);
     within("episode length", straight.episode_length.mean, 51.6, 0.1);
+}
+
+/// Success and share out of the road of pure pursuit by the same vehicle in another implementation:
+/// at 8 m/s, tyres that slide turn sharply enough for fewer to leave the road than 16 %, as they did
+/// with a vehicle that was fitted to 6 m/s.
+#[test]
+fn pure_pursuit_through_turns_is_as_in_the_reference() {
+    for (name, speed, success, out_of_road) in [
+        ("intersection_turns", 4, 0.795, 0.0),
+        ("intersection_turns", 8, 0.652, 0.085),
+        ("intersection_turns_small", 4, 0.552, 0.0),
+        ("intersection_turns_small", 8, 0.540, 0.0),
+    ] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
+        let policy = Policy::by_name(&format!("pursuit:{speed}")).expect("a policy");
+        let (_, metrics) = play_on(&path, &policy, 4, 200);
+        let found = [metrics.success.mean, metrics.out_of_road.mean];
+        // The seeds are others: half the 95 % interval of 100 episodes.
+        assert!((found[0] - success).abs() < 0.08, "{name} at {speed} m/s: {found:?}, success {success}");
+        assert!((found[1] - out_of_road).abs() < 0.04, "{name} at {speed} m/s: {found:?}, out {out_of_road}");
+    }
+}
+
+/// The control of the parking lot, and its vehicle on an open plane, at rest or at a speed straight ahead.
+fn open_plane(speed: f64) -> (Scenario, Motion) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let mut motion = Motion::at(Pose::default());
+    motion.velocity.x = speed;
+    (Scenario::load(&path).expect("a scenario"), motion)
+}
+
+fn advance(scenario: &Scenario, motion: Motion, [steer, throttle]: [f64; 2]) -> Motion {
+    let steering = scenario.control.steering.as_ref().expect("vehicles steer");
+    motion.advance(&scenario.control, steering, &scenario.vehicle, steer, throttle)
+}
+
+/// Forward speed, speed to the left \[m/s\] and yaw rate \[rad/s\] of the paper's simulator:
+/// `[first speed, steering, throttle, the three after 0.5 s, the three after 2 s]`.
+const DRIVES: [[f64; 9]; 13] = [
+    [2.0, 1.0, 0.0, 1.12, 0.56, 0.360, 0.43, 0.22, 0.141],
+    [4.0, 0.5, 0.0, 3.49, 0.68, 0.500, 2.85, 0.56, 0.411],
+    [4.0, 1.0, 0.0, 2.58, 1.09, 0.735, 1.42, 0.69, 0.451],
+    [6.0, 0.5, 0.0, 5.30, 0.99, 0.750, 4.52, 0.85, 0.645],
+    [6.0, 1.0, 0.0, 4.32, 1.18, 0.864, 2.64, 1.12, 0.774],
+    [8.0, 1.0, 0.0, 6.28, 0.99, 0.757, 3.65, 1.38, 1.001],
+    [12.0, 0.5, 0.0, 11.11, 0.74, 0.700, 8.98, 0.90, 0.892],
+    [2.0, 1.0, 1.0, 2.29, 1.02, 0.660, 4.54, 1.56, 1.158],
+    [4.0, 1.0, 1.0, 3.59, 1.28, 0.895, 5.34, 1.68, 1.296],
+    [8.0, 1.0, 1.0, 7.28, 0.88, 0.690, 6.34, 1.28, 1.016],
+    [8.0, 0.5, 1.0, 8.27, 0.97, 0.796, 9.48, 0.86, 0.887],
+    [4.0, 1.0, -1.0, 1.68, 0.83, 0.542, -1.74, -0.91, -0.538],
+    [8.0, 0.5, -1.0, 6.19, 1.09, 0.851, 1.80, 0.37, 0.272],
+];
+
+#[test]
+fn a_vehicle_that_steers_moves_as_measured() {
+    for [speed, steer, throttle, rows @ ..] in DRIVES {
+        let (scenario, mut motion) = open_plane(speed);
+        for step in 1..=20 {
+            motion = advance(&scenario, motion, [steer, throttle]);
+            let row = match step {
+                5 => &rows[..3],
+                20 => &rows[3..],
+                _ => continue,
+            };
+            let found = [motion.velocity.x, motion.velocity.y, motion.yaw_rate];
+            // The four-wheel model leaves out roll, pitch and load transfer: a few per cent.
+            let tolerances = [0.12 + 0.03 * row[0].abs(), 0.12, 0.065];
+            for ((found, expected), tolerance) in found.into_iter().zip(row).zip(tolerances) {
+                assert!(
+                    (found - expected).abs() <= tolerance,
+                    "{speed} m/s, steering {steer}, throttle {throttle}, step {step}: {motion:?}, expected {row:?}"
+                );
+            }
+        }
+    }
+}
+
+/// States after each step of `walks` random walks of 1000 steps from rest, with normally distributed
+/// actions of these standard deviations, clipped.
+fn random_walks(walks: u64, deviations: [f64; 2]) -> Vec<Vec<Motion>> {
+    let (scenario, start) = open_plane(0.0);
+    let walk = |walk: u64| {
+        let mut motion = start;
+        let mut noise = vec![0.0_f32; 2000];
+        rng::fill_normal(&mut Seed::new(1).child("walk").index(walk).rng(), &mut noise);
+        let step = |pair: &[f32]| {
+            let action = [0, 1].map(|k| (deviations[k] * f64::from(pair[k])).clamp(-1.0, 1.0));
+            motion = advance(&scenario, motion, action);
+            motion
+        };
+        noise.chunks(2).map(step).collect()
+    };
+    (0..walks).map(walk).collect()
+}
+
+/// Root mean square.
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
+    (sum / f64::from(count)).sqrt()
+}
+
+fn way(motion: &Motion) -> f64 {
+    motion.pose.distance(&Pose::default())
+}
+
+/// What random exploration looks like: steering brakes a vehicle, so that it comes nowhere. The
+/// measured rows are means over 60 or 40 walks, and uncertain by 10 % in root mean squares.
+#[test]
+fn random_actions_move_a_vehicle_as_measured() {
+    let both = random_walks(300, [1.0, 1.0]);
+    let speeds = || both.iter().flat_map(|walk| &walk[30..]).map(|motion| motion.velocity.x);
+    let stationary = rms(speeds());
+    within("rms speed", stationary, 0.413, 0.06);
+    for (lag, expected) in [(1, 0.877), (2, 0.768), (5, 0.514), (10, 0.268), (20, 0.091)] {
+        let product = |pair: &[Motion]| pair[0].velocity.x * pair[lag].velocity.x;
+        let products: Vec<f64> = both.iter().flat_map(|walk| walk[30..].windows(lag + 1)).map(product).collect();
+        let found = products.iter().sum::<f64>() / products.len() as f64 / stationary.powi(2);
+        assert!((found - expected).abs() < 0.04, "autocorrelation after {lag} steps: {found}, expected {expected}");
+    }
+    for (steps, speed, ways, turn) in
+        [(10, 0.43, 0.24, 0.02), (100, 0.35, 1.4, 0.08), (300, 0.39, 3.0, 0.14), (1000, 0.38, 5.6, 0.26)]
+    {
+        let at = || both.iter().map(|walk| walk[steps - 1]);
+        within(&format!("rms speed after {steps} steps"), rms(at().map(|m| m.velocity.x)), speed, 0.25);
+        within(&format!("rms way after {steps} steps"), rms(at().map(|m| way(&m))), ways, 0.25);
+        within(&format!("rms turn after {steps} steps"), rms(at().map(|m| m.pose.heading)), turn, 0.3);
+    }
+    // Without steering nothing brakes, with little steering only a little does.
+    for (deviation, steps, speed, ways) in
+        [(0.0, 100, 2.35, 14.4), (0.0, 300, 4.04, 67.0), (0.3, 100, 1.13, 7.4), (0.3, 1000, 1.09, 31.6)]
+    {
+        let walks = random_walks(100, [deviation, 1.0]);
+        let at = || walks.iter().map(|walk| walk[steps - 1]);
+        within(&format!("{deviation}: rms speed after {steps} steps"), rms(at().map(|m| m.velocity.x)), speed, 0.3);
+        within(&format!("{deviation}: rms way after {steps} steps"), rms(at().map(|m| way(&m))), ways, 0.3);
+    }
 }

@@ -18,7 +18,7 @@ use iwol_sumo::{
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
-        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Termination, Traffic, Vehicle,
+        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -57,7 +57,8 @@ fn the_shipped_scenario_is_the_task() {
     assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
     assert_eq!(scenario.control.brake, [(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)]);
     assert_eq!((scenario.control.interval, scenario.control.accel, scenario.control.drag), (0.1, 2.909, 0.364));
-    assert_eq!(scenario.termination, Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line });
+    let termination = Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line, broken_lines: Vec::new() };
+    assert_eq!(scenario.termination, termination);
 }
 
 #[test]
@@ -290,6 +291,7 @@ fn what_does_not_go_with_the_nets_is_refused() {
     insta::assert_snapshot!(mistake("arrivalPos=\"-15\"", "arrivalPos=\"-35\""), @"task.xml:17:56: `-35` is not a valid arrivalPos of <route>, allowed: -30 to 30 m on edge `west_out`");
     insta::assert_snapshot!(mistake("first=\"14\" spacing=\"8\" count=\"2\"", "first=\"14\" spacing=\"8\" count=\"3\""), @"task.xml:26:13: spawn: the place at 30 m of route `eastbound` does not fit on edge `west_in`: it needs 3.2575 m on both sides within 0 to 30 m (hint: move the places, lower their number, or make the longitudinal jitter smaller)");
     insta::assert_snapshot!(mistake("first=\"14\" spacing=\"8\" count=\"2\"", "first=\"14\" spacing=\"6\" count=\"2\""), @"task.xml:26:13: spawn: the places at 14 m and 20 m of lane `west_in_0` overlap: vehicle and jitter need 6.515 m (hint: move the places, lower their number, or make the longitudinal jitter smaller)");
+    insta::assert_snapshot!(mistake("wreckTime=\"2.5\"", "wreckTime=\"2.5\" brokenLines=\"west_inn\""), @"task.xml:71:49: `west_inn` is not a valid brokenLines of <termination>, allowed: edges of NETS/intersection/arm30.net.xml; did you mean `west_in`?");
     insta::assert_snapshot!(mistake("lateral=\"0.25\"", "lateral=\"0.9\""), @"task.xml:55:30: `0.9` is not a valid lateral of <jitter>, allowed: what keeps a vehicle 1.852 m wide on lane `west_in_0`, 3.5 m wide");
 }
 
@@ -369,7 +371,11 @@ prop_compose! {
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
-                interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake, steering: None,
+                interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
+                steering: (counts[0] % 2 == 1).then(|| Steering {
+                    max_angle: 0.1 + f64::from(counts[2] as u32), track: 0.1 + share, friction: 0.01 + fewer,
+                    reverse: counts[1] % 2 == 1, ..Steering::default()
+                }),
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
@@ -385,7 +391,10 @@ prop_compose! {
             reward: Reward { progress: n[0], speed: n[1], arrive: n[2], out_of_road: n[3], crash: n[4], cooperation: share,
                 share_range: if counts[0] % 2 == 0 { f64::INFINITY } else { p[9] },
             },
-            termination: Termination { horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1 },
+            termination: Termination {
+                horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1,
+                broken_lines: ["a", "b_1"].iter().take(counts[2] % 3).map(|&edge| edge.into()).collect(),
+            },
             communication: Communication { range: p[9] },
             traffic: Traffic {
                 penetration: share.max(0.01),

@@ -1,8 +1,8 @@
 //! The longitudinal law: from a throttle action to the motion of one decision interval.
 //!
 //! Constant acceleration, as measured on the vehicle of the paper's simulator: thrust in proportion to the action, a
-//! rolling drag at zero, braking along a curve that is five to ten times stronger than thrust. The vehicle never moves
-//! backwards. Integrated in the 0.02 s substeps of that simulator: a brake that stops a slow vehicle early in the interval
+//! weak brake at zero, braking along a curve that is five to ten times stronger than thrust. A vehicle that does not steer
+//! never moves backwards. Integrated in the 0.02 s substeps of that simulator: a brake that stops a slow vehicle early in the interval
 //! must not let it roll on, or random actions would creep forward.
 
 use crate::scenario::{Control, Vehicle};
@@ -24,11 +24,28 @@ pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f6
     (way, v)
 }
 
-/// Acceleration \[m/s²\] of a moving vehicle under `action`.
+/// Acceleration \[m/s²\] of a vehicle that moves forwards, under `action`.
 pub fn acceleration(control: &Control, action: f64) -> f64 {
+    match drive(control, action) {
+        Drive::Thrust(acceleration) => acceleration,
+        Drive::Brake(deceleration) => -deceleration,
+    }
+}
+
+/// What a throttle action does to a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Drive {
+    /// Acceleration, negative backwards \[m/s²\].
+    Thrust(f64),
+    /// Deceleration in either direction, which ends when the vehicle stands \[m/s²\].
+    Brake(f64),
+}
+
+/// Thrust above 0, and below where the vehicle can reverse; else brake, at least [`Control::drag`].
+pub(super) fn drive(control: &Control, action: f64) -> Drive {
     let action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
-    if action > 0.0 || control.steering.is_some_and(|s| s.reverse) {
-        return control.accel * action;
+    if action > 0.0 || (action < 0.0 && control.steering.is_some_and(|s| s.reverse)) {
+        return Drive::Thrust(control.accel * action);
     }
     let magnitude = -action;
     let mut from = (0.0, 0.0);
@@ -41,7 +58,7 @@ pub fn acceleration(control: &Control, action: f64) -> f64 {
         from = to;
         braking = to.1;
     }
-    -braking.max(control.drag)
+    Drive::Brake(braking.max(control.drag))
 }
 
 #[cfg(test)]

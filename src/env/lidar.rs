@@ -163,7 +163,7 @@ mod tests {
     use super::super::geometry::Pose;
     use super::super::routes::crossing;
     use super::*;
-    use crate::scenario::Border;
+    use crate::scenario::{Border, Termination};
     use crate::sumo::net::Net;
 
     const HALF: [f64; 2] = [2.2575, 0.926];
@@ -184,7 +184,8 @@ mod tests {
             let (net, border) = if kerb { ("parking_lot/parking_lot", Border::Kerb) } else { ("intersection/arm30", Border::Line) };
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sumo_nets/{net}.net.xml"));
             let net = Net::load(&path).unwrap();
-            let road = Road::new(&net, 2.0 * HALF[0], 2.0 * HALF[1], border).unwrap();
+            let termination = Termination { horizon: 1, wreck_time: 0.0, border, broken_lines: Vec::new() };
+            let road = Road::new(&net, HALF.map(|half| 2.0 * half), &termination).unwrap();
             let shape = &net.lanes[place % net.lanes.len()].shape;
             let (a, b) = (shape[0], shape[1]);
             let own = Pose { x: a[0] + t * (b[0] - a[0]), y: a[1] + t * (b[1] - a[1]), heading };

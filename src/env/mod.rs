@@ -38,6 +38,7 @@ pub use metrics::{EpisodeRecord, Others};
 pub use order::Position;
 pub use routes::{Conflict, RouteGeometry};
 pub use slots::Fate;
+pub use steering::Motion;
 pub use task::{Place, Task};
 pub use vec::{Resets, VecEnv, VecOptions};
 pub use world::{AgentView, Driver, Frame, OtherView, Pursuit, World, WorldState};

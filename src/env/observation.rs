@@ -109,7 +109,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
                 ("heading_error_sin", "1, heading left of the route's", -1.0, 1.0),
                 ("heading_error_cos", "1", -1.0, 1.0),
                 ("yaw_rate", "1 rad/s", -1.0, 1.0),
-                ("wheel", "largest angle, positive left", -1.0, 1.0),
+                ("lateral_speed", "5 m/s, positive left", -1.0, 1.0),
                 ("reverse_speed", "5 m/s, backwards", 0.0, 1.0),
                 ("lateral_far", "10 m, positive left", -1.0, 1.0),
             ],
@@ -235,14 +235,14 @@ pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: 
         (route.arrival - own.s) / 100.0,
         own.lateral / 1.75,
     ]);
-    if let Some(steering) = scenario.control.steering {
+    if scenario.control.steering.is_some() {
         let error = own.pose.heading - route.path.smooth_heading(own.s);
         w.put([
             own.steer,
             error.sin(),
             error.cos(),
             own.motion.yaw_rate,
-            own.motion.wheel() / steering.max_angle.to_radians(),
+            own.motion.velocity.y / 5.0,
             (-own.speed).max(0.0) / 5.0,
             own.lateral / 10.0,
         ]);

@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::geometry::Pose;
-use super::steering::curvature;
+use super::steering::least_radius;
 use crate::scenario::Steering;
 use crate::sumo::net::Path;
 
@@ -19,14 +19,14 @@ pub(super) fn steer(steering: &Steering, way: &Path, s: f64, pose: &Pose) -> f64
     let ([x, y], _) = way.at(s + LOOK_AHEAD);
     let (dx, dy) = (x - pose.x, y - pose.y);
     let bearing = dy.atan2(dx) - pose.heading;
-    let wheel = (2.0 * steering.wheelbase * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
+    let wheel = (2.0 * steering.wheelbase() * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
     (wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0)
 }
 
 /// What a vehicle follows whose `route` turns back more sharply than it can: out to the other side first, and back in the outline of a
 /// bulb, around the first such turn. `None` if there is none. Whether there is road is not asked.
 pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
-    let least = curvature(steering, steering.max_angle.to_radians()).recip();
+    let least = least_radius(steering);
     let heading = |i: usize| {
         let ([x, y], [u, v]) = (route.points[i], route.points[i + 1]);
         (v - y).atan2(u - x)

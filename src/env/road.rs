@@ -3,14 +3,15 @@
 //! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost. Over a junction, a way
 //! from the rightmost lane into the rightmost has a border to its right where no other way crosses that: it leads along the outside. A
 //! vehicle whose centre is on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line between two directions
-//! is left, and no corner of a vehicle may be beyond the kerb.
+//! is left, and no part of a vehicle may be beyond the kerb. Where a road ends in the net there is neither line nor kerb across it:
+//! only the centre must not be beyond.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::Error;
-use super::geometry::{Pose, stretch};
+use super::geometry::{Pose, Size, stretch};
 use super::routes::crossing;
-use crate::scenario::Border;
+use crate::scenario::{Border, Termination};
 use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 
 /// Cells of the grid in which lines and lanes are looked up \[m\].
@@ -34,18 +35,34 @@ type Point = [f64; 2];
 struct Strip {
     ends: [Point; 2],
     half: f64,
+    /// Whether the road ends at either end: then nothing beyond counts as on the lane; else half a circle does.
+    last: [bool; 2],
 }
 
 impl Strip {
+    /// Whether a point counts as on the lane.
+    fn covers(&self, point: Point) -> bool {
+        let [a, b] = self.ends;
+        let way = [b[0] - a[0], b[1] - a[1]];
+        let from = |end: Point| (point[0] - end[0]) * way[0] + (point[1] - end[1]) * way[1];
+        let beyond = (self.last[0] && from(a) < 0.0) || (self.last[1] && from(b) > 0.0);
+        !beyond && distance(self.ends, point) <= self.half + BESIDE
+    }
+
     /// How far it is from a point along a unit vector until one is no longer on this lane, with what counts as on it beside; `None`
     /// where the point is not on it.
     fn exit(&self, from: Point, along: Point) -> Option<f64> {
         let reach = self.half + BESIDE;
-        if distance(self.ends, from) > reach {
+        if !self.covers(from) {
             return None;
         }
-        // What counts is convex: a circle around either end, and the box between them. It is left where the last of them is.
-        let circle = |centre: Point| {
+        // What counts is convex: a circle around either end that is not the last, and the box between them. It is left where the
+        // last of them is.
+        let circle = |end: usize| {
+            if self.last[end] {
+                return None;
+            }
+            let centre = self.ends[end];
             let (dx, dy) = (from[0] - centre[0], from[1] - centre[1]);
             let (middle, rest) = (dx * along[0] + dy * along[1], dx * dx + dy * dy - reach * reach);
             (middle * middle >= rest).then(|| (middle * middle - rest).sqrt() - middle)
@@ -56,20 +73,33 @@ impl Strip {
         let own = |x: f64, y: f64| [(x * dx + y * dy) / length, (y * dx - x * dy) / length];
         let at = own(from[0] - f64::midpoint(a[0], b[0]), from[1] - f64::midpoint(a[1], b[1]));
         let between = stretch(at, own(along[0], along[1]), [length / 2.0, reach]).map(|[_, leave]| leave);
-        Some([circle(a), circle(b), between].into_iter().flatten().fold(0.0, f64::max))
+        Some([circle(0), circle(1), between].into_iter().flatten().fold(0.0, f64::max))
     }
+}
+
+/// Where a road ends in the net.
+#[derive(Debug, Clone, Copy)]
+struct End {
+    /// Middle of the lane there \[m\].
+    at: Point,
+    /// Unit vector that leads out.
+    out: Point,
+    /// Half the lane's width \[m\].
+    half: f64,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Cell {
     strips: Vec<u32>,
     lines: Vec<u32>,
+    ends: Vec<u32>,
 }
 
 /// Lanes and lines of a net, for lookups around a vehicle.
 #[derive(Debug, Clone)]
 pub(super) struct Road {
     strips: Vec<Strip>,
+    ends: Vec<End>,
     /// Who touches one of these has left the road.
     lines: Vec<[Point; 2]>,
     cells: HashMap<[i32; 2], Cell>,
@@ -86,9 +116,11 @@ impl Road {
     ///
     /// # Errors
     /// [`Error::Long`].
-    pub(super) fn new(net: &Net, length: f64, width: f64, border: Border) -> Result<Self, Error> {
+    pub(super) fn new(net: &Net, [length, width]: Size, termination: &Termination) -> Result<Self, Error> {
+        let border = termination.border;
         let mut road = Self {
             strips: Vec::new(),
+            ends: Vec::new(),
             lines: Vec::new(),
             cells: HashMap::new(),
             blocks: HashMap::new(),
@@ -96,16 +128,10 @@ impl Road {
             half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
             border,
         };
-        let drivable = |edge: &&Edge| matches!(edge.function, EdgeFunction::Normal | EdgeFunction::Internal);
-        for edge in net.edges.iter().filter(drivable) {
-            for lane in net.lanes[edge.lanes.clone()].iter().filter(|lane| !lane.is_sidewalk()) {
-                let strip = |pair: &[Point]| Strip { ends: [pair[0], pair[1]], half: lane.width / 2.0 };
-                road.strips.extend(lane.shape.windows(2).map(strip));
-            }
-        }
+        road.lay_lanes(net);
         match border {
-            Border::Line => road.draw_all(net),
-            Border::Kerb => road.draw_between_directions(net),
+            Border::Line => road.draw_all(net, &termination.broken_lines),
+            Border::Kerb => road.draw_between_directions(net, &termination.broken_lines),
         }
         // Roads that lie side by side have one line between them.
         let mut drawn = HashSet::new();
@@ -119,9 +145,15 @@ impl Road {
             return Err(Error::Long { net: net.path.display().to_string(), metres, limit: LONGEST });
         }
         for i in 0..road.strips.len() {
-            let Strip { ends, half } = road.strips[i];
+            let Strip { ends, half, .. } = road.strips[i];
             for cell in cells_along(ends, half + BESIDE) {
                 road.cells.entry(cell).or_default().strips.push(i as u32);
+            }
+        }
+        for i in 0..road.ends.len() {
+            let End { at, half, .. } = road.ends[i];
+            for cell in cells_along([at, at], half + 2.0 * road.reach) {
+                road.cells.entry(cell).or_default().ends.push(i as u32);
             }
         }
         for i in 0..road.lines.len() {
@@ -140,27 +172,63 @@ impl Road {
         Ok(road)
     }
 
+    /// The lanes, and where roads end in the net: edges that no connection leads to, or none leads away from.
+    fn lay_lanes(&mut self, net: &Net) {
+        let reached: HashSet<usize> = net.connections.iter().map(|join| join.to).collect();
+        let left: HashSet<usize> = net.connections.iter().map(|join| join.from).collect();
+        for edge in &net.edges {
+            let normal = edge.function == EdgeFunction::Normal;
+            if !normal && edge.function != EdgeFunction::Internal {
+                continue;
+            }
+            let alone = |joined: &HashSet<usize>| normal && !edge.lanes.clone().any(|lane| joined.contains(&lane));
+            let (begins, ends) = (alone(&reached), alone(&left));
+            for lane in net.lanes[edge.lanes.clone()].iter().filter(|lane| !lane.is_sidewalk()) {
+                let half = lane.width / 2.0;
+                let segments = lane.shape.len() - 1;
+                let strip = |(i, pair): (usize, &[Point])| {
+                    let last = [begins && i == 0, ends && i + 1 == segments];
+                    Strip { ends: [pair[0], pair[1]], half, last }
+                };
+                self.strips.extend(lane.shape.windows(2).enumerate().map(strip));
+                let mut end = |at: Point, before: Point| {
+                    let (dx, dy) = (at[0] - before[0], at[1] - before[1]);
+                    let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
+                    self.ends.push(End { at, out: [dx / length, dy / length], half });
+                };
+                if begins {
+                    end(lane.shape[0], lane.shape[1]);
+                }
+                if ends {
+                    end(lane.shape[segments], lane.shape[segments - 1]);
+                }
+            }
+        }
+    }
+
     /// The lines at both sides of edges, and along the outside of junctions.
-    fn draw_all(&mut self, net: &Net) {
+    fn draw_all(&mut self, net: &Net, broken: &[String]) {
         for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
             let lanes = net.carriageway(edge);
             let (right, left) = (&net.lanes[lanes.start], &net.lanes[lanes.end - 1]);
             self.line(&parallel(&right.shape, -right.width / 2.0));
-            self.line(&parallel(&left.shape, left.width / 2.0));
+            if !broken.contains(&edge.id) {
+                self.line(&parallel(&left.shape, left.width / 2.0));
+            }
         }
         for lane in outer_ways(net) {
             self.line(&parallel(&lane.shape, -lane.width / 2.0));
         }
     }
 
-    /// The lines between edges that lead from one junction to another and back.
-    fn draw_between_directions(&mut self, net: &Net) {
+    /// The lines between edges that lead from one junction to another and back, but where they are broken.
+    fn draw_between_directions(&mut self, net: &Net, broken: &[String]) {
         let left = |edge: &Edge| {
             let lane = &net.lanes[net.carriageway(edge).end - 1];
             parallel(&lane.shape, lane.width / 2.0)
         };
         let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
-        let normal = |edge: &&Edge| edge.function == EdgeFunction::Normal;
+        let normal = |edge: &&Edge| edge.function == EdgeFunction::Normal && !broken.contains(&edge.id);
         for (i, edge) in net.edges.iter().enumerate().filter(|(_, edge)| normal(edge)) {
             let line = left(edge);
             let back = |other: &Edge| {
@@ -244,16 +312,20 @@ impl Road {
         self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
-    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or one of its corners is beyond the kerb.
+    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or a part of it is beyond the kerb.
     pub(super) fn left_by(&self, pose: &Pose) -> bool {
         let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
         let (sin, cos) = pose.heading.sin_cos();
-        let corner = |along: f64, across: f64| {
+        let part = |along: f64, across: f64| {
             let (along, across) = (along * (self.half[0] - TOUCH), across * (self.half[1] - TOUCH));
             [pose.x + along * cos - across * sin, pose.y + along * sin + across * cos]
         };
-        let beyond_kerb =
-            || [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().any(|&(a, b)| !self.on_lane(corner(a, b)));
+        // Corners, and between them points at both sides, which meet a convex kerb first.
+        let beyond_kerb = || {
+            let mut parts =
+                [-1.0, -0.5, 0.0, 0.5, 1.0].into_iter().flat_map(|along| [part(along, 1.0), part(along, -1.0)]);
+            parts.any(|part| !self.on_lane(part) && !self.beyond_end(part))
+        };
         !self.on_lane([pose.x, pose.y])
             || cell.lines.iter().any(|&i| self.touches(pose, self.lines[i as usize]))
             || (self.border == Border::Kerb && beyond_kerb())
@@ -261,9 +333,18 @@ impl Road {
 
     pub(super) fn on_lane(&self, point: Point) -> bool {
         let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
-        strips.iter().any(|&i| {
-            let strip = &self.strips[i as usize];
-            distance(strip.ends, point) <= strip.half + BESIDE
+        strips.iter().any(|&i| self.strips[i as usize].covers(point))
+    }
+
+    /// Whether a point is where parts of a vehicle may be that has its centre on a lane: beyond the end of a road, where there is no
+    /// kerb.
+    fn beyond_end(&self, point: Point) -> bool {
+        let ends = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.ends);
+        ends.iter().any(|&i| {
+            let End { at, out, half } = self.ends[i as usize];
+            let (dx, dy) = (point[0] - at[0], point[1] - at[1]);
+            let (beyond, aside) = (dx * out[0] + dy * out[1], dx * out[1] - dy * out[0]);
+            (0.0..=self.reach).contains(&beyond) && aside.abs() <= half + self.reach
         })
     }
 
@@ -354,9 +435,13 @@ mod tests {
     const LENGTH: f64 = 4.515;
     const WIDTH: f64 = 1.852;
 
+    fn ends_at(border: Border) -> Termination {
+        Termination { horizon: 1, wreck_time: 0.0, border, broken_lines: Vec::new() }
+    }
+
     fn road() -> Road {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-        Road::new(&Net::load(&path).expect("the shipped net is valid"), LENGTH, WIDTH, Border::Line)
+        Road::new(&Net::load(&path).expect("the shipped net is valid"), [LENGTH, WIDTH], &ends_at(Border::Line))
             .expect("a small net")
     }
 
@@ -383,7 +468,7 @@ mod tests {
     fn margins_tell_on_which_side_a_line_is_and_how_close() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection_turns/two_lanes.net.xml");
         let net = Net::load(&path).expect("the shipped net is valid");
-        let road = Road::new(&net, LENGTH, WIDTH, Border::Line).expect("a small net");
+        let road = Road::new(&net, [LENGTH, WIDTH], &ends_at(Border::Line)).expect("a small net");
         let edge = &net.edges[net.edge_index("west_in").unwrap()];
         let [right, left] = [0, 1].map(|k| &net.lanes[edge.lanes.start + k]);
         let margins = |lane: &Lane, lateral: f64| {
@@ -443,7 +528,8 @@ mod tests {
     fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
         let net = Net::load(&path).unwrap();
-        let [kerbs, lines] = [Border::Kerb, Border::Line].map(|border| Road::new(&net, LENGTH, WIDTH, border).unwrap());
+        let [kerbs, lines] =
+            [Border::Kerb, Border::Line].map(|border| Road::new(&net, [LENGTH, WIDTH], &ends_at(border)).unwrap());
         let up = std::f64::consts::FRAC_PI_2;
         // (x, y, heading, left by kerbs, left by lines)
         let places = [
@@ -462,6 +548,50 @@ mod tests {
             let pose = Pose { x, y, heading };
             assert_eq!([kerbs.left_by(&pose), lines.left_by(&pose)], [by_kerbs, by_lines], "{what}");
         }
+    }
+
+    /// The parking lot as it was measured on the paper's simulator.
+    #[test]
+    fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
+        let net = Net::load(&path).unwrap();
+        let broken = ["east_in", "east_out"].map(String::from).to_vec();
+        let whole = ends_at(Border::Kerb);
+        let measured = Termination { broken_lines: broken, ..whole.clone() };
+        let [whole, measured] = [whole, measured].map(|t| Road::new(&net, [LENGTH, WIDTH], &t).unwrap());
+        // (x, y, heading in degrees, out of the road)
+        let places = [
+            (45.5, 1.75, 0.0, false, "over the broken line between lot and junction"),
+            (36.0, 15.4, 90.0, false, "its front beyond the end of a space"),
+            (36.9, 15.4, 90.0, false, "the same, aside"),
+            (39.5, 15.4, 45.0, false, "a corner there, beside the last space"),
+            (36.0, 15.6, 90.0, true, "its centre beyond the end of a space"),
+            (36.0, 15.6, 0.0, true, "the same, across"),
+            (0.1, 0.0, 180.0, false, "its front beyond the end of the road"),
+            (-0.1, 0.0, 180.0, true, "its centre there"),
+            (61.0, 23.4, 90.0, false, "its front beyond the end of an arm"),
+            (61.0, -20.1, 90.0, true, "its centre there"),
+            (41.3, 13.0, 90.0, true, "beside the last space"),
+        ];
+        for (x, y, heading, out, what) in places {
+            let pose = Pose { x, y, heading: f64::to_radians(heading) };
+            assert_eq!(measured.left_by(&pose), out, "{what}");
+        }
+        assert!(whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }), "a whole line must not be touched");
+        // Where the last space meets the curve out of the lot, the kerb is convex: there is a place at which all corners are on
+        // lanes, and a side is not.
+        let corners_only = |pose: &Pose| {
+            let (sin, cos) = pose.heading.sin_cos();
+            let corner = |a: f64, b: f64| {
+                let (along, across) = (a * LENGTH / 2.0, b * WIDTH / 2.0);
+                measured.on_lane([pose.x + along * cos - across * sin, pose.y + along * sin + across * cos])
+            };
+            [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().all(|&(a, b)| corner(a, b))
+        };
+        let poses = (0..40).flat_map(|i| (0..40).map(move |j| [38.0 + 0.1 * f64::from(i), 4.0 + 0.1 * f64::from(j)]));
+        let poses = poses.map(|[x, y]| Pose { x, y, heading: -std::f64::consts::FRAC_PI_4 });
+        let hit = poses.filter(|pose| corners_only(pose) && measured.left_by(pose)).count();
+        assert!(hit > 0, "no side meets the kerb first");
     }
 
     proptest! {

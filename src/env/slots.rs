@@ -41,6 +41,7 @@ pub(super) struct Slot {
     pub(super) before: Pose,
     /// Position of the centre along the route \[m\].
     pub(super) s: f64,
+    /// Forward speed, negative backwards \[m/s\].
     pub(super) speed: f64,
     /// Offset from the lane's centre line, positive to the left \[m\].
     pub(super) lateral: f64,

@@ -1,82 +1,171 @@
-//! Motion of a vehicle that steers: a bicycle model, fitted to the vehicle of the paper's simulator.
+//! Motion of a vehicle that steers: a rigid body in the plane on four wheels whose tyres slide.
 //!
-//! The wheel follows the command after a dead time and with a first-order lag. Yaw rate is speed over the radius that belongs to the
-//! wheel's angle, √((wheelbase / tan δ)² + offset²), up to the lateral acceleration that tyres hold; the vehicle moves at a slip angle to its
-//! heading. Integrated in the 0.02 s substeps of that simulator, as the longitudinal law is ([`super::dynamics`]).
+//! This is the ray-cast vehicle of the Bullet physics engine, on which the paper's simulator runs,
+//! restricted to the plane. Per substep of 0.02 s each wheel takes a part of its own sideways speed
+//! away and gives a quarter of thrust or brake; together they are no more than its tyre holds. No
+//! constant is fitted to a drive: the vehicle's are scenario data ([`Steering`]), the others stand
+//! in Bullet's source or were read from the running engine. Roll, pitch and load transfer are left
+//! out, except for how they soften the sideways impulse of a wheel.
+//!
+//! Source: bulletphysics/bullet3, `src/BulletDynamics/Vehicle/btRaycastVehicle.cpp`, and
+//! metadriverse/metadrive, `component/vehicle/vehicle_type.py`.
 
-use super::dynamics::{self, RATE};
+use nalgebra::{Matrix2, Rotation2, Vector2};
+
+use super::dynamics::{self, Drive, RATE};
 use super::geometry::Pose;
 use crate::scenario::{Control, Steering, Vehicle};
 
-/// Where a steered vehicle is, and how it moves.
+/// Share of its sideways speed that a wheel tries to take away, per second: Bullet's
+/// `contactDamping` of 0.2 in each 0.02 s \[1/s\].
+const DAMPING: f64 = 0.2 * RATE;
+/// How much thrust and brake count against what a tyre holds: Bullet's `fwdFactor`.
+const ALONG: f64 = 0.5;
+/// Mass times the squared height of the centre (0.537 m) over the roll and the pitch inertia of the
+/// paper's vehicle: how far a sideways impulse at the ground rolls or pitches the body instead.
+const ROLL: f64 = 0.714;
+const PITCH: f64 = 0.159;
+/// Gravity \[m/s²\].
+const GRAVITY: f64 = 9.81;
+
+/// Where a vehicle that steers is, and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
-    /// Of its centre.
+    /// Pose of the centre of mass, which is the middle of the body.
     pub pose: Pose,
-    /// \[m/s\], negative backwards.
-    pub speed: f64,
-    /// Yaw rate over the last interval, counter-clockwise \[rad/s\].
+    /// Velocity in the vehicle's own frame, forward and to the left \[m/s\].
+    pub velocity: Vector2<f64>,
+    /// Counter-clockwise \[rad/s\].
     pub yaw_rate: f64,
-    /// Angle of the front wheels, to the left \[rad\].
-    wheel: f64,
-    /// Steering command of the last decision, -1 to 1, which holds on until the dead time of the next is over.
-    command: f64,
+}
+
+/// A wheel with what a substep needs to know of it. Impulses are per mass \[m/s\].
+#[derive(Debug, Clone, Copy)]
+struct Wheel {
+    /// Place in the vehicle's frame, forward and to the left of the centre \[m\].
+    at: Vector2<f64>,
+    /// Unit vector in which it rolls.
+    rolling: Vector2<f64>,
+    /// Unit vector of its axle, to the right.
+    axle: Vector2<f64>,
+    /// Sideways impulse per sideways speed.
+    softness: f64,
+    /// Share of the vehicle's weight that it carries.
+    load: f64,
+}
+
+impl Wheel {
+    /// The wheels of a vehicle, the front ones turned by `angle` to the left \[rad\].
+    fn all(steering: &Steering, angle: f64) -> [Self; 4] {
+        let Steering { front_axle, rear_axle, track, yaw_inertia, .. } = *steering;
+        let wheel = |along: f64, across: f64, angle: f64, other_axle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            let (at, axle) = (Vector2::new(along, across), Vector2::new(sin, -cos));
+            let lever = at.perp(&axle);
+            let rolls = ROLL * axle.y * axle.y + PITCH * axle.x * axle.x;
+            Self {
+                at,
+                rolling: Vector2::new(cos, sin),
+                axle,
+                softness: (1.0 + lever * lever / yaw_inertia + rolls).recip(),
+                load: 0.5 * other_axle / (front_axle + rear_axle),
+            }
+        };
+        let half = track / 2.0;
+        [
+            wheel(front_axle, -half, angle, rear_axle),
+            wheel(front_axle, half, angle, rear_axle),
+            wheel(-rear_axle, -half, 0.0, front_axle),
+            wheel(-rear_axle, half, 0.0, front_axle),
+        ]
+    }
+
+    /// Velocity of its place, in the vehicle's frame \[m/s\].
+    fn velocity(&self, motion: &Motion) -> Vector2<f64> {
+        motion.velocity + motion.yaw_rate * Vector2::new(-self.at.y, self.at.x)
+    }
+
+    /// What it does to a vehicle in `dt` seconds.
+    fn impulse(&self, motion: &Motion, drive: Drive, friction: f64, dt: f64) -> Vector2<f64> {
+        let velocity = self.velocity(motion);
+        let sideways = -DAMPING * dt * velocity.dot(&self.axle) * self.softness;
+        let along = match drive {
+            Drive::Thrust(acceleration) => acceleration * dt / 4.0,
+            // A brake stops a wheel and never drives it.
+            Drive::Brake(deceleration) => {
+                let most = deceleration * dt / 4.0;
+                -(velocity.dot(&self.rolling) / 4.0).clamp(-most, most)
+            }
+        };
+        let (asked, held) = ((ALONG * along).hypot(sideways), friction * GRAVITY * dt * self.load);
+        let impulse = along * self.rolling + sideways * self.axle;
+        if asked > held { impulse * (held / asked) } else { impulse }
+    }
 }
 
 impl Motion {
-    /// At rest, wheels straight.
+    /// At rest.
     pub const fn at(pose: Pose) -> Self {
-        Self { pose, speed: 0.0, yaw_rate: 0.0, wheel: 0.0, command: 0.0 }
+        Self { pose, velocity: Vector2::new(0.0, 0.0), yaw_rate: 0.0 }
     }
 
-    /// Angle of the front wheels, to the left \[rad\].
-    pub fn wheel(&self) -> f64 {
-        self.wheel
-    }
-
-    /// The motion after one decision interval under the actions `steer` (to the left) and `throttle` (clipped to -1..=1; NaN
-    /// counts as 0).
+    /// The motion after one decision interval under the actions `steer` (to the left) and
+    /// `throttle`, both clipped to -1..=1; NaN counts as 0.
     #[must_use]
-    pub fn advance(self, control: &Control, steering: &Steering, vehicle: &Vehicle, steer: f64, throttle: f64) -> Self {
+    pub fn advance(
+        mut self,
+        control: &Control,
+        steering: &Steering,
+        vehicle: &Vehicle,
+        steer: f64,
+        throttle: f64,
+    ) -> Self {
         let steer = if steer.is_nan() { 0.0 } else { steer.clamp(-1.0, 1.0) };
+        let wheels = Wheel::all(steering, steer * steering.max_angle.to_radians());
+        let drive = dynamics::drive(control, throttle);
         let substeps = (control.interval * RATE).round().max(1.0);
         let dt = control.interval / substeps;
-        let gain = dynamics::acceleration(control, throttle) * dt;
-        let backwards = if steering.reverse { -vehicle.max_speed } else { 0.0 };
-        let follow = 1.0 - (-dt / steering.lag).exp();
-        let Pose { mut x, mut y, mut heading } = self.pose;
-        let (mut speed, mut wheel) = (self.speed, self.wheel);
-        for k in 0..substeps as u32 {
-            let late = (f64::from(k) + 0.5) * dt < steering.dead_time;
-            let command = if late { self.command } else { steer };
-            let next = wheel + (command * steering.max_angle.to_radians() - wheel) * follow;
-            let mean = f64::midpoint(wheel, next);
-            wheel = next;
-            speed = (speed + gain).clamp(backwards, vehicle.max_speed);
-            let free = curvature(steering, mean);
-            let most = steering.max_lateral / (speed * speed).max(f64::MIN_POSITIVE);
-            let curvature = free.clamp(-most, most);
-            let turn = curvature * speed * dt;
-            // Tyres that slide turn the vehicle less than its wheels say, and its way as well.
-            let slip = if free == 0.0 { 0.0 } else { steering.slip * mean * curvature / free };
-            let (sin, cos) = (heading + turn / 2.0 + slip).sin_cos();
-            x += speed * dt * cos;
-            y += speed * dt * sin;
-            heading += turn;
+        for _ in 0..substeps as u32 {
+            self.coast(dt);
+            self.push(&wheels, drive, steering, dt);
+            self.velocity.x = self.velocity.x.clamp(-vehicle.max_speed, vehicle.max_speed);
         }
-        Self {
-            pose: Pose { x, y, heading },
-            speed,
-            yaw_rate: (heading - self.pose.heading) / control.interval,
-            wheel,
-            command: steer,
+        self
+    }
+
+    /// Moves the vehicle on at its velocity, which its own frame turns under.
+    fn coast(&mut self, dt: f64) {
+        let (sin, cos) = self.pose.heading.sin_cos();
+        self.pose.x += dt * (self.velocity.x * cos - self.velocity.y * sin);
+        self.pose.y += dt * (self.velocity.x * sin + self.velocity.y * cos);
+        let turn = dt * self.yaw_rate;
+        self.pose.heading += turn;
+        self.velocity = Rotation2::new(-turn) * self.velocity;
+    }
+
+    /// Changes its velocity by the impulses of all wheels, which all see the velocity before.
+    fn push(&mut self, wheels: &[Wheel; 4], drive: Drive, steering: &Steering, dt: f64) {
+        let before = *self;
+        for wheel in wheels {
+            let impulse = wheel.impulse(&before, drive, steering.friction, dt);
+            self.velocity += impulse;
+            self.yaw_rate += wheel.at.perp(&impulse) / steering.yaw_inertia;
         }
     }
 }
 
-/// Curvature of the way at low speed \[1/m\], to the left, with the front wheels at `wheel` \[rad\].
-pub fn curvature(steering: &Steering, wheel: f64) -> f64 {
-    if wheel == 0.0 { 0.0 } else { (steering.wheelbase / wheel.tan()).hypot(steering.offset).recip() * wheel.signum() }
+/// Radius of the circle on which the centre turns at low speed with the front wheels at full lock
+/// \[m\]: where the sideways impulses of all wheels balance, and their moments.
+pub fn least_radius(steering: &Steering) -> f64 {
+    // Both are linear in the velocity to the left and the yaw rate, per forward speed.
+    let (mut matrix, mut forward) = (Matrix2::zeros(), Vector2::zeros());
+    for wheel in Wheel::all(steering, steering.max_angle.to_radians()) {
+        let arm = Vector2::new(wheel.axle.y, wheel.at.perp(&wheel.axle));
+        matrix += wheel.softness * arm * arm.transpose();
+        forward -= wheel.softness * wheel.axle.x * arm;
+    }
+    let left_and_yaw = matrix.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * forward);
+    left_and_yaw.x.hypot(1.0) / left_and_yaw.y
 }
 
 #[cfg(test)]
@@ -86,16 +175,7 @@ mod tests {
     use super::*;
 
     fn law(reverse: bool) -> (Control, Steering, Vehicle) {
-        let steering = Steering {
-            max_angle: 40.0,
-            wheelbase: 2.469,
-            offset: 2.05,
-            slip: 0.4,
-            dead_time: 0.065,
-            lag: 0.175,
-            max_lateral: 7.2,
-            reverse,
-        };
+        let steering = Steering { reverse, ..Steering::default() };
         let control = Control {
             interval: 0.1,
             accel: 2.909,
@@ -106,77 +186,267 @@ mod tests {
         (control, steering, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 })
     }
 
-    /// Motions at a constant speed, after each interval.
-    fn steady(speed: f64, steer: f64, intervals: usize) -> Vec<Motion> {
-        let (control, steering, vehicle) = law(false);
-        let control = Control { drag: 0.0, ..control };
-        let first = Motion { speed, ..Motion::at(Pose::default()) };
-        let next = |m: &Motion| Some(m.advance(&control, &steering, &vehicle, steer, 0.0));
-        std::iter::successors(Some(first), next).skip(1).take(intervals).collect()
+    fn forward(speed: f64) -> Motion {
+        Motion { velocity: Vector2::new(speed, 0.0), ..Motion::at(Pose::default()) }
     }
 
+    /// Motions after each interval, under actions (steering, throttle).
+    fn drive(reverse: bool, speed: f64, actions: impl IntoIterator<Item = [f64; 2]>) -> Vec<Motion> {
+        let (control, steering, vehicle) = law(reverse);
+        let next = |motion: &mut Motion, [steer, throttle]: [f64; 2]| {
+            *motion = motion.advance(&control, &steering, &vehicle, steer, throttle);
+            Some(*motion)
+        };
+        actions.into_iter().scan(forward(speed), next).collect()
+    }
+
+    fn held(reverse: bool, speed: f64, action: [f64; 2], intervals: usize) -> Motion {
+        *drive(reverse, speed, std::iter::repeat_n(action, intervals)).last().expect("motions")
+    }
+
+    /// Speed with the sign of its forward part \[m/s\].
+    fn signed(motion: &Motion) -> f64 {
+        motion.velocity.norm().copysign(motion.velocity.x)
+    }
+
+    fn close(what: &str, found: f64, expected: f64, tolerance: f64) {
+        assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected}");
+    }
+
+    /// Forward speed, speed to the left and yaw rate after 0.5 s and 2 s, which the same model gave
+    /// in another implementation, where its rounded figures were compared with the paper's
+    /// simulator: `[first speed, steering, throttle, three after 0.5 s, three after 2 s]`.
+    const MODEL: [[f64; 9]; 13] = [
+        [2.0, 1.0, 0.0, 1.14, 0.55, 0.362, 0.44, 0.22, 0.143],
+        [4.0, 0.5, 0.0, 3.49, 0.66, 0.499, 2.85, 0.55, 0.410],
+        [4.0, 1.0, 0.0, 2.65, 1.03, 0.733, 1.46, 0.71, 0.465],
+        [6.0, 0.5, 0.0, 5.32, 0.94, 0.742, 4.50, 0.83, 0.642],
+        [6.0, 1.0, 0.0, 4.43, 1.08, 0.834, 2.75, 1.11, 0.788],
+        [8.0, 1.0, 0.0, 6.40, 0.89, 0.733, 3.78, 1.33, 1.011],
+        [12.0, 0.5, 0.0, 11.14, 0.69, 0.679, 9.08, 0.94, 0.874],
+        [2.0, 1.0, 1.0, 2.30, 1.00, 0.663, 4.55, 1.49, 1.148],
+        [4.0, 1.0, 1.0, 3.65, 1.25, 0.911, 5.38, 1.62, 1.314],
+        [8.0, 1.0, 1.0, 7.30, 0.86, 0.728, 6.43, 1.25, 1.063],
+        [8.0, 0.5, 1.0, 8.29, 0.99, 0.859, 9.88, 0.83, 0.891],
+        [4.0, 1.0, -1.0, 1.81, 0.81, 0.556, -1.68, -0.87, -0.524],
+        [8.0, 0.5, -1.0, 6.29, 0.97, 0.815, 1.88, 0.38, 0.282],
+    ];
+
     #[test]
-    fn low_speed_radii_are_the_measured_ones() {
-        for (steer, radius) in [(0.05, 71.0), (0.1, 35.5), (0.25, 14.2), (0.5, 7.1), (0.75, 4.7), (1.0, 3.6)] {
-            let last = steady(1.0, steer, 40).pop().unwrap();
-            let found = last.speed / last.yaw_rate;
-            assert!((found / radius - 1.0).abs() < 0.02, "steering {steer}: radius {found}, measured {radius}");
-            let mirrored = steady(1.0, -steer, 40).pop().unwrap();
-            assert!((mirrored.yaw_rate + last.yaw_rate).abs() < 1e-12 && (mirrored.pose.y + last.pose.y).abs() < 1e-9);
+    fn four_wheels_move_as_in_the_reference_rows() {
+        for [speed, steer, throttle, rows @ ..] in MODEL {
+            for (intervals, row) in [(5, &rows[..3]), (20, &rows[3..])] {
+                let motion = held(true, speed, [steer, throttle], intervals);
+                let what = format!("{speed} m/s, {steer}, {throttle}, {intervals} intervals");
+                // Half of the last digit, and what rounding of the constants changes.
+                close(&what, motion.velocity.x, row[0], 0.008);
+                close(&what, motion.velocity.y, row[1], 0.008);
+                close(&what, motion.yaw_rate, row[2], 0.001);
+            }
+        }
+    }
+
+    /// Steering from a straight run, as measured: `[first speed, steering, throttle, speed after
+    /// 1 s, after 3 s, yaw rate after 0.5 s]`.
+    #[test]
+    fn turning_the_wheels_slows_the_vehicle_down_as_measured() {
+        for [speed, steer, throttle, after_1, after_3, yaw] in [
+            [2.0, 0.3, 0.0, 1.59, 0.87, 0.151],
+            [4.0, 0.7, 0.0, 3.00, 1.99, 0.646],
+            [4.0, 1.0, 0.0, 2.36, 0.97, 0.735],
+            [8.0, 0.2, 0.0, 7.51, 6.68, 0.429],
+            [8.0, 1.0, 0.0, 5.15, 2.96, 0.757],
+            [12.0, 0.1, 0.0, 11.56, 10.74, 0.323],
+            [2.0, 1.0, 1.0, 3.38, 5.77, 0.660],
+            [6.0, 0.5, 1.0, 7.73, 9.55, 0.857],
+            [12.0, 0.0, 1.0, 14.91, 20.73, 0.0],
+            [2.0, 0.7, -1.0, -0.98, -5.73, 0.096],
+            [4.0, 0.2, -1.0, 1.06, -4.72, 0.146],
+            [8.0, 1.0, -1.0, 3.73, -1.71, 0.808],
+        ] {
+            let motions = drive(true, speed, [[steer, throttle]; 30]);
+            let what = format!("{speed} m/s, {steer}, {throttle}");
+            // The model is off by 0.065 m/s after 1 s and by 0.106 m/s after 3 s (root mean
+            // squares over random drives); most where tyres slide, as they do at full lock.
+            let sliding = if steer == 1.0 { 2.0 } else { 1.0 };
+            close(&what, signed(&motions[9]), after_1, 0.1 * sliding);
+            close(&what, signed(&motions[29]), after_3, 0.2);
+            close(&what, motions[4].yaw_rate.abs(), yaw, 0.005 + 0.05 * sliding * yaw);
+        }
+    }
+
+    /// Steering to and fro each 0.1 s, neither thrust nor brake: `[steering, first speed, speed
+    /// after 0.5 s, after 1 s]`, as measured.
+    #[test]
+    fn steering_to_and_fro_brakes_as_measured() {
+        for [steer, speed, half, whole] in [
+            [0.1, 2.0, 1.96, 1.93],
+            [0.3, 2.0, 1.70, 1.42],
+            [0.5, 4.0, 3.13, 2.24],
+            [1.0, 2.0, 0.47, 0.04],
+            [1.0, 4.0, 2.28, 0.60],
+            [0.7, 8.0, 6.76, 5.52],
+            [1.0, 8.0, 6.26, 4.52],
+        ] {
+            let to_and_fro = (0..10).map(|k| [if k % 2 == 0 { steer } else { -steer }, -1e-6]);
+            let motions = drive(true, speed, to_and_fro);
+            let what = format!("±{steer} from {speed} m/s");
+            close(&what, motions[4].velocity.norm(), half, 0.15);
+            close(&what, motions[9].velocity.norm(), whole, 0.25);
+        }
+    }
+
+    /// At a held speed: `[speed, steering, yaw rate, radius]`, measured; and on ice there is less.
+    #[test]
+    fn steady_turns_are_as_wide_as_measured() {
+        for [speed, steer, yaw, radius] in [
+            [2.0, 0.5, 0.282, 7.09],
+            [2.0, 1.0, 0.562, 3.56],
+            [4.0, 1.0, 1.009, 3.96],
+            [6.0, 0.5, 0.835, 7.19],
+            [6.0, 1.0, 1.159, 5.17],
+            [8.0, 0.3, 0.665, 12.0],
+            [8.0, 0.5, 1.050, 7.62],
+            [12.0, 0.2, 0.713, 16.8],
+        ] {
+            let steady = |friction: f64| {
+                let (control, steering, vehicle) = law(true);
+                let steering = Steering { friction, ..steering };
+                let mut motion = forward(speed);
+                let mut sum = 0.0;
+                for _ in 0..300 {
+                    let gap = speed - motion.velocity.norm();
+                    sum += 0.1 * gap;
+                    let throttle = gap + sum;
+                    motion = motion.advance(&control, &steering, &vehicle, steer, throttle);
+                }
+                motion
+            };
+            let motion = steady(0.9);
+            let what = format!("{speed} m/s, {steer}");
+            close(&what, motion.yaw_rate, yaw, 0.1 * yaw);
+            close(&what, motion.velocity.norm() / motion.yaw_rate, radius, 0.12 * radius);
+            let most = |friction: f64| 1.02 * friction * GRAVITY;
+            assert!(motion.yaw_rate * motion.velocity.norm() < most(0.9), "{motion:?}");
+            let ice = steady(0.2);
+            assert!(ice.yaw_rate.abs() * ice.velocity.norm() < most(0.2), "{ice:?}");
         }
     }
 
     #[test]
     fn yaw_follows_a_step_of_steering_as_measured() {
-        let measured = [0.063, 0.305, 0.534, 0.704, 0.777, 0.807, 0.823];
-        for (motion, rate) in steady(6.0, 0.5, 7).iter().zip(measured) {
-            assert!((motion.yaw_rate - rate).abs() < 0.03, "{} against {rate}", motion.yaw_rate);
+        // Averages over intervals of 0.1 s at a held 6 m/s, of poses that lag one substep behind.
+        let measured = [0.062, 0.309, 0.540, 0.707, 0.784, 0.814, 0.826, 0.830];
+        let (control, steering, vehicle) = law(true);
+        let control = Control { interval: 0.02, ..control };
+        let mut motion = forward(6.0);
+        let mut headings = vec![0.0, 0.0];
+        for _ in 0..40 {
+            let throttle = (6.0 - motion.velocity.norm()) / (0.02 * 2.909);
+            motion = motion.advance(&control, &steering, &vehicle, 0.5, throttle);
+            headings.push(motion.pose.heading);
+        }
+        for (k, rate) in measured.into_iter().enumerate() {
+            let found = (headings[5 * k + 5] - headings[5 * k]) / 0.1;
+            close(&format!("interval {k}"), found, rate, 0.035);
         }
     }
 
     #[test]
-    fn tyres_hold_so_much() {
-        for speed in [8.0, 12.0, 20.0] {
-            let last = steady(speed, 1.0, 40).pop().unwrap();
-            assert!((last.yaw_rate * speed - 7.2).abs() < 1e-6, "{}", last.yaw_rate * speed);
+    fn low_speed_radii_are_the_measured_ones() {
+        let (_, steering, _) = law(true);
+        for (steer, radius) in [(0.1, 35.6), (0.2, 17.8), (0.3, 11.8), (0.5, 7.08), (0.7, 5.05), (1.0, 3.55)] {
+            let turned = Steering { max_angle: steer * steering.max_angle, ..steering };
+            close(&format!("steering {steer}"), least_radius(&turned), radius, 0.01 * radius);
+            let slow = held(true, 0.3, [steer, -1e-9], 10);
+            let found = slow.velocity.norm() / slow.yaw_rate;
+            close(&format!("driven at {steer}"), found, radius, 0.025 * radius);
         }
+    }
+
+    #[test]
+    fn without_throttle_a_brake_drags_to_a_stop_and_never_back() {
+        for reverse in [false, true] {
+            let motions = drive(reverse, 0.2, [[0.0, 0.0]; 8]);
+            for (motion, speed) in motions.iter().zip([0.164, 0.127, 0.091, 0.055, 0.018]) {
+                close("rolling", motion.velocity.x, speed, 0.001);
+            }
+            assert!(motions[5..].iter().all(|motion| motion.velocity == Vector2::zeros()));
+        }
+        let back = drive(true, -0.1, [[0.0, 0.0]; 4]);
+        assert_eq!(back[3].velocity, Vector2::zeros());
+        // The least throttle backwards is thrust, and brakes nothing.
+        close("coasting", held(true, 5.0, [0.0, -1e-9], 10).velocity.x, 5.0, 1e-6);
     }
 
     #[test]
     fn drives_backwards_only_where_it_may() {
-        let advance = |reverse: bool, throttle: f64| {
-            let (control, steering, vehicle) = law(reverse);
-            Motion::at(Pose::default()).advance(&control, &steering, &vehicle, 0.0, throttle)
-        };
-        assert_eq!(advance(false, -1.0).speed, 0.0);
-        assert_eq!(advance(false, -1.0).pose, Pose::default());
-        let back = advance(true, -1.0);
-        assert!((back.speed + 0.2909).abs() < 1e-12 && back.pose.x < 0.0, "{back:?}");
+        let stays = held(false, 0.0, [0.0, -1.0], 1);
+        assert_eq!(stays, Motion::at(Pose::default()));
+        assert_eq!(held(false, 0.1, [0.0, -1.0], 1).velocity, Vector2::zeros());
+        let back = held(true, 0.0, [0.0, -1.0], 1);
+        assert!((back.velocity.x + 0.2909).abs() < 1e-12 && back.pose.x < 0.0, "{back:?}");
+        assert_eq!(held(true, 0.0, [0.0, -1.0], 100).velocity.x, -22.222);
+    }
+
+    #[test]
+    fn actions_that_are_no_numbers_count_as_none() {
+        let expected = held(true, 5.0, [0.0, 0.0], 3);
+        assert_eq!(held(true, 5.0, [f64::NAN, f64::NAN], 3), expected);
     }
 
     proptest! {
-        /// Going straight, a steered vehicle moves as one on rails.
+        /// Going straight, a vehicle that steers follows the longitudinal law; it moves with the
+        /// speed before each substep.
         #[test]
-        fn straight_on_it_is_the_longitudinal_law(speed in 0.0..22.0f64, throttle in -1.2..1.2f64, heading in -3.0..3.0f64) {
+        fn straight_on_it_is_the_longitudinal_law(
+            speed in 0.0..22.0f64, throttle in -1.2..1.2f64, heading in -3.0..3.0f64,
+        ) {
             let (control, steering, vehicle) = law(false);
-            let first = Motion { speed, ..Motion::at(Pose { x: 1.0, y: 2.0, heading }) };
+            let pose = Pose { x: 1.0, y: 2.0, heading };
+            let first = Motion { pose, ..forward(speed) };
             let next = first.advance(&control, &steering, &vehicle, 0.0, throttle);
             let (way, expected) = dynamics::advance(&control, &vehicle, speed, throttle);
-            prop_assert!((next.speed - expected).abs() < 1e-12);
-            prop_assert!((next.pose.distance(&first.pose) - way).abs() < 1e-9 && next.pose.heading == heading);
+            prop_assert!((next.velocity.x - expected).abs() < 1e-12 && next.velocity.y == 0.0);
+            let way = way - 0.02 * (expected - speed);
+            prop_assert!((next.pose.distance(&pose) - way).abs() < 1e-9);
+            prop_assert!(next.pose.heading == heading);
         }
 
-        /// Any actions: finite, no faster than allowed, no sharper than the wheels and tyres allow.
+        /// Steering the other way gives the mirror image.
         #[test]
-        fn stays_within_its_limits(actions in prop::collection::vec((-2.0..2.0f64, -2.0..2.0f64), 1..80), reverse in any::<bool>()) {
+        fn left_and_right_are_alike(
+            speed in -8.0..20.0f64, reverse in any::<bool>(),
+            actions in prop::collection::vec((-1.0..1.0f64, -1.0..1.0f64), 1..40),
+        ) {
+            let left = drive(reverse, speed, actions.iter().map(|&(s, t)| [s, t]));
+            let right = drive(reverse, speed, actions.iter().map(|&(s, t)| [-s, t]));
+            for (a, b) in left.iter().zip(&right) {
+                let apart = [
+                    a.pose.x - b.pose.x, a.pose.y + b.pose.y, a.pose.heading + b.pose.heading,
+                    a.velocity.x - b.velocity.x, a.velocity.y + b.velocity.y, a.yaw_rate + b.yaw_rate,
+                ];
+                prop_assert!(apart.iter().all(|v| v.abs() < 1e-8), "{a:?} {b:?}");
+            }
+        }
+
+        /// Any actions: finite, no faster than allowed, no more sideways than tyres hold.
+        #[test]
+        fn stays_within_its_limits(
+            actions in prop::collection::vec((-2.0..2.0f64, -2.0..2.0f64), 1..80),
+            reverse in any::<bool>(), milliseconds in 1_u32..300, speed in 0.0..22.0f64,
+        ) {
             let (control, steering, vehicle) = law(reverse);
-            let mut motion = Motion::at(Pose::default());
+            let control = Control { interval: f64::from(milliseconds) / 1000.0, ..control };
+            let mut motion = forward(speed);
             for (steer, throttle) in actions {
                 let next = motion.advance(&control, &steering, &vehicle, steer, throttle);
-                prop_assert!(next.speed.abs() <= vehicle.max_speed && (reverse || next.speed >= 0.0));
-                let fastest = next.speed.abs().max(motion.speed.abs());
-                prop_assert!(next.pose.distance(&motion.pose) <= fastest * control.interval + 1e-9);
-                prop_assert!(next.yaw_rate.abs() <= fastest / 3.5 && next.yaw_rate.is_finite());
+                prop_assert!(next.velocity.x.abs() <= vehicle.max_speed);
+                // Without reverse it may slide a little, but not drive.
+                prop_assert!(reverse || next.velocity.x > -0.5, "{next:?}");
+                let fastest = next.velocity.norm().max(motion.velocity.norm()) + 0.5;
+                prop_assert!(next.pose.distance(&motion.pose) <= fastest * control.interval);
+                prop_assert!(next.velocity.y.abs() < 4.0 && next.yaw_rate.abs() < 2.0, "{next:?}");
                 motion = next;
             }
         }

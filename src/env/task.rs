@@ -175,11 +175,10 @@ impl Task {
         let lanes = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
         let several_lanes = paths.iter().any(|path| path.lanes.iter().any(lanes));
         let (length, width) = (scenario.vehicle.length, scenario.vehicle.width);
-        let border = scenario.termination.border;
         let needed = scenario.control.steering.is_some()
             || scenario.observation.lidar.beams > 0
             || scenario.observation.borders > 0.0;
-        let road = needed.then(|| Road::new(&net, length, width, border)).transpose()?;
+        let road = needed.then(|| Road::new(&net, [length, width], &scenario.termination)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
             actions: actions(scenario.control.steering.is_some()),

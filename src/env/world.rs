@@ -493,7 +493,9 @@ impl World {
                 scenario.reward.crash
             } else {
                 let way = slot.s - self.positions[i];
-                let reward = scenario.reward.progress * way + scenario.reward.speed * slot.speed / Reward::SPEED_UNIT;
+                // In any direction: a vehicle that steers may slide, and drive backwards.
+                let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
+                let reward = scenario.reward.progress * way + scenario.reward.speed * speed / Reward::SPEED_UNIT;
                 let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
                 if off { scenario.routes[slot.route].off_lane * reward } else { reward }
             };

@@ -1,7 +1,7 @@
 //! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
 
 use super::{Demand, Error, Net, Route, Scenario, reader::Reader};
-use crate::sumo::net::{self, Path, shorten};
+use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Slack of comparisons of positions \[m\].
 const SLACK: f64 = 1e-6;
@@ -18,6 +18,8 @@ pub(super) struct Places {
     pub(super) traffic_type: usize,
     /// … of its `files`.
     pub(super) traffic_files: usize,
+    /// Of the termination's `brokenLines`.
+    pub(super) broken_lines: usize,
 }
 
 /// Where the parts of a route stand.
@@ -60,6 +62,7 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Ve
             return None;
         }
         errors.extend(undrivable(&demand, &map));
+        errors.extend(no_edge(scenario, &map, places, reader));
         let placed = spawns(scenario, net, &map, &paths, &at.spawns, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, places, reader));
         placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
@@ -97,6 +100,16 @@ fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
         let (path, line, column) = route.place.clone();
         Some(Error::Route { path, line, column, route: shorten(&route.id), source })
     })
+}
+
+/// The first edge with broken lines that a net lacks.
+fn no_edge(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Option<Error> {
+    let edge = scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
+    let (line, column) = reader.position(places.broken_lines);
+    let ids = map.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal).map(|edge| edge.id.as_str());
+    let allowed = format!("edges of {}{}", map.path.display(), did_you_mean(nearest(edge, ids)));
+    let (path, value) = (scenario.path.clone(), shorten(edge));
+    Some(Error::Value { path, line, column, element: "termination".into(), key: "brokenLines", value, allowed })
 }
 
 /// The centre line of a route, once its edges are connected and its finish lies on the last.

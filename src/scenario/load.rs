@@ -136,18 +136,19 @@ impl<'a, 'input> Reader<'a, 'input> {
         let agents = self.agents(part("agents")?, &nets)?;
         let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
         let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
+        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
         let places = Places {
             routes: route_places,
             nets: net_places,
             lateral: Self::offset(jitter, "lateral"),
             traffic_type: Self::offset(traffic, "type"),
             traffic_files: Self::offset(traffic, "files"),
+            broken_lines: Self::offset(termination, "brokenLines"),
         };
         let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
         let observation = self.leaf(part("observation")?, OBSERVATION)?;
         let intention = self.intention(observation)?;
         let reward = self.leaf(part("reward")?, REWARD)?;
-        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border"])?;
         let communication = self.leaf(part("communication")?, &["range"])?;
 
         let scenario = Scenario {
@@ -215,6 +216,12 @@ impl<'a, 'input> Reader<'a, 'input> {
                 horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
                 wreck_time: self.not_negative(termination, "wreckTime")?,
                 border: self.border(termination)?,
+                broken_lines: termination
+                    .attribute("brokenLines")
+                    .unwrap_or_default()
+                    .split_whitespace()
+                    .map(Into::into)
+                    .collect(),
             },
             communication: Communication { range: self.not_negative(communication, "range")? },
             traffic: self.traffic(root)?,
@@ -455,7 +462,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let in_milliseconds = |v: f64| (v * 1000.0 - (v * 1000.0).round()).abs() < 1e-6;
         let interval = |v: f64| (0.001..=10.0).contains(&v) && in_milliseconds(v);
         let interval = self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?;
-        let steering = if steered { Some(self.steering(self.child(node, "steering")?, interval)?) } else { None };
+        let steering = if steered { Some(self.steering(self.child(node, "steering")?)?) } else { None };
         Ok(Control {
             interval,
             steering,
@@ -465,21 +472,22 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    fn steering(&self, node: Node<'a, 'input>, interval: f64) -> Result<Steering, Error> {
-        self.leaf(
-            node,
-            &["maxAngle", "wheelbase", "offset", "slip", "deadTime", "lag", "maxLateralAcceleration", "reverse"],
-        )?;
+    fn steering(&self, node: Node<'a, 'input>) -> Result<Steering, Error> {
+        self.leaf(node, &["maxAngle", "frontAxle", "rearAxle", "track", "friction", "yawInertia", "reverse"])?;
         let angle = |v: f64| (0.1..=80.0).contains(&v);
-        let within = |v: f64| (0.0..=interval).contains(&v);
+        let otherwise = Steering::default();
+        // Bounds that any car keeps well within, and that keep the motion stable.
+        let or = |key: &'static str, otherwise: f64, least: f64, most: f64| match node.attribute(key) {
+            None => Ok(otherwise),
+            Some(_) => self.number(node, key, &format!("{least} to {most}"), |v| (least..=most).contains(&v)),
+        };
         Ok(Steering {
             max_angle: self.number(node, "maxAngle", "an angle from 0.1 to 80", angle)?,
-            wheelbase: self.positive(node, "wheelbase")?,
-            offset: self.not_negative(node, "offset")?,
-            slip: self.number(node, "slip", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
-            dead_time: self.number(node, "deadTime", &format!("0 to {interval}, the interval"), within)?,
-            lag: self.positive(node, "lag")?,
-            max_lateral: self.positive(node, "maxLateralAcceleration")?,
+            front_axle: or("frontAxle", otherwise.front_axle, 0.1, 20.0)?,
+            rear_axle: or("rearAxle", otherwise.rear_axle, 0.1, 20.0)?,
+            track: or("track", otherwise.track, 0.1, 5.0)?,
+            friction: or("friction", otherwise.friction, 0.01, 5.0)?,
+            yaw_inertia: or("yawInertia", otherwise.yaw_inertia, 0.01, 200.0)?,
             reverse: self.flag(node, "reverse")?,
         })
     }

@@ -144,7 +144,7 @@ pub struct Control {
     pub interval: f64,
     /// Acceleration at full throttle \[m/s²\].
     pub accel: f64,
-    /// Deceleration of a rolling vehicle at zero throttle \[m/s²\].
+    /// Deceleration at zero throttle, and the least of a brake \[m/s²\].
     pub drag: f64,
     /// Braking curve: (action magnitude, deceleration \[m/s²\]), ascending; linear between, from the origin.
     pub brake: Vec<(f64, f64)>,
@@ -158,20 +158,40 @@ pub struct Control {
 pub struct Steering {
     /// Angle of the front wheels at full lock \[deg\].
     pub max_angle: f64,
-    /// Distance between the axles \[m\].
-    pub wheelbase: f64,
-    /// The centre turns on a circle of radius √((wheelbase / tan δ)² + offset²), δ: angle of the front wheels \[m\].
-    pub offset: f64,
-    /// The vehicle moves at this many times δ to its heading.
-    pub slip: f64,
-    /// Time until the wheels begin to follow a command \[s\], at most the decision interval.
-    pub dead_time: f64,
-    /// Time constant with which they follow \[s\].
-    pub lag: f64,
-    /// Lateral acceleration that the tyres hold \[m/s²\].
-    pub max_lateral: f64,
-    /// Whether a negative throttle drives backwards: then it is thrust, and nothing brakes or drags.
+    /// Distance of the front axle from the centre of mass, which is the middle of the vehicle \[m\].
+    pub front_axle: f64,
+    /// Distance of the rear axle from it \[m\].
+    pub rear_axle: f64,
+    /// Distance between the left and the right wheels \[m\].
+    pub track: f64,
+    /// Friction of the tyres: they hold so many times their load.
+    pub friction: f64,
+    /// Moment of inertia about the vertical axis, per mass \[m²\].
+    pub yaw_inertia: f64,
+    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle brakes.
     pub reverse: bool,
+}
+
+impl Default for Steering {
+    /// The vehicle of the paper's simulator (MetaDrive's default vehicle).
+    fn default() -> Self {
+        Self {
+            max_angle: 40.0,
+            front_axle: 1.05234,
+            rear_axle: 1.4166,
+            track: 1.63,
+            friction: 0.9,
+            yaw_inertia: 1.985,
+            reverse: false,
+        }
+    }
+}
+
+impl Steering {
+    /// Distance between the axles \[m\].
+    pub fn wheelbase(&self) -> f64 {
+        self.front_axle + self.rear_axle
+    }
 }
 
 /// How an agent sees others.
@@ -337,7 +357,7 @@ impl Reward {
 }
 
 /// When an episode or an agent ends.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Termination {
     /// Truncation after this many steps.
     pub horizon: u32,
@@ -345,6 +365,8 @@ pub struct Termination {
     pub wreck_time: f64,
     /// What ends the road for a vehicle that steers.
     pub border: Border,
+    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken one, which vehicles may cross.
+    pub broken_lines: Vec<String>,
 }
 
 /// What ends the road for a vehicle that steers. Whoever's centre is on no lane has left it, too.

@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{Border, Intention, Lidar, NeighbourOrder, Scenario, Traffic};
+use super::{Border, Intention, Lidar, NeighbourOrder, Scenario, Steering, Traffic};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -66,10 +66,20 @@ impl Scenario {
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
         write!(xml, "brake=\"{}\"", brake.join(" "))?;
         if let Some(s) = c.steering {
-            write!(xml, ">\n        <steering maxAngle=\"{}\" wheelbase=\"{}\" ", s.max_angle, s.wheelbase)?;
-            write!(xml, "offset=\"{}\" slip=\"{}\" deadTime=\"{}\" ", s.offset, s.slip, s.dead_time)?;
-            write!(xml, "lag=\"{}\" maxLateralAcceleration=\"{}\" ", s.lag, s.max_lateral)?;
-            writeln!(xml, "reverse=\"{}\"/>\n    </control>", s.reverse)?;
+            write!(xml, ">\n        <steering maxAngle=\"{}\"", s.max_angle)?;
+            let otherwise = Steering::default();
+            for (key, value, otherwise) in [
+                ("frontAxle", s.front_axle, otherwise.front_axle),
+                ("rearAxle", s.rear_axle, otherwise.rear_axle),
+                ("track", s.track, otherwise.track),
+                ("friction", s.friction, otherwise.friction),
+                ("yawInertia", s.yaw_inertia, otherwise.yaw_inertia),
+            ] {
+                if value != otherwise {
+                    write!(xml, " {key}=\"{value}\"")?;
+                }
+            }
+            writeln!(xml, " reverse=\"{}\"/>\n    </control>", s.reverse)?;
         } else {
             writeln!(xml, "/>")?;
         }
@@ -107,10 +117,13 @@ impl Scenario {
             write!(xml, " shareRange=\"{}\"", r.share_range)?;
         }
         writeln!(xml, "/>")?;
-        let t = self.termination;
+        let t = &self.termination;
         write!(xml, "    <termination horizon=\"{}\" wreckTime=\"{}\"", t.horizon, t.wreck_time)?;
         if t.border != Border::Line {
             write!(xml, " border=\"{}\"", t.border.name())?;
+        }
+        if !t.broken_lines.is_empty() {
+            write!(xml, " brokenLines=\"{}\"", escape(&t.broken_lines.join(" ")))?;
         }
         writeln!(xml, "/>")?;
         writeln!(xml, "    <communication range=\"{}\"/>", self.communication.range)?;

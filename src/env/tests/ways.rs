@@ -91,7 +91,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
             let mut motion = Motion::at(Pose { x, y, heading });
             let (mut s, mut segment) = (6.0, 0);
             for _ in 0..500 {
-                let throttle = (6.0 - motion.speed) / (0.5 * control.accel);
+                let throttle = (6.0 - motion.velocity.x) / (0.5 * control.accel);
                 let at = [motion.pose.x, motion.pose.y];
                 let lateral;
                 (s, lateral, segment) = route.path.project(at, segment);
@@ -170,4 +170,28 @@ fn ways_that_lie_on_each_other_meet() {
     }
     assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
     assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
+}
+
+/// The reward for speed counts its magnitude, as the paper's simulator does: who drives backwards is paid as well.
+#[test]
+fn the_reward_for_speed_is_for_its_magnitude() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
+    let scenario = Scenario::load(&path).expect("a scenario");
+    let task = Arc::new(Task::new(&scenario, 1).expect("a task"));
+    let there = Snapshot { vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })], ..Snapshot::default() };
+    for steer in [0.0, 1.0] {
+        let mut world = world(&task, 0);
+        world.reset(0);
+        let mut before = 0.0;
+        for step in 0..6 {
+            world.act(0, &[steer, -1.0], &mut Vec::new());
+            world.observe(0, &there).expect("it is there");
+            let agent = world.agents().next().expect("an agent");
+            if step > 0 {
+                let speed = agent.reward - scenario.reward.progress * (agent.position - before);
+                assert!(agent.driving && agent.speed < 0.0 && speed > 0.0, "{agent:?}");
+            }
+            before = agent.position;
+        }
+    }
 }

@@ -73,7 +73,7 @@ impl World {
                             if let Some(steering) = &control.steering {
                                 (slot.steer, slot.action) = (action(0), action(1));
                                 slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
-                                slot.speed = slot.motion.speed;
+                                slot.speed = slot.motion.velocity.x;
                                 moves(task, world, at, slot, commands);
                             } else {
                                 slot.action = action(0);

@@ -177,6 +177,7 @@ impl Layout {
                 horizon: horizon.clamp(500.0, 1e6) as u32,
                 wreck_time: 2.5,
                 border: Border::Line,
+                broken_lines: Vec::new(),
             },
             communication: Communication { range: RADIO },
             traffic: Traffic::default(),
@@ -191,20 +192,10 @@ impl Layout {
 
 /// The same for vehicles that steer: as in `scenarios/intersection_turns.xml`, with room for the outer wheels of narrow curves.
 fn on_road(scenario: Scenario) -> Scenario {
-    let steering = Steering {
-        max_angle: 40.0,
-        wheelbase: 2.469,
-        offset: 2.05,
-        slip: 0.4,
-        dead_time: 0.065,
-        lag: 0.175,
-        max_lateral: 7.2,
-        reverse: false,
-    };
     Scenario {
         // One alone has something to do, too.
         agents: AgentRange { min: 1, ..scenario.agents },
-        control: Control { steering: Some(steering), ..scenario.control },
+        control: Control { steering: Some(Steering::default()), ..scenario.control },
         observation: Observation {
             groups: ObservationGroups::Nearest,
             conflict_streams: 0,
@@ -224,7 +215,7 @@ fn on_lot(scenario: Scenario) -> Scenario {
     let (accel, steering) = (scenario.control.accel, scenario.control.steering);
     let steering = steering.map(|steering| Steering { reverse: true, ..steering });
     Scenario {
-        control: Control { drag: 0.0, brake: vec![(1.0, accel)], steering, ..scenario.control },
+        control: Control { brake: vec![(1.0, accel)], steering, ..scenario.control },
         observation: Observation { foresight: 0.0, ..scenario.observation },
         reward: Reward { arrive: 100.0, cooperation: 0.17, ..scenario.reward },
         ..scenario

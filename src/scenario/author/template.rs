@@ -59,6 +59,9 @@ const RAMP: f64 = PI / 6.0;
 /// Radius of the curves between a road and spaces, and length of a space \[m\].
 const CURVE: f64 = 4.0;
 const DEPTH: f64 = 8.0;
+/// From the last of these curves to where the line between the directions begins \[m\]: in a narrow curve a vehicle with tyres points
+/// to the inside of its way by up to 26 degrees.
+const STRAIGHT: f64 = 1.0;
 /// Most agents of a parking lot, which has four routes for each, and highest speed \[m/s\], at which one stops within sight.
 const LOT_AGENTS: u32 = 60;
 const LOT_SPEED: f64 = 22.222;
@@ -335,7 +338,8 @@ fn bottleneck(lanes: u32, arm: f64) -> Plan {
 fn parking(spaces: u32, arm: f64) -> Plan {
     let half = LANE_WIDTH / 2.0;
     // From the middle to the lot's ends, and to where spaces begin.
-    let (end, mouth) = (CURVE + half * f64::from(spaces - 1), half + CURVE);
+    let last = half * f64::from(spaces - 1);
+    let (end, mouth) = (last + CURVE + STRAIGHT, half + CURVE);
     let mut plan = Plan { lot: true, ..Plan::default() };
     plan.node("lot", [0.0, 0.0], "right_before_left").shape =
         vec![[-end, -mouth], [-end, mouth], [end, mouth], [end, -mouth]];
@@ -350,7 +354,7 @@ fn parking(spaces: u32, arm: f64) -> Plan {
     let rows = [1.0, -1.0].into_iter().flat_map(|up| (0..spaces).map(move |column| (up, column)));
     let places: Vec<(String, f64, f64)> = rows
         .enumerate()
-        .map(|(i, (up, column))| (format!("space{}", i + 1), up, LANE_WIDTH * f64::from(column) + CURVE - end))
+        .map(|(i, (up, column))| (format!("space{}", i + 1), up, LANE_WIDTH * f64::from(column) - last))
         .collect();
     for (space, up, x) in &places {
         let [entry, exit] = ["in", "out"].map(|way| format!("{space}_{way}"));
