@@ -58,10 +58,26 @@ fn a_recording_says_what_the_evaluation_says() {
     use base64::Engine as _;
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let recording = path("r.json");
+    let (recording, run) = (path("r.json"), path("run"));
+    let (mut train, scenario) = (vec!["train"], "scenarios/intersection.xml");
+    train.extend(["--scenario", scenario, "--algorithm", "ex-iwol", "--agents", "8", "--steps", "128", "--out", &run]);
+    // Small, and with nearly all edges of the learned graph.
+    for set in [
+        "train.envs=2",
+        "train.segment=32",
+        "train.validate_every=64",
+        "train.validation_episodes=1",
+        "network.hidden=8",
+        "iwol.message=8",
+        "iwol.graph_bias=4",
+        "ppo.minibatch=64",
+    ] {
+        train.extend(["--set", set]);
+    }
+    iwol(&train);
     iwol(&[
         "evaluate",
-        "results/intersection8/ex-iwol",
+        &run,
         "--episodes",
         "2",
         "--record",
@@ -88,10 +104,10 @@ fn a_recording_says_what_the_evaluation_says() {
     let reward = column("reward").iter().sum::<f64>() / agents;
     let expected = recorded["summary"]["reward"].as_f64().expect("a reward");
     assert!((reward - expected).abs() < 0.05, "{reward} {expected}");
-    // Vehicles begin at rest and drive at no more than 80 km/h; the value of a policy that succeeds is above zero.
+    // Vehicles begin at rest and drive at no more than 80 km/h.
     let (speed, value) = (column("speed"), column("value"));
     assert!(speed[..8].iter().all(|v| v.abs() < 1e-3) && speed.iter().all(|v| *v <= 22.3), "{speed:?}");
-    assert!(value[..8].iter().all(|v| *v > 0.0), "{:?}", &value[..8]);
+    assert!(value[..8].iter().any(|v| *v != 0.0), "{:?}", &value[..8]);
     // It communicates, within the range of the mask, and nobody is drawn as hearing himself.
     let (edges, n) = (bytes(&recorded["edges"]), agents as usize);
     assert!(recorded["communicates"].as_bool().expect("a flag") && edges.iter().any(|byte| *byte != 0));

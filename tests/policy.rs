@@ -147,8 +147,14 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
         assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
     }
-    // A run that was kept has validations alone.
-    let kept = concat!(env!("CARGO_MANIFEST_DIR"), "/results/runs/table1/mappo/seed_0");
-    text(&mut iwol(&["plot", kept, "--out", &name("kept.png")]));
+    // A run that a report kept has its settings and its validations alone.
+    let kept = at("kept");
+    fs::create_dir(&kept).expect("a folder");
+    fs::copy(at("mappo_0").join("config.toml"), kept.join("config.toml")).expect("copied");
+    let metrics = fs::read_to_string(at("mappo_0").join("metrics.jsonl")).expect("metrics");
+    let validations: Vec<&str> = metrics.lines().filter(|line| line.contains("validation/success")).collect();
+    assert!(!validations.is_empty() && validations.len() < metrics.lines().count());
+    fs::write(kept.join("metrics.jsonl"), validations.join("\n") + "\n").expect("written");
+    text(&mut iwol(&["plot", &name("kept"), "--out", &name("kept.png")]));
     assert!(fs::metadata(name("kept.png")).expect("a picture").len() > 10_000);
 }

@@ -1,6 +1,7 @@
 //! Reproducibility against the real simulator: same seed, same bits; stopping, resuming and validating change nothing.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::AtomicBool;
 
 use iwol_sumo::algo;
@@ -27,6 +28,18 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")
 }
 
+/// A policy with new weights, to be imitated, that sees more than the runs of these tests do.
+static TEACHER: LazyLock<PathBuf> = LazyLock::new(|| {
+    let text = config("mappo", "mlp", 720).0.to_toml();
+    let document = Document { name: "teacher".to_owned(), text, generated: true };
+    let sets = vec!["env.observation=both".to_owned()];
+    let (config, scenario) =
+        Config::resolve(&Layers { document, sets, ..Layers::default() }).expect("a valid configuration");
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("teacher.safetensors");
+    Trainer::new(config, scenario).expect("SUMO runs").checkpoint().save(&file).expect("saved");
+    file
+});
+
 /// One whose rollouts, where they may, grow to twice their length after two iterations.
 fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     let (mut config, scenario) = config(algorithm, encoder, 720);
@@ -36,7 +49,7 @@ fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     }
     // One of them imitates a policy that sees more, before and after it is resumed.
     if (algorithm, encoder) == ("ex-iwol", "mlp") {
-        config.train.teacher = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/scalability/mappo-48");
+        config.train.teacher = TEACHER.clone();
         config.train.imitate_steps = 1000;
     }
     (config, scenario)
