@@ -75,16 +75,7 @@ fn a_recording_says_what_the_evaluation_says() {
         train.extend(["--set", set]);
     }
     iwol(&train);
-    iwol(&[
-        "evaluate",
-        &run,
-        "--episodes",
-        "2",
-        "--record",
-        &recording,
-        "--record-episode",
-        "1",
-    ]);
+    iwol(&["evaluate", &run, "--episodes", "2", "--record", &recording, "--record-episode", "1"]);
     let recorded: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
     let bytes = |text: &serde_json::Value| {
