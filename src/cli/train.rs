@@ -130,7 +130,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let document = match (&args.config, &args.out) {
         (Some(path), _) => Document::read(path)?,
         // A run to resume brings its own settings.
-        (None, Some(out)) if args.resume => Document::read_run(&RunDir::new(out).config())?,
+        (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
         _ => Document::default(),
     };
     let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
@@ -143,7 +143,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }));
     if args.resume && args.config.is_none() && args.out.is_none() {
         // Only now is it known which run; it brings its own settings.
-        layers.document = Document::read_run(&dir.config())?;
+        layers.document = Document::read(&dir.config())?;
         (config, scenario) = Config::resolve(&layers)?;
     }
     if !args.resume && dir.last().exists() {

@@ -73,6 +73,7 @@ mod tests {
                 drag: 0.364,
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
                 steering: None,
+                initial_throttle: Control::INITIAL_THROTTLE,
             },
             Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
         )

@@ -151,6 +151,14 @@ pub struct Control {
     /// How the vehicle steers, as a first action before throttle and brake. Without it, that is the only action, and SUMO keeps the
     /// vehicle on its route.
     pub steering: Option<Steering>,
+    /// Mean throttle of an untrained policy, -1 to 1. At 0 vehicles hardly move under noise where
+    /// brakes are stronger than the engine; the larger it is, the sooner all drive at full throttle.
+    pub initial_throttle: f64,
+}
+
+impl Control {
+    /// Mean throttle of an untrained policy where a scenario does not say.
+    pub const INITIAL_THROTTLE: f64 = 0.5;
 }
 
 /// How a vehicle steers.

@@ -156,7 +156,6 @@ impl Cell {
         }
         let table = |text: &str| {
             let mut table: Table = toml::from_str(text).unwrap_or_default();
-            config::complete_older(&mut table);
             table.remove("simulation");
             table.remove("device");
             config::remove_untold(&mut table, &self.config.algorithm);
