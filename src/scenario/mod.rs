@@ -166,7 +166,8 @@ impl Control {
 pub struct Steering {
     /// Angle of the front wheels at full lock \[deg\].
     pub max_angle: f64,
-    /// Distance of the front axle from the centre of mass, which is the middle of the vehicle \[m\].
+    /// Distance of the front axle from the centre of mass, which is the middle of the vehicle
+    /// \[m\].
     pub front_axle: f64,
     /// Distance of the rear axle from it \[m\].
     pub rear_axle: f64,
@@ -176,7 +177,8 @@ pub struct Steering {
     pub friction: f64,
     /// Moment of inertia about the vertical axis, per mass \[m²\].
     pub yaw_inertia: f64,
-    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle brakes.
+    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle
+    /// brakes.
     pub reverse: bool,
 }
 
@@ -373,7 +375,8 @@ pub struct Termination {
     pub wreck_time: f64,
     /// What ends the road for a vehicle that steers.
     pub border: Border,
-    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken one, which vehicles may cross.
+    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken
+    /// one, which vehicles may cross.
     pub broken_lines: Vec<String>,
 }
 
