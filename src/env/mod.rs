@@ -12,6 +12,7 @@ mod fcfs;
 mod foresight;
 mod geometry;
 mod lidar;
+mod loitering;
 mod metrics;
 mod observation;
 mod order;
