@@ -6,14 +6,12 @@
 mod defaults;
 mod flat;
 mod layers;
-mod older;
 mod rules;
 mod uses;
 
 pub(crate) use flat::between;
 pub use flat::{Change, changes, flatten, plain};
 pub use layers::{Document, Error, Layers};
-pub use older::complete_older;
 pub use uses::no_matter_of_evaluation;
 
 use std::path::PathBuf;
@@ -221,6 +219,8 @@ pub struct Env {
     pub cooperation: f64,
     /// How far apart agents share in each other's reward \[m\]; `inf`: all agents of a world.
     pub share_range: f64,
+    /// Mean throttle of an untrained policy.
+    pub initial_throttle: f64,
     /// Reward per metre.
     pub reward_progress: f64,
     /// Reward per step at 80 km/h.
@@ -260,6 +260,7 @@ impl Env {
             communication_range: scenario.communication.range,
             cooperation: reward.cooperation,
             share_range: reward.share_range,
+            initial_throttle: scenario.control.initial_throttle,
             reward_progress: reward.progress,
             reward_speed: reward.speed,
             reward_arrive: reward.arrive,
@@ -289,6 +290,7 @@ impl Env {
         scenario.communication.range = self.communication_range;
         reward.cooperation = self.cooperation;
         reward.share_range = self.share_range;
+        scenario.control.initial_throttle = self.initial_throttle;
         reward.progress = self.reward_progress;
         reward.speed = self.reward_speed;
         reward.arrive = self.reward_arrive;

@@ -2,20 +2,25 @@
 //!
 //! Episode `i` depends on `(seed, i)` alone, so results do not depend on how many worlds share the work.
 
+mod knowledge;
+
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rand::RngExt as _;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation, Reconstruction};
+use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation};
 use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Pursuit, Task, VecEnv, VecOptions};
 use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
 use crate::sumo::Hosting;
+
+use knowledge::Sums;
+pub use knowledge::{DETERMINED, Knowledge, Probe};
 
 /// Steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
@@ -79,17 +84,6 @@ pub struct Evaluation {
     pub reconstruction: Vec<Knowledge>,
 }
 
-/// How well a latent predicts something that its agent does not observe, over the active agents of every eighth step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Knowledge {
-    /// Of what: `world` (the privileged state) or `interaction` (the agent's message).
-    pub name: &'static str,
-    /// Mean squared error over samples and dimensions.
-    pub error: f64,
-    /// Share of the truth's variance that is predicted: 1 is perfect, 0 as good as always saying the mean.
-    pub explained: f64,
-}
-
 /// Means with 95 % intervals, the episode (or the window) being the unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Metrics {
@@ -113,6 +107,10 @@ pub struct Metrics {
     pub sumo_collisions: Estimate,
     /// Colliding pairs per episode by our own test.
     pub own_collisions: Estimate,
+    /// Share of agents that loitered ([`EpisodeRecord::loitering`]).
+    pub loitering: Estimate,
+    /// Distance and crashes of all episodes together; `None` where nobody moved.
+    pub km_per_crash: Option<KmPerCrash>,
     /// Sums over all episodes: where the two tests differ, and why.
     pub audit: Audit,
     /// Sums over all episodes: why agents did not arrive.
@@ -122,6 +120,25 @@ pub struct Metrics {
     pub others: Option<OthersMetrics>,
     /// What the policy's latent knows.
     pub reconstruction: Vec<Knowledge>,
+}
+
+/// How far agents drive for each crash, over all episodes together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct KmPerCrash {
+    /// Distance that agents drove \[km\].
+    pub km: f64,
+    /// Crashes of agents ([`EpisodeRecord::crashes`]).
+    pub crashes: u64,
+    /// Kilometres per crash with the exact interval of a Poisson count; without a crash a lower bound alone.
+    #[serde(flatten)]
+    pub estimate: Estimate,
+}
+
+impl KmPerCrash {
+    /// From a distance \[km\] and a number of crashes; `None` where nobody moved.
+    pub fn new(km: f64, crashes: u64) -> Option<Self> {
+        Some(Self { km, crashes, estimate: Estimate::exposure_per_event(km, crashes)? })
+    }
 }
 
 /// What the vehicles met with that SUMO drove, and the pedestrians: see [`env::Others`] for the definitions. Shares and means are
@@ -191,6 +208,11 @@ impl Evaluation {
             efficiency: Estimate::t(&column(|r| r.efficiency))?,
             sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
             own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
+            loitering: Estimate::rate(&column(|r| r.loitering))?,
+            km_per_crash: KmPerCrash::new(
+                self.episodes.iter().map(|r| r.distance_km).sum(),
+                self.episodes.iter().map(|r| u64::from(r.crashes)).sum(),
+            ),
             audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
             failures: self.episodes.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
             others: OthersMetrics::of(&self.episodes),
@@ -340,42 +362,6 @@ struct PolicyDriver<'a> {
 /// Decisions between two looks at the latent.
 const LOOK: u64 = 8;
 
-/// Sums from which [`Knowledge`] follows, per thing that is predicted.
-#[derive(Default)]
-struct Sums(Vec<(&'static str, f64, Tensor)>);
-
-impl Sums {
-    /// Adds the active samples of one decision, `active [E, N]`.
-    fn add(&mut self, all: Vec<Reconstruction>, active: &Tensor) {
-        let weight = active.unsqueeze(-1).to_kind(Kind::Double);
-        let count = weight.sum(Kind::Double).double_value(&[]);
-        for Reconstruction { name, found, truth } in all {
-            let (found, truth) = (found.to_kind(Kind::Double), truth.to_kind(Kind::Double));
-            let sum = |x: Tensor| (x * &weight).sum_dim_intlist(&[0_i64, 1][..], false, Kind::Double);
-            // Per dimension: squared errors, the truth, its squares.
-            let sums =
-                Tensor::stack(&[sum((found - &truth).square()), sum(truth.shallow_clone()), sum(truth.square())], 0);
-            match self.0.iter_mut().find(|entry| entry.0 == name) {
-                Some(entry) => {
-                    entry.1 += count;
-                    entry.2 += sums;
-                }
-                None => self.0.push((name, count, sums)),
-            }
-        }
-    }
-
-    fn finish(&self) -> Vec<Knowledge> {
-        let finish = |(name, count, sums): &(&'static str, f64, Tensor)| {
-            let means = sums / count.max(1.0);
-            let error = means.get(0).mean(Kind::Double).double_value(&[]);
-            let variance = (means.get(2) - means.get(1).square()).mean(Kind::Double).double_value(&[]);
-            Knowledge { name, error, explained: if variance > 0.0 { 1.0 - error / variance } else { 0.0 } }
-        };
-        self.0.iter().map(finish).collect()
-    }
-}
-
 impl<'a> PolicyDriver<'a> {
     fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
         let (worlds, n) = (WORLDS, task.agents);
@@ -433,7 +419,9 @@ impl<'a> PolicyDriver<'a> {
                     to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
                 };
                 let mut sources = [Seed::new(0); WORLDS];
+                let mut episodes = [0; WORLDS];
                 for (e, world) in worlds.enumerate() {
+                    episodes[e] = world.episode();
                     sources[e] = self.seed.index(world.episode()).index(u64::from(world.step_count()));
                     let frame: &Frame = world.frame();
                     copy(&frame.observation, &mut self.observation, e);
@@ -459,7 +447,8 @@ impl<'a> PolicyDriver<'a> {
                 if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
-                    watch.knowledge.add(learner.reconstruct(&observation, &state), &active);
+                    let told = learner.reconstruct(&observation, &state);
+                    watch.knowledge.add(&told, &observation.observation, &active, &episodes);
                 }
                 self.decisions += 1;
                 if let Some((world, _)) = watched.filter(|_| channel.is_perfect()) {
@@ -516,6 +505,8 @@ fn channel_noise(channel: &Channel, sources: &[Seed], comm: &[f32], agents: usiz
 
 #[cfg(test)]
 mod tests {
+    use serde_json::Value;
+
     use super::*;
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
@@ -531,6 +522,9 @@ mod tests {
             efficiency: 0.0,
             sumo_collisions: 0,
             own_collisions: 0,
+            distance_km: 0.5,
+            crashes: 0,
+            loitering: 0.0,
             audit: Audit::default(),
             failures: Failures::default(),
             others: None,
@@ -544,6 +538,21 @@ mod tests {
         let records = [record(0, &[1.0; 600]), record(1, &[2.0; 600]), record(2, &[3.0; 999]), record(3, &[4.0; 500])];
         // 600 · 1 + 400 · 2, then a fresh start with the third episode: 999 · 3 + 1 · 4; the rest is no whole window.
         assert_eq!(windows(&records.iter().collect::<Vec<_>>()), vec![1400.0, 3001.0]);
+    }
+
+    #[test]
+    fn kilometres_and_crashes_are_those_of_all_episodes() {
+        let crashed = EpisodeRecord { crashes: 2, distance_km: 1.5, ..record(1, &[1.0; 1000]) };
+        let of = |episodes: Vec<EpisodeRecord>| {
+            let evaluation = Evaluation { episodes, windows: vec![1.0], reconstruction: Vec::new() };
+            evaluation.metrics().expect("episodes").km_per_crash.expect("they moved")
+        };
+        let found = of(vec![record(0, &[1.0; 1000]), crashed]);
+        assert_eq!((found.km, found.crashes, found.estimate.mean), (2.0, 2, 1.0));
+        assert!(found.estimate.low < 1.0 && found.estimate.high > 1.0);
+        let none = serde_json::to_value(of(vec![record(0, &[1.0; 1000])])).expect("JSON");
+        assert_eq!((&none["crashes"], &none["mean"], &none["high"]), (&0.into(), &Value::Null, &Value::Null));
+        assert!((none["low"].as_f64().expect("a lower bound") - 0.5 / 3.688_879).abs() < 1e-6);
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! - [`mod@env`]: the multi-agent environments; [`inspect`]: what a scenario looks like, and a trial run of it
 //! - [`nn`], [`rollout`], [`algo`]: the learners
 //! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`], [`replay`]: running them
-//! - [`stats`]: intervals and aggregates over seeds
+//! - [`stats`]: intervals and aggregates over seeds; [`provenance`]: which program and machine a result comes from
 
 pub mod algo;
 pub mod checkpoint;
@@ -19,6 +19,7 @@ mod fnv;
 pub mod inspect;
 pub mod nn;
 pub mod plot;
+pub mod provenance;
 pub mod record;
 pub mod replay;
 pub mod report;

@@ -10,6 +10,7 @@ pub mod aggregate;
 use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// The 97.5 % quantile of the standard normal distribution: half the width, in standard errors, of a 95 % interval.
 const Z_975: f64 = 1.959_963_984_540_054;
@@ -77,13 +78,40 @@ impl Estimate {
         // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
         Some(Self { mean, low: (centre - half).max(0.0).min(mean), high: (centre + half).min(1.0).max(mean) })
     }
+
+    /// How much exposure (kilometres, hours) there is for each event, with the exact interval of a
+    /// Poisson count (Garwood 1936): the count's bounds are quantiles of the chi-squared distribution.
+    ///
+    /// Without an event there is a lower bound alone: the mean is NaN and the upper bound infinite.
+    /// The interval presumes that events are independent; events that come in clusters make it too
+    /// narrow. `None` without exposure.
+    pub fn exposure_per_event(exposure: f64, events: u64) -> Option<Self> {
+        if !(exposure > 0.0 && exposure.is_finite()) {
+            return None;
+        }
+        let [fewest, most] = garwood(events);
+        let mean = if events > 0 { exposure / events as f64 } else { f64::NAN };
+        Some(Self { mean, low: exposure / most, high: exposure / fewest })
+    }
+}
+
+/// The exact 95 % interval of the mean of a Poisson distribution from which `events` were counted.
+fn garwood(events: u64) -> [f64; 2] {
+    let half_quantile =
+        |p: f64, degrees: f64| ChiSquared::new(degrees).expect("degrees of freedom are above 0").inverse_cdf(p) / 2.0;
+    let events = events as f64;
+    let low = if events > 0.0 { half_quantile(0.025, 2.0 * events) } else { 0.0 };
+    [low, half_quantile(0.975, 2.0 * events + 2.0)]
 }
 
 /// Mean and interval, `88.1 [82.9, 91.9]`, with as many decimals as the format's precision says (1 without); the mean alone where
-/// the values put no bounds on it.
+/// the values put no bounds on it; `> 12.3` where there is a lower bound alone.
 impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = f.precision().unwrap_or(1);
+        if self.mean.is_nan() && self.low.is_finite() {
+            return write!(f, "> {:.digits$}", self.low);
+        }
         write!(f, "{:.digits$}", self.mean)?;
         if self.low.is_finite() && self.high.is_finite() {
             write!(f, " [{:.digits$}, {:.digits$}]", self.low, self.high)?;
@@ -268,6 +296,40 @@ mod tests {
             close(e.low, low, 5e-5);
             close(e.high, high, 5e-5);
         }
+    }
+
+    #[test]
+    fn garwood_intervals_match_published_values() {
+        // Ulm (1990), "A simple method to calculate the confidence interval of a standardized mortality
+        // ratio": exact limits of Poisson counts.
+        for (events, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390)] {
+            let [least, most] = garwood(events);
+            close(least, low, 6e-4);
+            close(most, high, 6e-4);
+        }
+        // By definition: as many events or fewer have a chance of 2.5 % at the upper bound, as many or
+        // more at the lower one.
+        let below = |mean: f64, events: u64| {
+            let term = |k: u64| (k as f64 * mean.ln() - mean - ln_gamma(k as f64 + 1.0)).exp();
+            (0..=events).map(term).sum::<f64>()
+        };
+        for events in [1, 3, 40, 700, 20_000] {
+            let [least, most] = garwood(events);
+            close(below(most, events), 0.025, 1e-7);
+            close(1.0 - below(least, events - 1), 0.025, 1e-7);
+        }
+    }
+
+    #[test]
+    fn exposure_without_an_event_has_a_lower_bound_alone() {
+        let none = Estimate::exposure_per_event(100.0, 0).unwrap();
+        assert!(none.mean.is_nan() && none.high.is_infinite());
+        close(none.low, 100.0 / 3.688_879, 1e-4);
+        assert_eq!(none.to_string(), "> 27.1");
+        assert_eq!(serde_json::to_value(none).unwrap()["mean"], serde_json::Value::Null);
+        let some = Estimate::exposure_per_event(100.0, 10).unwrap();
+        assert_eq!(some.to_string(), "10.0 [5.4, 20.9]");
+        assert_eq!(Estimate::exposure_per_event(0.0, 0), None);
     }
 
     #[test]

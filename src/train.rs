@@ -5,6 +5,7 @@
 
 mod collect;
 mod files;
+mod meta;
 mod noise;
 mod run_dir;
 mod schedule;
@@ -341,6 +342,7 @@ impl Trainer {
             report(&Report { step, steps_per_second, training_success, validation_success, restarts });
         };
         files.sync()?;
+        dir.update_meta(&self.progress)?;
         self.checkpoint().save(&dir.last())?;
         if !dir.best().exists() {
             self.checkpoint().save(&dir.best())?;
@@ -365,6 +367,7 @@ impl Trainer {
         if schedule::hopeless(&self.config, &self.progress) {
             self.restart()?;
         }
+        dir.update_meta(&self.progress)?;
         self.checkpoint().save(&dir.last())?;
         Ok(success)
     }

@@ -139,9 +139,8 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     within("episode length", straight.episode_length.mean, 51.6, 0.1);
 }
 
-/// Success and share out of the road of pure pursuit by the same vehicle in another implementation:
-/// at 8 m/s, tyres that slide turn sharply enough for fewer to leave the road than 16 %, as they did
-/// with a vehicle that was fitted to 6 m/s.
+/// Success of pure pursuit, and the share of vehicles that leave the road, as another implementation
+/// of the same vehicle gave them.
 #[test]
 fn pure_pursuit_through_turns_is_as_in_the_reference() {
     for (name, speed, success, out_of_road) in [
@@ -160,7 +159,8 @@ fn pure_pursuit_through_turns_is_as_in_the_reference() {
     }
 }
 
-/// The control of the parking lot, and its vehicle on an open plane, at rest or at a speed straight ahead.
+/// The control of the parking lot, and its vehicle on an open plane, at rest or at a speed straight
+/// ahead.
 fn open_plane(speed: f64) -> (Scenario, Motion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
     let mut motion = Motion::at(Pose::default());
@@ -215,8 +215,8 @@ fn a_vehicle_that_steers_moves_as_measured() {
     }
 }
 
-/// States after each step of `walks` random walks of 1000 steps from rest, with normally distributed
-/// actions of these standard deviations, clipped.
+/// States after each step of `walks` random walks of 1000 steps from rest, with normally
+/// distributed actions of these standard deviations, clipped.
 fn random_walks(walks: u64, deviations: [f64; 2]) -> Vec<Vec<Motion>> {
     let (scenario, start) = open_plane(0.0);
     let walk = |walk: u64| {

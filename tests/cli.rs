@@ -159,6 +159,16 @@ fn damaged_checkpoints_are_refused() {
     for name in names {
         assert!(json["metrics"][name]["mean"].is_number(), "{name}");
     }
+    assert!(json["metrics"]["loitering"]["mean"].is_number() && json["metrics"]["km_per_crash"]["km"].is_number());
+    // Results say what they come from, and so does the run.
+    let meta: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(run.join("meta.json")).expect("it is there")).expect("JSON");
+    for key in ["version", "commit", "sumo", "libtorch"] {
+        assert!(meta[key].is_string(), "{key}: {meta}");
+        assert_eq!((&json["run"][key], &json["program"][key]), (&meta[key], &meta[key]), "{key}");
+    }
+    assert_eq!((&meta["steps"], &meta["restarts"], &json["run"]["restarts"]), (&64.into(), &0.into(), &0.into()));
+    assert!(meta["seconds"].as_f64() > Some(0.0) && meta["host"]["cores"].as_u64() > Some(0), "{meta}");
     assert!(json["metrics"]["failures"]["crossing"].is_u64());
     let success = &json["metrics"]["success"];
     assert!(

@@ -13,7 +13,11 @@ use iwol_sumo::sumo::{Backend, Command, Hosting, VehicleState, start};
 static ALONE: Mutex<()> = Mutex::new(());
 
 fn task(agents: u32) -> Arc<Task> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+    task_of("intersection", agents)
+}
+
+fn task_of(scenario: &str, agents: u32) -> Arc<Task> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
     Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), agents).expect("a task"))
 }
 
@@ -31,13 +35,15 @@ fn play(
 ) -> (Vec<u64>, Vec<EpisodeRecord>) {
     let options = VecOptions { replay: 0.0, worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
-    let mut actions = vec![0.0; worlds * task.agents];
+    let mut actions = vec![0.0; worlds * task.agents * task.spec.actions];
     let (mut bits, mut records) = (Vec::new(), Vec::new());
     for step in 0..steps {
         // Around a fair speed, so that vehicles crash, arrive and queue.
         rng::fill_normal(&mut Seed::new(5).index(step).rng(), &mut actions);
-        for action in &mut actions {
-            *action = 0.6 + 0.5 * *action;
+        for (k, action) in actions.iter_mut().enumerate() {
+            // Steering comes first, where there are two.
+            let steers = task.spec.actions == 2 && k % 2 == 0;
+            *action = if steers { 0.3 * *action } else { 0.6 + 0.5 * *action };
         }
         env.step(&actions).expect("a step");
         for world in env.worlds() {
@@ -65,10 +71,9 @@ fn hostings() -> Vec<Hosting> {
     all
 }
 
-fn agree(agents: u32, driver: Driver, steps: u64, least_episodes: usize) {
+fn agree(task: &Arc<Task>, driver: Driver, steps: u64, least_episodes: usize) {
     let _alone = ALONE.lock();
-    let task = task(agents);
-    let mut runs = hostings().into_iter().map(|hosting| (hosting, play(&task, driver, 6, steps, hosting)));
+    let mut runs = hostings().into_iter().map(|hosting| (hosting, play(task, driver, 6, steps, hosting)));
     let (_, (bits, records)) = runs.next().expect("a first hosting");
     assert!(records.len() >= least_episodes, "only {} episodes", records.len());
     for (hosting, (other_bits, other_records)) in runs {
@@ -81,17 +86,24 @@ fn agree(agents: u32, driver: Driver, steps: u64, least_episodes: usize) {
 
 #[test]
 fn eight_agents_see_the_same_wherever_their_world_runs() {
-    agree(8, Driver::Agents, 600, 20);
+    agree(&task(8), Driver::Agents, 600, 20);
+}
+
+/// Vehicles that steer move by our own law, and SUMO is told by speeds and by `moveToXY`.
+#[test]
+fn agents_that_steer_see_the_same_wherever_their_world_runs() {
+    agree(&task_of("parking_lot", 5), Driver::Agents, 600, 20);
+    agree(&task_of("intersection_turns", 8), Driver::Agents, 400, 10);
 }
 
 #[test]
 fn forty_eight_agents_see_the_same_wherever_their_world_runs() {
-    agree(48, Driver::Agents, 250, 4);
+    agree(&task(48), Driver::Agents, 250, 4);
 }
 
 #[test]
 fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
-    agree(8, Driver::Sumo, 400, 4);
+    agree(&task(8), Driver::Sumo, 400, 4);
 }
 
 /// What is reported of vehicles that are placed by their poses, in `worlds` worlds that do the same.

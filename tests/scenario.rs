@@ -372,6 +372,7 @@ prop_compose! {
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
                 interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
+                initial_throttle: 2.0 * share - 1.0,
                 steering: (counts[0] % 2 == 1).then(|| Steering {
                     max_angle: 0.1 + f64::from(counts[2] as u32), track: 0.1 + share, friction: 0.01 + fewer,
                     reverse: counts[1] % 2 == 1, ..Steering::default()

@@ -188,17 +188,23 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
     let markdown = read("report.md");
     for part in [
         "2 of 2 runs are finished",
-        "| success % at communication range | 100.0 | 10.0 |",
+        "| success % at communication range (± t-interval over seeds) | 100.0 | 10.0 |",
         "| published | 50.0 | – |",
         // One place: all metrics side by side.
-        "|  | success % | safety % | window reward |",
-        "| published, plain | 25.0 | – | 300.0 |",
+        "| ± t-interval over seeds | success % | safety % | window reward | loitering % |",
+        "| published, plain | 25.0 | – | 300.0 | – |",
+        "km per crash",
+        "Evaluated by iwol",
     ] {
         assert!(markdown.contains(part), "{part} is missing in {markdown}");
     }
     assert!(read("report.html").contains("data:image/png;base64,"));
     let summary: Value = serde_json::from_str(&read("summary.json")).expect("JSON");
     assert_eq!(summary["rows"].as_array().map(Vec::len), Some(6));
+    for row in summary["rows"].as_array().expect("rows") {
+        assert_eq!((&row["run"]["version"], &row["run"]["restarts"]), (&env!("CARGO_PKG_VERSION").into(), &0.into()));
+        assert_eq!(row["run"]["sumo"], row["program"]["sumo"]);
+    }
     let marl: Value = serde_json::from_str(&read("marl_eval.json")).expect("JSON");
     let run = &marl["intersection"]["env.communication_range=100.0"]["mappo"]["seed_1"];
     assert_eq!(
@@ -230,7 +236,9 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
     let result = runs.join("tiny/mappo/seed_0/evaluations/range_communication_range=10.0.json");
     let found: Value = serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
     let delay = found["metrics"]["others"]["delay"]["mean"].as_f64().expect("others lose time");
-    let table = markdown.split("| others' delay s at communication range | 100.0 | 10.0 |").nth(1).expect("a table");
+    let heading =
+        "| others' delay s at communication range ([interval] over the episodes of its one run) | 100.0 | 10.0 |";
+    let table = markdown.split(heading).nth(1).expect("a table");
     let row = table.lines().find(|line| line.starts_with("| mappo |")).expect("a row");
     assert!(
         row.rsplit('|').nth(1).is_some_and(|cell| cell.trim().starts_with(&format!("{delay:.1}"))),

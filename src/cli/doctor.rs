@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use iwol_sumo::provenance::{Program, libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
 
@@ -21,7 +22,7 @@ const NET: &str = include_str!("../../sumo_nets/intersection/arm30.net.xml");
 /// Only if the check itself cannot be carried out; what it finds wrong is part of what it prints.
 pub fn run() -> bool {
     let mut findings = Findings::default();
-    findings.row("iwol", format!("{} ({})", env!("CARGO_PKG_VERSION"), program()));
+    findings.row("iwol", format!("{}, {}", Program::current().describe(), program()));
     check_sumo(&mut findings);
     check_torch(&mut findings);
     check_threads(&mut findings);
@@ -132,13 +133,10 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
 }
 
 fn check_torch(findings: &mut Findings) {
-    let library = loaded("libtorch_cpu.so");
+    let library = loaded_library("libtorch_cpu.so");
     let folder = library.as_deref().and_then(Path::parent);
     // A libtorch of another origin may lack the file; then its version was checked by nobody, and we say no more.
-    let version = folder
-        .and_then(Path::parent)
-        .and_then(|home| fs::read_to_string(home.join("build-version")).ok())
-        .map_or_else(|| "version unknown".to_owned(), |text| text.trim().to_owned());
+    let version = libtorch_version().unwrap_or_else(|| "version unknown".to_owned());
     let place = folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
     let release = version.split('+').next().unwrap_or_default();
     if release.starts_with(|c: char| c.is_ascii_digit()) && release != TORCH {
@@ -152,7 +150,7 @@ fn check_torch(findings: &mut Findings) {
         Ok(sum) => findings.fault("arithmetic", format!("libtorch says that 1 + 2 is {sum}"), None),
         Err(error) => findings.fault("arithmetic", format!("libtorch could not add two numbers: {error}"), None),
     }
-    let with_cuda = loaded("libtorch_cuda.so").is_some();
+    let with_cuda = loaded_library("libtorch_cuda.so").is_some();
     findings.row(
         "device",
         if tch::Cuda::is_available() {
@@ -163,19 +161,6 @@ fn check_torch(findings: &mut Findings) {
             "cpu".to_owned()
         },
     );
-}
-
-/// Path of a shared library that this process has loaded.
-fn loaded(name: &str) -> Option<PathBuf> {
-    let maps = fs::read_to_string("/proc/self/maps").ok()?;
-    maps.lines().find_map(|line| library_path(line, name))
-}
-
-/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the sixth column and may
-/// hold spaces; the columns before it do not hold a slash.
-fn library_path(line: &str, name: &str) -> Option<PathBuf> {
-    let path = Path::new(&line[line.find('/')?..]);
-    (path.file_name()? == name).then(|| path.to_owned())
 }
 
 fn check_threads(findings: &mut Findings) {
@@ -249,21 +234,6 @@ mod tests {
             findings.to_string(),
             "iwol  0.1.0\nSUMO  see below\n\nwrong: SUMO: `sumo` was not found\n  hint: run `scripts/bootstrap`\n"
         );
-    }
-
-    #[test]
-    fn the_path_of_a_loaded_library_may_hold_spaces() {
-        let line = "7f00-7f10 r-xp 00001000 08:01 42                 /home/a b/lib/libtorch_cpu.so";
-        assert_eq!(library_path(line, "libtorch_cpu.so"), Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so")));
-        assert_eq!(library_path(line, "libtorch_cuda.so"), None);
-        assert_eq!(library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"), None);
-    }
-
-    #[test]
-    fn this_process_has_loaded_libtorch() {
-        assert_eq!(tch::Tensor::from_slice(&[1.0_f32]).size(), [1]);
-        let path = loaded("libtorch_cpu.so").expect("libtorch is linked");
-        assert!(path.is_file(), "{} is no file", path.display());
     }
 
     #[test]

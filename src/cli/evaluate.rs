@@ -11,7 +11,8 @@ use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{DETERMINED, Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate};
+use iwol_sumo::provenance::{Program, Training};
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
@@ -86,6 +87,11 @@ struct Row {
     /// `--set`, in order.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     set: Vec<String>,
+    /// What evaluated the policy.
+    program: Program,
+    /// What the policy was trained with, of a learned one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    run: Option<Training>,
     metrics: Metrics,
 }
 
@@ -154,6 +160,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         bail!("--out and --record are both {}: one would replace the other", path.display());
     }
     let stop = super::stop_flag()?;
+    let program = Program::current();
+    let training = args.run.as_deref().zip(checkpoint.as_ref()).map(|(path, checkpoint)| {
+        let known = RunDir::of(path).and_then(|run| run.training()).unwrap_or_default();
+        // A checkpoint alone says this at least.
+        Training { restarts: known.restarts.or(Some(checkpoint.progress.restarts)), ..known }
+    });
     let mut rows = Vec::new();
     let mut recorded = None;
     for (name, policy) in &policies {
@@ -195,6 +207,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .flatten()
                 .and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())),
             set: args.set.clone(),
+            program: program.clone(),
+            run: training.clone().filter(|_| matches!(policy, Policy::Learned(..))),
             metrics,
         });
     }
@@ -237,13 +251,36 @@ fn others(metrics: &Metrics, of: fn(&OthersMetrics) -> Option<Estimate>, write: 
     metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
 }
 
+/// What a latent explains of a target, and of what the observation does not determine of it.
+fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let whole = format!("{} of the {name}'s variance (mean squared error {error:.4})", percent(*explained));
+    let Some(probe) = probe else {
+        return format!("{whole}; there are too few episodes for a linear probe from the observation");
+    };
+    let (Some(own), Some(probed)) = (probe.undetermined_explained, probe.undetermined_probe_explained) else {
+        return format!("{whole}; the observation determines all {} features", probe.features);
+    };
+    format!(
+        "{whole}; the observation leaves {} of {} features open (linear probe below {:.0} %), of whose variance the latent \
+         explains {} and a linear probe from the observation {}",
+        probe.undetermined,
+        probe.features,
+        100.0 * DETERMINED,
+        percent(own),
+        percent(probed)
+    )
+}
+
 /// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
     let percent: fn(&Estimate) -> String =
         |e| Estimate { mean: 100.0 * e.mean, low: 100.0 * e.low, high: 100.0 * e.high }.to_string();
     let number: fn(&Estimate) -> String = Estimate::to_string;
     let fine: fn(&Estimate) -> String = |e| format!("{e:.3}");
-    let of_agents: [(&str, Cell<'_>); 10] = [
+    let kilometres: fn(&Metrics) -> String =
+        |m| m.km_per_crash.map_or_else(|| "–".to_owned(), |k| format!("{:.2}", k.estimate));
+    let of_agents: [(&str, Cell<'_>); 12] = [
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),
         ("crash %", &|m| percent(&m.crash)),
@@ -254,6 +291,8 @@ fn table(rows: &[Row]) -> String {
         ("efficiency", &|m| fine(&m.efficiency)),
         ("collisions", &|m| fine(&m.own_collisions)),
         ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
+        ("km per crash", &kilometres),
+        ("loitering %", &|m| percent(&m.loitering)),
     ];
     let of_vehicles: [(&str, Cell<'_>); 6] = [
         ("others", &|m| others(m, |o| Some(o.vehicles), number)),
@@ -306,11 +345,9 @@ fn table(rows: &[Row]) -> String {
         text.push('\n');
     }
     for row in rows.iter().filter(|row| !row.metrics.reconstruction.is_empty()) {
-        let know = |k: &Knowledge| {
-            format!("{:.1} % of the {}'s variance (mean squared error {:.4})", 100.0 * k.explained, k.name, k.error)
-        };
-        let parts: Vec<String> = row.metrics.reconstruction.iter().map(know).collect();
-        let _ = writeln!(text, "latent of {}: explains {}", row.policy, parts.join(" and "));
+        for known in &row.metrics.reconstruction {
+            let _ = writeln!(text, "latent of {}: explains {}", row.policy, describe(known));
+        }
     }
     for row in rows {
         for line in row.metrics.failures.describe() {

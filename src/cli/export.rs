@@ -31,6 +31,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     std::fs::create_dir_all(args.out.join("checkpoints"))
         .with_context(|| format!("cannot make the folder `{}`", args.out.display()))?;
     record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
+    // The policy takes along with what it was trained.
+    let meta = RunDir::of(&args.run).map(|run| run.meta()).filter(|meta| meta.is_file());
+    if let Some(meta) = meta {
+        let bytes = std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
+        record::write_atomic(&dir.meta(), &bytes)?;
+    }
     checkpoint.save(&dir.best())?;
     tell!("{}", args.out.display());
     Ok(Verdict::Good)

@@ -3,15 +3,14 @@
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
-use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration, teacher_fingerprint};
-use iwol_sumo::{record, sumo};
+use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
 use toml::Value;
 
 use super::Verdict;
@@ -107,30 +106,11 @@ fn same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
-/// What somebody needs to know who finds the folder in a year.
-fn write_meta(dir: &RunDir, config: &Config, fingerprint: &str, worlds: &str) -> anyhow::Result<()> {
-    let sumo = sumo::find_sumo()?;
-    let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let meta = serde_json::json!({
-        "iwol": env!("CARGO_PKG_VERSION"),
-        "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>(),
-        "scenario": fingerprint,
-        "teacher": teacher_fingerprint(config),
-        "started_unix_s": started,
-        "sumo": sumo::sumo_version(&sumo)?,
-        "worlds": worlds,
-        "cores": std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-        "shards": config.ppo.shards,
-        "device": String::from(config.device),
-    });
-    Ok(record::write_atomic(&dir.meta(), format!("{meta:#}\n").as_bytes())?)
-}
-
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let document = match (&args.config, &args.out) {
         (Some(path), _) => Document::read(path)?,
         // A run to resume brings its own settings.
-        (None, Some(out)) if args.resume => Document::read_run(&RunDir::new(out).config())?,
+        (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
         _ => Document::default(),
     };
     let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
@@ -143,7 +123,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }));
     if args.resume && args.config.is_none() && args.out.is_none() {
         // Only now is it known which run; it brings its own settings.
-        layers.document = Document::read_run(&dir.config())?;
+        layers.document = Document::read(&dir.config())?;
         (config, scenario) = Config::resolve(&layers)?;
     }
     if !args.resume && dir.last().exists() {
@@ -209,7 +189,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let hosting = config.hosting();
     let worlds = if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
     say!("{worlds}");
-    write_meta(&dir, &config, &fingerprint, &worlds)?;
+    dir.begin_meta(&config, trainer.progress(), &fingerprint, &worlds)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(
         ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")

@@ -4,8 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use toml::{Table, Value};
 
-use super::complete_older;
-
 /// The settings of a table and of those in it, by names such as `ppo.gamma`.
 pub fn flatten(table: &Table) -> BTreeMap<String, Value> {
     let mut flat = BTreeMap::new();
@@ -45,14 +43,9 @@ impl std::fmt::Display for Change {
     }
 }
 
-/// How the TOML text `is` of a configuration differs from `was`, by name. Settings that one is too old for have the values that say what
-/// was done before there were any.
+/// How the TOML text `is` of a configuration differs from `was`, by name.
 pub fn changes(was: &str, is: &str) -> Vec<Change> {
-    let flat = |text: &str| {
-        let mut table = text.parse().unwrap_or_default();
-        complete_older(&mut table);
-        flatten(&table)
-    };
+    let flat = |text: &str| flatten(&text.parse().unwrap_or_default());
     between(&flat(was), &flat(is))
 }
 
@@ -78,8 +71,5 @@ mod tests {
             found,
             ["algorithm = magic (was mat)", "ppo.epochs = 3 (was nothing)", "ppo.gamma = 0.5 (was 0.99)"]
         );
-        // What is older than a setting did what its neutral value says.
-        assert!(said("[ppo]", "[ppo]\nbounds = 0.0").is_empty());
-        assert_eq!(said("[ppo]", "[ppo]\nbounds = 0.1"), ["ppo.bounds = 0.1 (was 0.0)"]);
     }
 }

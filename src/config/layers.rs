@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::{Config, DEFAULT_ALGORITHM, complete_older, flatten};
+use super::{Config, DEFAULT_ALGORITHM, flatten};
 use crate::algo;
 use crate::scenario::{self, Scenario};
 use crate::suggest::nearest;
@@ -32,21 +32,8 @@ impl Document {
         Ok(Self { name: path.display().to_string(), text, generated: false })
     }
 
-    /// Reads the configuration that a run was made with, which may be older than some settings.
-    ///
-    /// # Errors
-    /// [`Error::Read`].
-    pub fn read_run(path: &Path) -> Result<Self, Error> {
-        let Self { name, text, .. } = Self::read(path)?;
-        Ok(Self::of_run(name, text))
-    }
-
     /// The configuration that a run was made with, from its text.
     pub fn of_run(name: String, text: String) -> Self {
-        // One that cannot be parsed is refused where it is resolved; one that is not older stays as it is, so that mistakes in it are
-        // told with their lines.
-        let mut table = toml::from_str::<Table>(&text).unwrap_or_default();
-        let text = if complete_older(&mut table) { table.to_string() } else { text };
         Self { name, text, generated: false }
     }
 
@@ -370,28 +357,6 @@ mod tests {
             resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
         assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
         assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
-    }
-
-    #[test]
-    fn a_run_that_is_older_than_a_setting_goes_on_as_it_was() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("config.toml");
-        let now = resolve_on("parking_lot", "", &[]).unwrap();
-        let mut table: Table = toml::from_str(&now.to_toml()).unwrap();
-        for (group, setting) in [("ppo", "gamma_explored"), ("train", "growth"), ("train", "imitate_steps")] {
-            table[group].as_table_mut().unwrap().remove(setting).unwrap();
-        }
-        std::fs::write(&file, table.to_string()).unwrap();
-        let of = |document: Document| Config::resolve(&Layers { document, ..Layers::default() }).unwrap().0;
-        let resumed = of(Document::read_run(&file).unwrap());
-        assert_eq!((resumed.ppo.gamma_explored, resumed.train.growth, resumed.train.imitate_steps), (0.0, 1, 0));
-        // Otherwise it would change at a resume.
-        assert!(now.ppo.gamma_explored > 0.0 && now.train.growth > 1 && now.train.imitate_steps > 0);
-        assert_eq!(of(Document::read(&file).unwrap()), now);
-        // What lacks nothing stays as somebody wrote it, lines and all.
-        let text = format!("# mine\n\n{}", now.to_toml());
-        std::fs::write(&file, &text).unwrap();
-        assert_eq!(Document::read_run(&file).unwrap().text, text);
     }
 
     #[test]

@@ -191,6 +191,7 @@ impl Config {
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),
             (&["env.cooperation"], share(e.cooperation), "0 to 1"),
             (&["env.share_range"], e.share_range >= 0.0, "0 or more, or inf"),
+            (&["env.initial_throttle"], (-1.0..=1.0).contains(&e.initial_throttle), "-1 to 1"),
             (&["env.reward_progress"], e.reward_progress.is_finite(), "a finite number"),
             (&["env.reward_speed"], e.reward_speed.is_finite(), "a finite number"),
             (&["env.reward_arrive"], e.reward_arrive.is_finite(), "a finite number"),

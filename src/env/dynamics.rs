@@ -1,9 +1,10 @@
 //! The longitudinal law: from a throttle action to the motion of one decision interval.
 //!
-//! Constant acceleration, as measured on the vehicle of the paper's simulator: thrust in proportion to the action, a
-//! weak brake at zero, braking along a curve that is five to ten times stronger than thrust. A vehicle that does not steer
-//! never moves backwards. Integrated in the 0.02 s substeps of that simulator: a brake that stops a slow vehicle early in the interval
-//! must not let it roll on, or random actions would creep forward.
+//! Constant acceleration, as measured on the vehicle of the paper's simulator: thrust in proportion
+//! to the action, a weak brake at zero, braking along a curve that is five to ten times stronger
+//! than thrust. A vehicle that does not steer never moves backwards. Integrated in the 0.02 s
+//! substeps of that simulator: a brake that stops a slow vehicle early in the interval must not let
+//! it roll on, or random actions would creep forward.
 
 use crate::scenario::{Control, Vehicle};
 
@@ -73,6 +74,7 @@ mod tests {
                 drag: 0.364,
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
                 steering: None,
+                initial_throttle: Control::INITIAL_THROTTLE,
             },
             Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
         )

@@ -94,9 +94,8 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
     };
     let reach = other.speed.max(DRIVING) * HORIZON;
     let new = |(k, place): &(usize, Candidate)| {
-        let same = |earlier: Candidate| {
-            knowledge.are_one(&earlier, place, reach) && standing(&earlier) == standing(place)
-        };
+        let same =
+            |earlier: Candidate| knowledge.are_one(&earlier, place, reach) && standing(&earlier) == standing(place);
         !knowledge.candidates(j).take(*k).any(same)
     };
     knowledge.candidates(j).enumerate().filter(new).map(|(_, place)| on(place)).fold(Free::ALL, Free::min)

@@ -28,6 +28,17 @@ pub struct EpisodeRecord {
     pub sumo_collisions: u32,
     /// Distinct pairs of overlapping boxes by our own test, of vehicles.
     pub own_collisions: u32,
+    /// Distance that the agents drove, all together \[km\]; 0 in files of older versions.
+    #[serde(default)]
+    pub distance_km: f64,
+    /// Crashes of agents: pairs of which at least one was an agent that was still driving. Two agents
+    /// that collide are one crash; the other may also be a wreck, background traffic or a pedestrian.
+    #[serde(default)]
+    pub crashes: u32,
+    /// Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at most 15 m from
+    /// their finish and with nobody ahead. 0 in files of older versions.
+    #[serde(default)]
+    pub loitering: f64,
     /// Where the two differ, and why.
     pub audit: Audit,
     /// Why agents did not arrive.

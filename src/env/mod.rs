@@ -13,6 +13,7 @@ mod foresight;
 mod geometry;
 mod intention;
 mod lidar;
+mod loitering;
 mod metrics;
 mod observation;
 mod order;

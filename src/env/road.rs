@@ -1,10 +1,11 @@
 //! The road surface: where lanes are, and the lines at their sides that a vehicle must not touch.
 //!
-//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of the rightmost. Over a junction, a way
-//! from the rightmost lane into the rightmost has a border to its right where no other way crosses that: it leads along the outside. A
-//! vehicle whose centre is on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line between two directions
-//! is left, and no part of a vehicle may be beyond the kerb. Where a road ends in the net there is neither line nor kerb across it:
-//! only the centre must not be beyond.
+//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of
+//! the rightmost. Over a junction, a way from the rightmost lane into the rightmost has a border to
+//! its right where no other way crosses that: it leads along the outside. A vehicle whose centre is
+//! on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line
+//! between two directions is left, and no part of a vehicle may be beyond the kerb. Where a road
+//! ends in the net there is neither line nor kerb across it: only the centre must not be beyond.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -35,7 +36,8 @@ type Point = [f64; 2];
 struct Strip {
     ends: [Point; 2],
     half: f64,
-    /// Whether the road ends at either end: then nothing beyond counts as on the lane; else half a circle does.
+    /// Whether the road ends at either end: then nothing beyond counts as on the lane; else half a
+    /// circle does.
     last: [bool; 2],
 }
 
@@ -56,8 +58,8 @@ impl Strip {
         if !self.covers(from) {
             return None;
         }
-        // What counts is convex: a circle around either end that is not the last, and the box between them. It is left where the
-        // last of them is.
+        // What counts is convex: a circle around either end that is not the last, and the box
+        // between them. It is left where the last of them is.
         let circle = |end: usize| {
             if self.last[end] {
                 return None;
@@ -172,7 +174,8 @@ impl Road {
         Ok(road)
     }
 
-    /// The lanes, and where roads end in the net: edges that no connection leads to, or none leads away from.
+    /// The lanes, and where roads end in the net: edges that no connection leads to, or none leads
+    /// away from.
     fn lay_lanes(&mut self, net: &Net) {
         let reached: HashSet<usize> = net.connections.iter().map(|join| join.to).collect();
         let left: HashSet<usize> = net.connections.iter().map(|join| join.from).collect();
@@ -221,7 +224,8 @@ impl Road {
         }
     }
 
-    /// The lines between edges that lead from one junction to another and back, but where they are broken.
+    /// The lines between edges that lead from one junction to another and back, but where they are
+    /// broken.
     fn draw_between_directions(&mut self, net: &Net, broken: &[String]) {
         let left = |edge: &Edge| {
             let lane = &net.lanes[net.carriageway(edge).end - 1];
@@ -312,7 +316,8 @@ impl Road {
         self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
-    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or a part of it is beyond the kerb.
+    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or a part
+    /// of it is beyond the kerb.
     pub(super) fn left_by(&self, pose: &Pose) -> bool {
         let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
         let (sin, cos) = pose.heading.sin_cos();
@@ -336,8 +341,8 @@ impl Road {
         strips.iter().any(|&i| self.strips[i as usize].covers(point))
     }
 
-    /// Whether a point is where parts of a vehicle may be that has its centre on a lane: beyond the end of a road, where there is no
-    /// kerb.
+    /// Whether a point is where parts of a vehicle may be that has its centre on a lane: beyond the
+    /// end of a road, where there is no kerb.
     fn beyond_end(&self, point: Point) -> bool {
         let ends = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.ends);
         ends.iter().any(|&i| {
@@ -578,8 +583,8 @@ mod tests {
             assert_eq!(measured.left_by(&pose), out, "{what}");
         }
         assert!(whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }), "a whole line must not be touched");
-        // Where the last space meets the curve out of the lot, the kerb is convex: there is a place at which all corners are on
-        // lanes, and a side is not.
+        // Where the last space meets the curve out of the lot, the kerb is convex: there is a place
+        // at which all corners are on lanes, and a side is not.
         let corners_only = |pose: &Pose| {
             let (sin, cos) = pose.heading.sin_cos();
             let corner = |a: f64, b: f64| {

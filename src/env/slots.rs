@@ -6,6 +6,7 @@
 use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
 use super::intention::Intentions;
+use super::loitering::Loitering;
 use super::routes::RouteGeometry;
 use super::steering::Motion;
 
@@ -69,6 +70,8 @@ pub(super) struct Slot {
     pub(super) fate: Fate,
     /// The first crash.
     pub(super) crash: Option<Crash>,
+    /// How long it has loitered, of an agent.
+    pub(super) loitering: Loitering,
 }
 
 /// How an agent ended; several may hold at once.
@@ -104,6 +107,7 @@ pub(super) const EMPTY: Slot = Slot {
     turn: 0,
     fate: Fate { arrived: false, crashed: false, out_of_road: false },
     crash: None,
+    loitering: Loitering { has_moved: false, time: 0.0 },
 };
 
 /// The vehicles of a world and how they stand to each other; what observations are made from.
@@ -139,6 +143,12 @@ impl Traffic {
     /// Where the vehicle of a slot is, and its direction.
     pub(super) fn stance(&self, slot: usize) -> Stance {
         self.stances[slot]
+    }
+
+    /// Distance that the active ones of the first `agents` slots moved in the last step \[m\].
+    pub(super) fn driven_by_agents(&self, agents: usize) -> f64 {
+        let active = self.slots[..agents].iter().filter(|slot| slot.status == Status::Active);
+        active.map(|slot| slot.pose.distance(&slot.before)).sum()
     }
 
     /// Queues, distances and directions from the slots' poses.

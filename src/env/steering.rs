@@ -182,6 +182,7 @@ mod tests {
             drag: 0.364,
             brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
             steering: Some(steering),
+            initial_throttle: Control::INITIAL_THROTTLE,
         };
         (control, steering, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 })
     }

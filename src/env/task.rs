@@ -8,7 +8,7 @@ use super::pursuit::way_around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{ActionDimension, EnvSpec, Error, observation, state};
-use crate::scenario::{Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
+use crate::scenario::{Control, Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
 use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
 
@@ -181,7 +181,7 @@ impl Task {
         let road = needed.then(|| Road::new(&net, [length, width], &scenario.termination)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
-            actions: actions(scenario.control.steering.is_some()),
+            actions: actions(&scenario.control),
             observation: observation::describe(scenario),
             state: state::describe(scenario),
         };
@@ -334,10 +334,11 @@ impl Task {
 /// engines, so untrained policies accelerate. To stay on the road takes a steadier hand than to
 /// find a speed: steering has less noise, and a wheel that is held wrong for long leads off the
 /// road, so its noise is independent from step to step.
-fn actions(steers: bool) -> Vec<ActionDimension> {
+fn actions(control: &Control) -> Vec<ActionDimension> {
     let steer = ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
-    let throttle = ActionDimension { initial_mean: 0.5, ..ActionDimension::named("throttle") };
-    if steers { vec![steer, throttle] } else { vec![throttle] }
+    let throttle =
+        ActionDimension { initial_mean: control.initial_throttle as f32, ..ActionDimension::named("throttle") };
+    if control.steering.is_some() { vec![steer, throttle] } else { vec![throttle] }
 }
 
 fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {

@@ -1,6 +1,7 @@
 //! Properties of a world, against a simulator that does exactly what it is told: vehicles move along their route's centre
 //! line by speed times the step. What SUMO itself does is tested in `tests/`.
 
+mod driving;
 mod intention;
 mod others;
 mod ways;

@@ -21,6 +21,7 @@ use super::failures::{Crash, Failures, UPSTREAM};
 use super::fcfs;
 use super::geometry::{Pose, boxes_overlap};
 use super::intention::{Intentions, Knowledge};
+use super::loitering;
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::road::BESIDE;
@@ -112,6 +113,10 @@ pub struct World {
     total_reward: f64,
     step_rewards: Vec<f32>,
     pairs: Pairs,
+    /// Distance that the agents have driven in this episode, all together \[m\].
+    distance: f64,
+    /// Crashes of agents in this episode ([`EpisodeRecord::crashes`]).
+    crashes: u32,
     actions: Vec<f32>,
     interrupted: bool,
     respawns: u64,
@@ -157,6 +162,8 @@ impl World {
             total_reward: 0.0,
             step_rewards: Vec::new(),
             pairs: Pairs::default(),
+            distance: 0.0,
+            crashes: 0,
             actions: Vec::new(),
             interrupted: false,
             respawns: 0,
@@ -454,6 +461,8 @@ impl World {
         }
         self.place(world, snapshot)?;
         self.find_collisions(world, snapshot);
+        self.distance += self.traffic.driven_by_agents(self.task.agents);
+        loitering::watch(&self.task, &mut self.traffic.slots);
         let task = &*self.task;
         let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < task.agents;
         for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {
@@ -545,6 +554,8 @@ impl World {
                     boxes_overlap((&a, slots[i].size), (&b, slots[j].size))
                 });
                 if hit {
+                    let drives = |k: usize| k < agents && moving(k);
+                    self.crashes += u32::from(drives(i) || drives(j));
                     let on_way = |a: usize, b: usize| {
                         let way = &self.task.routes[slots[a].route];
                         way.shared_position(slots[b].route, slots[b].s).is_some_and(|s| s >= slots[a].s)
@@ -592,6 +603,9 @@ impl World {
             efficiency: (success - danger) * n / f64::from(self.step.max(1)),
             sumo_collisions: self.pairs.of_sumo(),
             own_collisions: self.pairs.of_ours(),
+            distance_km: self.distance / 1000.0,
+            crashes: self.crashes,
+            loitering: share(|slot| slot.loitering.is_long()),
             audit: self.pairs.audit(),
             failures,
             others: self.others_record(),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{Block, Error, Line, METRICS, Metric, Row, references, scores};
+use super::{Block, Error, Line, METRICS, Metric, Row, Unit, references, scores};
 use crate::plot::{Panel, Series, Style, figure};
 use crate::record::read_json_lines;
 use crate::stats::aggregate::{performance_profile, sample_efficiency};
@@ -23,7 +23,7 @@ pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(
         }
     }
     let panels: Vec<Panel> = if names.is_empty() {
-        block.metrics().map(|metric| panel(sweep, block, metric, None)).collect()
+        block.drawn().map(|metric| panel(sweep, block, metric, None)).collect()
     } else {
         names.into_iter().map(|name| panel(sweep, block, &METRICS[0], Some(name))).collect()
     };
@@ -38,14 +38,15 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         })
         .collect();
     let count = lines.len();
+    let unit = block.unit();
     if block.x.is_none() && count > 1 {
-        return side_by_side(&lines, &references(sweep, block, metric).collect::<Vec<_>>(), metric);
+        return side_by_side(&lines, &references(sweep, block, metric).collect::<Vec<_>>(), metric, unit);
     }
     let mut series: Vec<Series> = Vec::new();
     for (k, (label, line)) in lines.iter().enumerate() {
         let dodge = dodge(k, count, block.categories.len());
         let places =
-            line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric)?)));
+            line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric, unit)?)));
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
         series.push(Series { label: (*label).to_owned(), points, band: Some(band), style: Style::Whiskers });
     }
@@ -63,7 +64,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     }
     // Panels side by side have one scale.
     let of_all =
-        |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric)?.mean)).collect::<Vec<_>>();
+        |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric, unit)?.mean)).collect::<Vec<_>>();
     let all = block.series.iter().flat_map(of_all).chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
     Panel {
         title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
@@ -77,11 +78,17 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
 }
 
 /// The lines of one place beside each other, each with its name below.
-fn side_by_side(lines: &[(&str, &Line<'_>)], published: &[(&Reference, Vec<(usize, f64)>)], metric: &Metric) -> Panel {
+fn side_by_side(
+    lines: &[(&str, &Line<'_>)],
+    published: &[(&Reference, Vec<(usize, f64)>)],
+    metric: &Metric,
+    unit: Unit,
+) -> Panel {
     const HERE: &str = "here";
     // What is not a number keeps points apart that no line should join.
     let apart = |points: Vec<(f64, f64)>| points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect();
-    let found = lines.iter().enumerate().filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric)?)));
+    let found =
+        lines.iter().enumerate().filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric, unit)?)));
     let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
     // Published values stand a little aside of the line that they belong to, or by themselves.
     let mut categories: Vec<String> = lines.iter().map(|(label, _)| (*label).to_owned()).collect();

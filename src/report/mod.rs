@@ -1,6 +1,7 @@
 //! The report of a sweep: tables, figures and data for other programs, made from the files of its cells alone.
 //!
-//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. Aggregates over several places of the
+//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. A table or figure has one unit of
+//! interval and names it ([`Unit`]). Aggregates over several places of the
 //! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see [`crate::stats::aggregate`].
 
 mod document;
@@ -12,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+use crate::provenance::Training;
 use crate::record::{self, read_json_lines, write_atomic};
 use crate::stats::Estimate;
 use crate::sweep::{self, Cell, Evaluate, Reference, Sweep, plain};
@@ -36,6 +38,10 @@ pub const METRICS: [Metric; 3] = [
     Metric { key: "safety", title: "safety %", axis: "agents (%)", factor: 100.0 },
     Metric { key: "window_reward", title: "window reward", axis: "reward per agent in 1000 steps", factor: 1.0 },
 ];
+
+/// What is tabulated besides, of results that have it.
+pub const OF_DRIVING: [Metric; 1] =
+    [Metric { key: "loitering", title: "loitering %", axis: "agents (%)", factor: 100.0 }];
 
 /// What is tabulated and drawn besides where SUMO drives some vehicles.
 pub const OF_OTHERS: [Metric; 5] = [
@@ -75,20 +81,68 @@ struct Row<'a> {
     runs: Vec<(&'a Cell, Option<Value>)>,
 }
 
+/// The independent values of which an interval is made. The intervals of one table or figure have one unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unit {
+    /// Trained runs: Student's t interval of their mean, which says what another seed may give. Where all runs give the
+    /// same it is a point.
+    Seeds,
+    /// The episodes of the one run that there is: what that policy does, whatever another seed would give.
+    Episodes,
+    /// The episodes of all runs together, of a rate: Wilson's interval, which is no point where all runs give the same. It
+    /// says what these policies do, whatever another seed would give.
+    Together,
+}
+
+impl Unit {
+    /// As a table's heading says it.
+    fn describe(self) -> &'static str {
+        match self {
+            Self::Seeds => "± t-interval over seeds",
+            Self::Episodes => "[interval] over the episodes of its one run",
+            Self::Together => "[Wilson interval] of all episodes together",
+        }
+    }
+}
+
 impl Metric {
     /// A number of it in what was found, times its factor.
     fn of(&self, found: &Value, number: &str) -> Option<f64> {
         let metric = self.key.split('.').fold(&found["metrics"], |value, key| &value[key]);
         Some(metric[number].as_f64()? * self.factor)
     }
+
+    /// Whether it is a share, in percent.
+    fn is_rate(&self) -> bool {
+        self.factor == 100.0
+    }
 }
 
 impl Block<'_> {
-    /// The metrics that its runs have.
+    /// The metrics that its runs have, for tables.
     fn metrics(&self) -> impl Iterator<Item = &'static Metric> {
-        let has =
-            |metric: &&Metric| self.series.iter().flat_map(|line| &line.rows).any(|row| !row.values(metric).is_empty());
-        METRICS.iter().chain(OF_OTHERS.iter().filter(has))
+        METRICS.iter().chain(OF_DRIVING.iter().chain(&OF_OTHERS).filter(|metric| self.has(metric)))
+    }
+
+    /// The metrics of which there are figures.
+    fn drawn(&self) -> impl Iterator<Item = &'static Metric> {
+        METRICS.iter().chain(OF_OTHERS.iter().filter(|metric| self.has(metric)))
+    }
+
+    fn has(&self, metric: &Metric) -> bool {
+        self.series.iter().flat_map(|line| &line.rows).any(|row| !row.values(metric).is_empty())
+    }
+
+    /// The unit of a figure's intervals: the seed, unless no line has several.
+    fn unit(&self) -> Unit {
+        if self.series.iter().any(Line::has_seeds) { Unit::Seeds } else { Unit::Episodes }
+    }
+}
+
+impl Line<'_> {
+    /// Whether the sweep has several seeds of it, finished or not.
+    fn has_seeds(&self) -> bool {
+        self.rows.iter().any(|row| row.runs.len() > 1)
     }
 }
 
@@ -103,25 +157,69 @@ impl Row<'_> {
         self.runs.iter().filter_map(|(_, found)| metric.of(found.as_ref()?, "mean")).collect()
     }
 
-    /// Mean and interval over seeds; of a single seed the interval over its episodes. Rates stay in their range.
-    fn estimate(&self, metric: &Metric) -> Option<Estimate> {
+    /// Mean and interval. Bounds that the unit does not give (of one seed, over seeds) are infinite; others of rates stay
+    /// in their range.
+    fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
         let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
-        if let [only] = finished[..] {
-            let open = |key: &str, none: f64| metric.of(only, key).unwrap_or(none);
-            let (low, high) = (open("low", f64::NEG_INFINITY), open("high", f64::INFINITY));
-            return Some(Estimate { mean: metric.of(only, "mean")?, low, high });
-        }
         let values = self.values(metric);
-        let e = Estimate::t(&values)?;
-        if metric.factor == 100.0 && values.iter().all(|value| *value == values[0]) {
-            // No spread is no certainty: the episodes of all runs together still leave room.
-            let episodes = finished.iter().filter_map(|found| found["episodes"].as_u64()).sum::<u64>() as usize;
-            let pooled = Estimate::rate(&vec![e.mean / 100.0; episodes.max(1)])?;
-            return Some(Estimate { mean: e.mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high });
+        match unit {
+            Unit::Seeds => {
+                let e = Estimate::t(&values)?;
+                let (low, high) = if metric.is_rate() && e.low.is_finite() {
+                    (e.low.max(0.0), e.high.min(100.0))
+                } else {
+                    (e.low, e.high)
+                };
+                Some(Estimate { low, high, ..e })
+            }
+            Unit::Episodes => {
+                let [only] = finished[..] else { return None };
+                let open = |key: &str, none: f64| metric.of(only, key).unwrap_or(none);
+                let (low, high) = (open("low", f64::NEG_INFINITY), open("high", f64::INFINITY));
+                Some(Estimate { mean: metric.of(only, "mean")?, low, high })
+            }
+            Unit::Together => {
+                let of = |found: &&Value| Some((found["episodes"].as_u64()?, metric.of(found, "mean")?));
+                let runs: Vec<(u64, f64)> = finished.iter().filter_map(of).collect();
+                let episodes: u64 = runs.iter().map(|run| run.0).sum();
+                let mean = runs.iter().map(|run| run.0 as f64 * run.1).sum::<f64>() / episodes as f64;
+                let pooled = Estimate::rate(&vec![mean / 100.0; episodes as usize])?;
+                Some(Estimate { mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high })
+            }
         }
-        let (low, high) = if metric.factor == 100.0 { (0.0, 100.0) } else { (f64::NEG_INFINITY, f64::INFINITY) };
-        Some(Estimate { mean: e.mean, low: e.low.max(low), high: e.high.min(high) })
     }
+
+    /// Whether several runs all give the same.
+    fn is_tied(&self, metric: &Metric) -> bool {
+        let values = self.values(metric);
+        values.len() > 1 && values.iter().all(|value| *value == values[0])
+    }
+
+    /// Distance \[km\] and crashes of all finished runs; `None` where the results do not have them.
+    fn driven(&self) -> Option<(f64, u64)> {
+        let of = |found: &Value| {
+            let driven = &found["metrics"]["km_per_crash"];
+            Some((driven["km"].as_f64()?, driven["crashes"].as_f64()? as u64))
+        };
+        let runs = self.runs.iter().filter_map(|(_, found)| of(found.as_ref()?));
+        runs.reduce(|sum, run| (sum.0 + run.0, sum.1 + run.1))
+    }
+
+    /// A number of each finished run about what the latent knows of `target`; `key` is one of
+    /// [`crate::evaluate::Knowledge`] or, after `probe.`, of [`crate::evaluate::Probe`].
+    fn known(&self, target: &str, key: &str) -> Vec<f64> {
+        let of = |found: &Value| {
+            let all = found["metrics"]["reconstruction"].as_array()?;
+            let of_target = all.iter().find(|known| known["name"] == target)?;
+            key.split('.').fold(of_target, |value, key| &value[key]).as_f64()
+        };
+        self.runs.iter().filter_map(|(_, found)| of(found.as_ref()?)).collect()
+    }
+}
+
+/// What a cell was trained with, as its run folder says, or else one of its results.
+fn training(cell: &Cell, found: Option<&Value>) -> Option<Training> {
+    cell.run().training().or_else(|| serde_json::from_value(found?.get("run")?.clone()).ok())
 }
 
 /// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures, `summary.json` (every run's metrics) and
@@ -152,11 +250,18 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         document.heading(2, &heading(sweep, block));
         let file = out.join(format!("{}.png", block.evaluate.name));
         figures::results(&file, sweep, block)?;
-        let all: Vec<&str> = block.metrics().map(|metric| metric.title.trim_end_matches(" %")).collect();
+        let all: Vec<&str> = block.drawn().map(|metric| metric.title.trim_end_matches(" %")).collect();
         let shown = if block.evaluate.panels.is_some() { "success".to_owned() } else { all.join(", ") };
-        document.figure(&file, &format!("{}: {shown}", heading(sweep, block)));
+        let whiskers = match block.unit() {
+            Unit::Seeds => "over seeds",
+            _ => "over the episodes of the one run of each",
+        };
+        let text = format!("{}: {shown}; whiskers are 95 % intervals {whiskers}", heading(sweep, block));
+        document.figure(&file, &text);
         written.push(file);
         tables::results(&mut document, sweep, block);
+        tables::kilometres(&mut document, block);
+        tables::knowledge(&mut document, block);
         if block.categories.len() > 1 && block.series.len() > 1 {
             tables::aggregates(&mut document, block);
             let file = out.join(format!("{}_profile.png", block.evaluate.name));
@@ -172,7 +277,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         document.figure(&file, "Success in validation against environment steps, mean over seeds");
         written.push(file);
     }
-    tables::training(&mut document, sweep);
+    tables::training(&mut document, sweep, &blocks);
     let mut save = |name: &str, bytes: &[u8]| -> Result<(), Error> {
         let path = out.join(name);
         write_atomic(&path, bytes)?;
@@ -324,7 +429,8 @@ fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
                         "cell": cell.id, "algorithm": cell.config.algorithm, "agents": cell.config.agents,
                         "seed": cell.config.seed, "episodes": found["episodes"],
                         "training_steps": trained.as_ref().map(|t| t.steps),
-                        "training_seconds": trained.map(|t| t.seconds), "metrics": found["metrics"],
+                        "training_seconds": trained.map(|t| t.seconds), "run": training(cell, Some(found)),
+                        "program": found["program"], "metrics": found["metrics"],
                     }));
                 }
             }

@@ -2,12 +2,16 @@
 
 use std::fmt::Write as _;
 
+use serde_json::Value;
+
 use super::document::Document;
-use super::{Block, METRICS, Metric, Row, aggregate, references, resamples, scores};
-use crate::stats::Estimate;
+use super::{Block, Line, METRICS, Metric, Row, Unit, aggregate, references, resamples, scores};
+use crate::evaluate::KmPerCrash;
+use crate::provenance::Program;
 use crate::stats::aggregate::{
     bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
 };
+use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
 
 /// How the numbers came about, and what is missing.
@@ -24,74 +28,172 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     if failed > 0 {
         let _ = write!(text, ", {failed} failed");
     }
-    text += ". The unit is the seed: ± is the 95 % t-interval over trained runs (brackets hold the interval over \
-             episodes, of a single run, or of runs that do not differ). Deterministic policies, episodes that training and validation did not see.";
+    text += ". Intervals are 95 %. The heading of a table says over what: trained runs (seeds), or the episodes of \
+             a single run, which say nothing about other seeds. Deterministic policies, episodes that training and validation did not see.";
     document.text(text);
 }
 
 /// A table per metric, a line per series, a column per place; published values below. One table with a column per metric where
-/// there is but one place.
+/// there is but one place. Lines with several seeds and lines with one have tables of their own, as their intervals have other
+/// units.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
-    if block.x.is_none() {
-        return of_one_place(document, sweep, block);
-    }
-    let axis = block.x.as_deref().map_or("", |x| x.rsplit('.').next().unwrap_or(x)).replace('_', " ");
-    for metric in block.metrics() {
-        let header = |title: &str| [&[title.to_owned()], &block.categories[..]].concat();
-        let title = if axis.is_empty() { metric.title.to_owned() } else { format!("{} at {axis}", metric.title) };
-        let mut rows: Vec<Vec<String>> = Vec::new();
-        for line in &block.series {
-            let cells = line.rows.iter().map(|row| cell(row, metric));
-            rows.push(std::iter::once(line.label.clone()).chain(cells).collect());
+    let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) = block.series.iter().partition(|line| line.has_seeds());
+    let metrics: Vec<&Metric> = block.metrics().collect();
+    let tables: Vec<Vec<&Metric>> =
+        if block.x.is_none() { vec![metrics] } else { metrics.into_iter().map(|metric| vec![metric]).collect() };
+    for metrics in tables {
+        let mut published = true;
+        for (lines, unit) in [(&several, Unit::Seeds), (&single, Unit::Episodes)] {
+            if !lines.is_empty() {
+                table(document, sweep, block, (lines, &metrics, unit), std::mem::take(&mut published));
+            }
         }
-        for (reference, points) in references(sweep, block, metric) {
-            let at =
-                |place: usize| points.iter().find(|p| p.0 == place).map_or("–".to_owned(), |p| format!("{:.1}", p.1));
-            let cells = (0..block.categories.len()).map(at);
-            rows.push(std::iter::once(reference.label.clone()).chain(cells).collect());
+        let ties = |metric: &&Metric| {
+            metric.is_rate() && several.iter().flat_map(|line| &line.rows).any(|row| row.is_tied(metric))
+        };
+        let rates: Vec<&Metric> = metrics.iter().copied().filter(|metric| metric.is_rate()).collect();
+        if rates.iter().any(ties) {
+            document.text(
+                "Where all seeds give the same, the interval over seeds is a point. This is what the episodes of all \
+                 seeds together leave open about these policies; it says nothing about other seeds:",
+            );
+            table(document, sweep, block, (&several, &rates, Unit::Together), false);
         }
-        document.table(header(&title), rows);
     }
 }
 
-fn of_one_place(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
-    let metrics: Vec<&Metric> = block.metrics().collect();
-    let row_of = |line: &super::Line<'_>| {
-        let cells = metrics.iter().map(|metric| line.rows.first().map_or("–".to_owned(), |row| cell(row, metric)));
-        std::iter::once(line.label.clone()).chain(cells).collect()
-    };
-    let mut rows: Vec<Vec<String>> = block.series.iter().map(row_of).collect();
-    for (place, metric) in metrics.iter().enumerate() {
+/// A table of some lines and metrics with intervals of one unit, with published values below if they are wanted.
+fn table(
+    document: &mut Document,
+    sweep: &Sweep,
+    block: &Block<'_>,
+    (lines, metrics, unit): (&[&Line<'_>], &[&Metric], Unit),
+    published: bool,
+) {
+    let places = block.categories.len();
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for line in lines {
+        let cells = metrics.iter().flat_map(|metric| line.rows.iter().map(|row| cell(row, metric, unit)));
+        rows.push(std::iter::once(line.label.clone()).chain(cells).collect());
+    }
+    for (number, metric) in metrics.iter().enumerate().filter(|_| published) {
         for (reference, points) in references(sweep, block, metric) {
-            let known = (block.series.len()..rows.len()).find(|&i| rows[i][0] == reference.label);
+            let known = (lines.len()..rows.len()).find(|&i| rows[i][0] == reference.label);
             let row = known.unwrap_or_else(|| {
-                rows.push(vec!["–".to_owned(); metrics.len() + 1]);
+                rows.push(vec!["–".to_owned(); metrics.len() * places + 1]);
                 rows.len() - 1
             });
             rows[row][0].clone_from(&reference.label);
-            if let Some((_, value)) = points.first() {
-                rows[row][place + 1] = format!("{value:.1}");
+            for (place, value) in points {
+                rows[row][1 + number * places + place] = format!("{value:.1}");
             }
         }
     }
-    let header = std::iter::once(String::new()).chain(metrics.iter().map(|metric| metric.title.to_owned()));
-    document.table(header.collect(), rows);
+    let unit = unit.describe();
+    let header: Vec<String> = match (axis(block), metrics) {
+        (Some(axis), [metric]) => {
+            let title = format!("{} at {axis} ({unit})", metric.title);
+            std::iter::once(title).chain(block.categories.iter().cloned()).collect()
+        }
+        _ => std::iter::once(unit.to_owned()).chain(metrics.iter().map(|metric| metric.title.to_owned())).collect(),
+    };
+    document.table(header, rows);
 }
 
-/// Mean ± half width over seeds; mean and brackets for one.
-fn cell(row: &Row<'_>, metric: &Metric) -> String {
-    let Some(e) = row.estimate(metric) else { return "–".to_owned() };
+/// The last part of the key along the horizontal axis, if there is one.
+fn axis(block: &Block<'_>) -> Option<String> {
+    block.x.as_deref().map(|x| x.rsplit('.').next().unwrap_or(x).replace('_', " "))
+}
+
+/// Mean ± half width over seeds, the mean alone of one; mean and brackets over episodes.
+fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
+    let Some(e) = row.estimate(metric, unit) else { return "–".to_owned() };
     let values = row.values(metric);
     let partial = if values.len() < row.runs.len() {
         format!(" ({} of {})", values.len(), row.runs.len())
     } else {
         String::new()
     };
-    let half = Estimate::t(&values).map_or(f64::NAN, |t| t.high - t.mean);
-    if values.len() == 1 || (half == 0.0 && e.low < e.high) {
-        return format!("{e}{partial}");
+    match unit {
+        Unit::Seeds => format!("{}{partial}", over_seeds(&values, 1)),
+        Unit::Episodes | Unit::Together => format!("{e}{partial}"),
     }
-    format!("{:.1} ± {half:.1}{partial}", e.mean)
+}
+
+/// Mean ± half the width of the t-interval over seeds, the mean alone of one; a dash without values.
+fn over_seeds(values: &[f64], digits: usize) -> String {
+    match Estimate::t(values) {
+        None => "–".to_owned(),
+        Some(e) if e.high.is_infinite() => format!("{:.digits$}", e.mean),
+        Some(e) => format!("{:.digits$} ± {:.digits$}", e.mean, e.high - e.mean),
+    }
+}
+
+/// How far agents drove for each crash, over all runs and episodes of a place together.
+pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
+    let rows: Vec<Vec<String>> = (block.series.iter())
+        .map(|line| {
+            let cells = line.rows.iter().map(|row| {
+                let per_crash = row.driven().and_then(|(km, crashes)| KmPerCrash::new(km, crashes));
+                per_crash
+                    .map_or_else(|| "–".to_owned(), |k| format!("{:.2} ({} in {:.1} km)", k.estimate, k.crashes, k.km))
+            });
+            std::iter::once(line.label.clone()).chain(cells).collect()
+        })
+        .collect();
+    if rows.iter().flat_map(|row| &row[1..]).all(|cell| cell == "–") {
+        return;
+    }
+    let at = axis(block).map_or_else(String::new, |axis| format!(" at {axis}"));
+    let title = format!("km per crash{at} ([exact Poisson interval] of the crashes of all runs together)");
+    let places = if at.is_empty() { vec!["km per crash".to_owned()] } else { block.categories.clone() };
+    document.table(std::iter::once(title).chain(places).collect(), rows);
+}
+
+/// What the latents know, and a linear probe from the observation beside it, of the features that the observation does not
+/// determine.
+pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
+    for target in ["world", "interaction"] {
+        let mut rows: Vec<Vec<String>> = Vec::new();
+        for line in &block.series {
+            for (category, row) in block.categories.iter().zip(&line.rows) {
+                if row.known(target, "explained").is_empty() {
+                    continue;
+                }
+                let percent = |key: &str| {
+                    let values: Vec<f64> = row.known(target, key).iter().map(|share| 100.0 * share).collect();
+                    over_seeds(&values, 1)
+                };
+                let features = |key: &str| {
+                    let mean = stats::mean(&row.known(target, key));
+                    mean.map_or_else(|| "–".to_owned(), |mean| format!("{mean:.0}"))
+                };
+                let place = if category.is_empty() { String::new() } else { format!(", {category}") };
+                rows.push(vec![
+                    format!("{}{place}", line.label),
+                    percent("explained"),
+                    percent("probe.explained"),
+                    format!("{} of {}", features("probe.undetermined"), features("probe.features")),
+                    percent("probe.undetermined_explained"),
+                    percent("probe.undetermined_probe_explained"),
+                ]);
+            }
+        }
+        if rows.is_empty() {
+            continue;
+        }
+        let unit = if block.unit() == Unit::Seeds { "± t-interval over seeds" } else { "one run each" };
+        let title = format!("variance of the {target} that is explained, % ({unit})");
+        let header = [
+            title.as_str(),
+            "by the latent",
+            "by a linear probe from the observation",
+            "features that the observation leaves open",
+            "of these by the latent",
+            "of these by the probe",
+        ];
+        document.table(header.map(str::to_owned).to_vec(), rows);
+    }
 }
 
 /// Aggregates over all places, and how likely one line beats another.
@@ -132,7 +234,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let header = std::iter::once("probability that the line beats the column".to_owned());
     let header = header.chain(lines.iter().map(|line| line.label.clone())).collect();
     let rows = lines.iter().map(|line| {
-        let versus = |other: &&&super::Line<'_>| {
+        let versus = |other: &&&Line<'_>| {
             if std::ptr::eq(*line, **other) {
                 return "–".to_owned();
             }
@@ -145,36 +247,79 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     document.table(header, rows.collect());
 }
 
-/// What training took, per cell without its seed.
-pub(super) fn training(document: &mut Document, sweep: &Sweep) {
-    let mut groups: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+/// The trained runs that differ in their seed alone.
+#[derive(Default)]
+struct Group {
+    /// Steps and seconds of each.
+    runs: Vec<(f64, f64)>,
+    /// Restarts with new weights of each.
+    restarts: Vec<String>,
+    /// Programs that trained them, and SUMO's versions.
+    programs: Vec<String>,
+    sumo: Vec<String>,
+}
+
+/// What training took and with what it was done, per cell without its seed, and what evaluated the policies.
+pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'_>]) {
+    let mut groups: Vec<(String, Group)> = Vec::new();
     for cell in &sweep.cells {
         let Some(trained) = cell.trained() else { continue };
         let name = cell.id.rsplit_once("/seed_").map_or(cell.id.as_str(), |(name, _)| name).to_owned();
-        let entry = (trained.steps as f64, trained.seconds);
-        match groups.iter_mut().find(|group| group.0 == name) {
-            Some(group) => group.1.push(entry),
-            None => groups.push((name, vec![entry])),
+        let place = groups.iter().position(|group| group.0 == name).unwrap_or_else(|| {
+            groups.push((name, Group::default()));
+            groups.len() - 1
+        });
+        let group = &mut groups[place].1;
+        group.runs.push((trained.steps as f64, trained.seconds));
+        let found = results_of(blocks, &cell.id).next();
+        let known = super::training(cell, found).unwrap_or_default();
+        group.restarts.push(known.restarts.map_or_else(|| "–".to_owned(), |restarts| restarts.to_string()));
+        for program in known.earlier.iter().chain([&known.program]) {
+            add(&mut group.programs, program.describe());
+            add(&mut group.sumo, program.sumo.clone());
         }
     }
     if groups.is_empty() {
         return;
     }
     document.heading(2, "Training");
-    let header = ["runs", "seeds", "steps", "minutes", "steps/s"].map(str::to_owned).to_vec();
-    let rows = groups.into_iter().map(|(name, runs)| {
+    let header = ["runs", "seeds", "steps", "minutes", "steps/s", "restarts of each seed", "iwol", "SUMO"];
+    let rows = groups.into_iter().map(|(name, group)| {
+        let runs = &group.runs;
         let column = |of: fn(&(f64, f64)) -> f64| runs.iter().map(of).collect::<Vec<_>>();
         let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
-        let minutes = column(|run| run.1 / 60.0);
-        let half = Estimate::t(&minutes).map(|e| e.high - e.mean).filter(|half| half.is_finite());
-        let minutes = mean(minutes);
         vec![
             name,
             runs.len().to_string(),
             format!("{:.0}", mean(column(|run| run.0))),
-            half.map_or_else(|| format!("{minutes:.1}"), |half| format!("{minutes:.1} ± {half:.1}")),
+            over_seeds(&column(|run| run.1 / 60.0), 1),
             format!("{:.0}", mean(column(|run| run.0 / run.1.max(1e-9)))),
+            group.restarts.join(", "),
+            group.programs.join("; "),
+            group.sumo.join("; "),
         ]
     });
-    document.table(header, rows.collect());
+    document.table(header.map(str::to_owned).to_vec(), rows.collect());
+    let mut programs = Vec::new();
+    for found in blocks.iter().flat_map(|block| results_of(std::slice::from_ref(block), "")) {
+        let program: Program = serde_json::from_value(found["program"].clone()).unwrap_or_default();
+        add(&mut programs, format!("iwol {} with SUMO {}", program.describe(), program.sumo));
+    }
+    document.text(format!(
+        "Restarts: how often training began again with new weights. Evaluated by {}.",
+        programs.join("; ")
+    ));
+}
+
+/// What was found of the cell with this id, or of all cells for an empty one.
+fn results_of<'a>(blocks: &'a [Block<'_>], id: &'a str) -> impl Iterator<Item = &'a Value> {
+    let rows = blocks.iter().flat_map(|block| &block.series).flat_map(|line| &line.rows);
+    let runs = rows.flat_map(|row| &row.runs).filter(move |(cell, _)| id.is_empty() || cell.id == id);
+    runs.filter_map(|(_, found)| found.as_ref())
+}
+
+fn add(known: &mut Vec<String>, value: String) {
+    if !known.contains(&value) {
+        known.push(value);
+    }
 }

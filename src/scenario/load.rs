@@ -452,7 +452,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     fn control(&self, node: Node<'a, 'input>) -> Result<Control, Error> {
-        let attributes = &["mode", "interval", "accel", "drag", "brake"];
+        let attributes = &["mode", "interval", "accel", "drag", "brake", "initialThrottle"];
         let steered = match self.text(node, "mode")? {
             "throttle" => false,
             "steering" => true,
@@ -469,6 +469,10 @@ impl<'a, 'input> Reader<'a, 'input> {
             accel: self.positive(node, "accel")?,
             drag: self.not_negative(node, "drag")?,
             brake: self.brake(node)?,
+            initial_throttle: match node.attribute("initialThrottle") {
+                None => Control::INITIAL_THROTTLE,
+                Some(_) => self.number(node, "initialThrottle", "-1 to 1", |v| (-1.0..=1.0).contains(&v))?,
+            },
         })
     }
 

@@ -151,6 +151,14 @@ pub struct Control {
     /// How the vehicle steers, as a first action before throttle and brake. Without it, that is the only action, and SUMO keeps the
     /// vehicle on its route.
     pub steering: Option<Steering>,
+    /// Mean throttle of an untrained policy, -1 to 1. At 0 vehicles hardly move under noise where
+    /// brakes are stronger than the engine; the larger it is, the sooner all drive at full throttle.
+    pub initial_throttle: f64,
+}
+
+impl Control {
+    /// Mean throttle of an untrained policy where a scenario does not say.
+    pub const INITIAL_THROTTLE: f64 = 0.5;
 }
 
 /// How a vehicle steers.
@@ -158,7 +166,8 @@ pub struct Control {
 pub struct Steering {
     /// Angle of the front wheels at full lock \[deg\].
     pub max_angle: f64,
-    /// Distance of the front axle from the centre of mass, which is the middle of the vehicle \[m\].
+    /// Distance of the front axle from the centre of mass, which is the middle of the vehicle
+    /// \[m\].
     pub front_axle: f64,
     /// Distance of the rear axle from it \[m\].
     pub rear_axle: f64,
@@ -168,7 +177,8 @@ pub struct Steering {
     pub friction: f64,
     /// Moment of inertia about the vertical axis, per mass \[m²\].
     pub yaw_inertia: f64,
-    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle brakes.
+    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle
+    /// brakes.
     pub reverse: bool,
 }
 
@@ -365,7 +375,8 @@ pub struct Termination {
     pub wreck_time: f64,
     /// What ends the road for a vehicle that steers.
     pub border: Border,
-    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken one, which vehicles may cross.
+    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken
+    /// one, which vehicles may cross.
     pub broken_lines: Vec<String>,
 }
 

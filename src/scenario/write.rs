@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use super::{Border, Intention, Lidar, NeighbourOrder, Scenario, Steering, Traffic};
+use super::{Border, Control, Intention, Lidar, NeighbourOrder, Scenario, Steering, Traffic};
 
 impl Scenario {
     /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
@@ -65,6 +65,9 @@ impl Scenario {
         )?;
         let brake: Vec<String> = c.brake.iter().map(|(m, d)| format!("{m}:{d}")).collect();
         write!(xml, "brake=\"{}\"", brake.join(" "))?;
+        if c.initial_throttle != Control::INITIAL_THROTTLE {
+            write!(xml, " initialThrottle=\"{}\"", c.initial_throttle)?;
+        }
         if let Some(s) = c.steering {
             write!(xml, ">\n        <steering maxAngle=\"{}\"", s.max_angle)?;
             let otherwise = Steering::default();

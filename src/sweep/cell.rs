@@ -156,7 +156,6 @@ impl Cell {
         }
         let table = |text: &str| {
             let mut table: Table = toml::from_str(text).unwrap_or_default();
-            config::complete_older(&mut table);
             table.remove("simulation");
             table.remove("device");
             config::remove_untold(&mut table, &self.config.algorithm);
@@ -226,7 +225,7 @@ impl Cell {
     }
 
     /// Copies what reports are made from, if training is over, to the same place below another folder of run folders: settings,
-    /// validations and evaluations, without weights.
+    /// versions, validations and evaluations, without weights.
     ///
     /// # Errors
     /// When a file cannot be read or written.
@@ -244,6 +243,9 @@ impl Cell {
         let copies = kept.folder.join("evaluations");
         std::fs::create_dir_all(&copies).map_err(io("create", &copies))?;
         let mut files = vec![(self.run().config(), kept.run().config())];
+        if self.run().meta().exists() {
+            files.push((self.run().meta(), kept.run().meta()));
+        }
         for entry in std::fs::read_dir(&evaluations).map_err(io("read", &evaluations))? {
             let name = entry.map_err(io("read", &evaluations))?.file_name();
             files.push((evaluations.join(&name), copies.join(&name)));

@@ -13,6 +13,27 @@ use crate::env::EpisodeRecord;
 use crate::evaluate::Evaluation;
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 
+/// Keys of what a validation says about a decoder: error and explained variance over all features,
+/// explained variance of the linear probe, undetermined features, and explained variance of these by
+/// the decoder and by the probe ([`crate::evaluate::Probe`]).
+const WORLD: [&str; 6] = [
+    "validation/world_error",
+    "validation/world_explained",
+    "validation/world_probe_explained",
+    "validation/world_undetermined",
+    "validation/world_undetermined_explained",
+    "validation/world_undetermined_probe_explained",
+];
+/// The same of the interaction decoder.
+const INTERACTION: [&str; 6] = [
+    "validation/interaction_error",
+    "validation/interaction_explained",
+    "validation/interaction_probe_explained",
+    "validation/interaction_undetermined",
+    "validation/interaction_undetermined_explained",
+    "validation/interaction_undetermined_probe_explained",
+];
+
 /// The open files of a run.
 pub(super) struct Files {
     metrics: JsonLines,
@@ -129,11 +150,17 @@ impl Files {
             ("time/total_s", progress.seconds),
         ];
         for r in &evaluation.reconstruction {
-            let keys = match r.name {
-                "world" => ("validation/world_error", "validation/world_explained"),
-                _ => ("validation/interaction_error", "validation/interaction_explained"),
-            };
-            values.extend([(keys.0, r.error), (keys.1, r.explained)]);
+            let keys = if r.name == "world" { &WORLD } else { &INTERACTION };
+            let probe = r.probe.as_ref();
+            let numbers = [
+                Some(r.error),
+                Some(r.explained),
+                probe.map(|p| p.explained),
+                probe.map(|p| p.undetermined as f64),
+                probe.and_then(|p| p.undetermined_explained),
+                probe.and_then(|p| p.undetermined_probe_explained),
+            ];
+            values.extend(keys.iter().zip(numbers).filter_map(|(key, number)| Some((*key, number?))));
         }
         self.write(progress.step, &values)
     }

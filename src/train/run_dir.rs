@@ -26,7 +26,7 @@ impl RunDir {
         self.0.join("config.toml")
     }
 
-    /// How and with what the run was started.
+    /// With what, on what and how the run is trained, and how far it is.
     pub fn meta(&self) -> PathBuf {
         self.0.join("meta.json")
     }
@@ -45,8 +45,7 @@ impl RunDir {
     }
 
     fn begun_with(&self, what: &str) -> Option<String> {
-        let meta: serde_json::Value = serde_json::from_slice(&std::fs::read(self.meta()).ok()?).ok()?;
-        Some(meta[what].as_str()?.to_owned())
+        Some(self.read_meta()?[what].as_str()?.to_owned())
     }
 
     /// A line per iteration, and one per validation.
@@ -92,6 +91,16 @@ impl RunDir {
 
     fn lock_file(&self) -> PathBuf {
         self.0.join(".lock")
+    }
+
+    /// The run folder of what `path` stands for: a run folder, or a checkpoint in the folder `checkpoints` of one.
+    pub fn of(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            return Some(Self::new(path));
+        }
+        let folder = path.parent().filter(|folder| folder.file_name().is_some_and(|name| name == "checkpoints"))?;
+        let run = folder.parent()?;
+        Some(Self::new(if run.as_os_str().is_empty() { Path::new(".") } else { run }))
     }
 
     /// The checkpoint that `path` stands for: a file for itself, a run folder for its best one, or else its last.

@@ -172,7 +172,8 @@ fn ways_that_lie_on_each_other_meet() {
     assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
 }
 
-/// The reward for speed counts its magnitude, as the paper's simulator does: who drives backwards is paid as well.
+/// The reward for speed counts its magnitude, as the paper's simulator does: who drives backwards
+/// is paid as well.
 #[test]
 fn the_reward_for_speed_is_for_its_magnitude() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");

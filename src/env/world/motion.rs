@@ -124,6 +124,7 @@ impl World {
         self.total_reward = 0.0;
         self.step_rewards.clear();
         self.pairs.clear();
+        (self.distance, self.crashes) = (0.0, 0);
         self.actions.clear();
         let mut rng = self.seed.index(self.episode).rng();
         let mut places: Vec<usize> = (0..task.places.len()).collect();

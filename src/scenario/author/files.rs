@@ -148,6 +148,7 @@ impl Layout {
                 drag: 0.364,
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
                 steering: None,
+                initial_throttle: Control::INITIAL_THROTTLE,
             },
             observation: Observation {
                 groups: ObservationGroups::Conflict,

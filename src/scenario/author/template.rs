@@ -59,8 +59,8 @@ const RAMP: f64 = PI / 6.0;
 /// Radius of the curves between a road and spaces, and length of a space \[m\].
 const CURVE: f64 = 4.0;
 const DEPTH: f64 = 8.0;
-/// From the last of these curves to where the line between the directions begins \[m\]: in a narrow curve a vehicle with tyres points
-/// to the inside of its way by up to 26 degrees.
+/// From the last of these curves to where the line between the directions begins \[m\]: in a narrow
+/// curve a vehicle with tyres points to the inside of its way by up to 26 degrees.
 const STRAIGHT: f64 = 1.0;
 /// Most agents of a parking lot, which has four routes for each, and highest speed \[m/s\], at which one stops within sight.
 const LOT_AGENTS: u32 = 60;

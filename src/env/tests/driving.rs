@@ -1,0 +1,92 @@
+//! What an episode's record says about driving: distance, crashes, loitering.
+
+use super::*;
+
+/// An episode in which the agents of one lane stop `stops[k]` metres before the finish, counted from
+/// the first of the lane, or drive through at full throttle where there is none; all others stand at
+/// their spawn places. The record, and what was driven by SUMO's count \[km\].
+fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
+    let task = task(16, |s| s.termination.horizon = 300);
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    exchange(&mut world, &mut rails, &[0.0; 16]);
+    let start: Vec<(usize, f64)> = rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
+    let mut lane: Vec<usize> = (0..16).filter(|&i| start[i].0 == 0).collect();
+    lane.sort_by(|&a, &b| start[b].1.total_cmp(&start[a].1));
+    let half = task.scenario.vehicle.length / 2.0;
+    let mut last = start.clone();
+    loop {
+        let mut actions = [0.0; 16];
+        for (&i, stop) in lane.iter().zip(stops) {
+            let Some((route, front, speed)) = rails.vehicles[i] else { continue };
+            let left = stop.map(|stop| task.routes[route].arrival + half - stop - front);
+            // Brakes such that the vehicle stands at the wanted place.
+            let wanted = left.map_or(f64::INFINITY, |left| (8.0 * left.max(0.0)).sqrt());
+            actions[i] = if speed >= wanted { -0.3 } else { 1.0 };
+        }
+        exchange(&mut world, &mut rails, &actions);
+        for (last, vehicle) in last.iter_mut().zip(&rails.vehicles) {
+            last.1 = vehicle.map_or(last.1, |(_, s, _)| s);
+        }
+        if let Some(record) = world.take_finished() {
+            let driven: f64 = last.iter().zip(&start).map(|(last, start)| last.1 - start.1).sum();
+            return (record, driven / 1000.0);
+        }
+    }
+}
+
+#[test]
+fn an_agent_that_waits_before_its_finish_loiters() {
+    let share = |stops: &[Option<f64>]| lane(stops).0.loitering * 16.0;
+    assert_eq!(share(&[Some(5.0)]), 1.0, "it stands 5 m before its finish, with nobody ahead");
+    assert_eq!(share(&[Some(20.0)]), 0.0, "it is not near its finish");
+    assert_eq!(share(&[None]), 0.0, "it drives through");
+    // The second stands 12 m before the finish, behind the first: only the first loiters.
+    let (queue, _) = lane(&[Some(5.0), Some(12.0)]);
+    assert_eq!((queue.loitering * 16.0, queue.crashes), (1.0, 0));
+    assert_eq!(share(&[None, Some(12.0)]), 1.0, "the first has arrived and is in nobody's way");
+}
+
+#[test]
+fn an_agent_that_has_not_moved_yet_does_not_loiter() {
+    let task = task(4, |s| s.termination.horizon = 60);
+    let half = task.scenario.vehicle.length / 2.0;
+    // An episode whose first agent is alone on its lane; the finish there is moved to 8 m ahead of it.
+    let begin = |seed| {
+        let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
+        world.reset(0);
+        exchange(&mut world, &mut rails, &[0.0; 4]);
+        let vehicles: Vec<_> = rails.vehicles.iter().flatten().copied().collect();
+        let (route, front, _) = vehicles[0];
+        vehicles[1..].iter().all(|other| other.0 != route).then_some((seed, route, front))
+    };
+    let (seed, route, front) = (0..).find_map(begin).expect("there is one");
+    let mut close = Task::clone(&task);
+    close.routes[route].arrival = front - half + 8.0;
+    let close = Arc::new(close);
+    // The share that loiters where agent 0 drives for so many steps and then stands.
+    let loitering = |steps: usize| {
+        let (mut world, mut rails) = (world(&close, seed), Rails::new(&close));
+        world.reset(0);
+        for step in 0.. {
+            exchange(&mut world, &mut rails, &[if step <= steps { 0.5 } else { -1.0 }, 0.0, 0.0, 0.0]);
+            if let Some(record) = world.take_finished() {
+                return record.loitering;
+            }
+        }
+        unreachable!()
+    };
+    assert_eq!(loitering(0), 0.0);
+    assert_eq!(loitering(8), 0.25);
+}
+
+#[test]
+fn distance_and_crashes_are_counted() {
+    let (record, driven) = lane(&[None]);
+    assert!(driven > 0.05 && (record.distance_km - driven).abs() < 1e-3, "{} {driven}", record.distance_km);
+    assert_eq!(record.crashes, 0);
+    // The second of the lane runs into the first, which stands: one crash of two. The third runs into
+    // the wrecks: one more.
+    let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
+    assert_eq!((record.crashes, record.failures.crashed()), (2, 3), "{record:?}");
+}

@@ -1,0 +1,185 @@
+//! Where results come from: the program's version and commit, SUMO's and libtorch's version, the machine.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::sumo;
+
+/// Stands for a version or commit that nobody knows.
+pub const UNKNOWN: &str = "unknown";
+
+/// A program that computed something, and what it computed it with.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Program {
+    /// Version of this package; files of older versions call it `iwol`.
+    #[serde(alias = "iwol", default = "unknown")]
+    pub version: String,
+    /// Commit of the checkout from which it was built, or [`UNKNOWN`].
+    #[serde(default = "unknown")]
+    pub commit: String,
+    /// Whether the sources had changes that were not committed; `None` where the commit is unknown.
+    #[serde(default)]
+    pub dirty: Option<bool>,
+    /// SUMO's version.
+    #[serde(default = "unknown")]
+    pub sumo: String,
+    /// libtorch's version.
+    #[serde(default = "unknown")]
+    pub libtorch: String,
+}
+
+fn unknown() -> String {
+    UNKNOWN.to_owned()
+}
+
+impl Default for Program {
+    /// A program of which nothing is known.
+    fn default() -> Self {
+        Self { version: unknown(), commit: unknown(), dirty: None, sumo: unknown(), libtorch: unknown() }
+    }
+}
+
+impl Program {
+    /// The program that runs, with the SUMO that it would start.
+    pub fn current() -> Self {
+        let sumo = sumo::find_sumo().and_then(|binary| sumo::sumo_version(&binary));
+        let dirty = match env!("IWOL_DIRTY") {
+            "true" => Some(true),
+            "false" => Some(false),
+            _ => None,
+        };
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            commit: env!("IWOL_COMMIT").to_owned(),
+            dirty,
+            sumo: sumo.unwrap_or_else(|_| unknown()),
+            libtorch: libtorch_version().unwrap_or_else(unknown),
+        }
+    }
+
+    /// Version and commit for people, such as `0.1.0 (1a2b3c4d5e, changed)`.
+    pub fn describe(&self) -> String {
+        if self.commit == UNKNOWN {
+            return self.version.clone();
+        }
+        let commit = self.commit.get(..10).unwrap_or(&self.commit);
+        let changed = if self.dirty == Some(true) { ", changed" } else { "" };
+        format!("{} ({commit}{changed})", self.version)
+    }
+}
+
+/// What a policy was trained with.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Training {
+    /// The program that trained it, the last one where several did.
+    #[serde(flatten)]
+    pub program: Program,
+    /// Other programs that trained it before it was resumed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier: Vec<Program>,
+    /// How often training restarted with new weights; `None` where nobody knows.
+    #[serde(default)]
+    pub restarts: Option<u64>,
+}
+
+/// The machine.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Host {
+    /// CPU cores that the program may use.
+    pub cores: usize,
+    /// Model of the CPU.
+    pub processor: Option<String>,
+    /// Memory \[GiB\].
+    pub memory_gib: Option<f64>,
+    /// Operating system, architecture and kernel.
+    pub system: String,
+}
+
+impl Host {
+    /// The machine on which the program runs.
+    pub fn current() -> Self {
+        let value = |path: &str, key: &str| {
+            let text = fs::read_to_string(path).ok()?;
+            let line = text.lines().find(|line| line.starts_with(key))?;
+            Some(line.split_once(':')?.1.trim().to_owned())
+        };
+        let kibibytes = value("/proc/meminfo", "MemTotal").and_then(|v| v.split_whitespace().next()?.parse().ok());
+        let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+        let system = format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, kernel.trim());
+        Self {
+            cores: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            processor: value("/proc/cpuinfo", "model name"),
+            memory_gib: kibibytes.map(|k: f64| (k / 1024.0 / 1024.0 * 10.0).round() / 10.0),
+            system: system.trim().to_owned(),
+        }
+    }
+}
+
+/// Version of the libtorch that this process has loaded, from the file `build-version` in its folder.
+pub fn libtorch_version() -> Option<String> {
+    let library = loaded_library("libtorch_cpu.so")?;
+    let text = fs::read_to_string(library.parent()?.parent()?.join("build-version")).ok()?;
+    Some(text.trim().to_owned())
+}
+
+/// Path of a shared library that this process has loaded.
+pub fn loaded_library(name: &str) -> Option<PathBuf> {
+    let maps = fs::read_to_string("/proc/self/maps").ok()?;
+    maps.lines().find_map(|line| library_path(line, name))
+}
+
+/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the sixth column and may
+/// hold spaces; the columns before it do not hold a slash.
+fn library_path(line: &str, name: &str) -> Option<PathBuf> {
+    let path = Path::new(&line[line.find('/')?..]);
+    (path.file_name()? == name).then(|| path.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_path_of_a_loaded_library_may_hold_spaces() {
+        let line = "7f00-7f10 r-xp 00001000 08:01 42                 /home/a b/lib/libtorch_cpu.so";
+        assert_eq!(library_path(line, "libtorch_cpu.so"), Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so")));
+        assert_eq!(library_path(line, "libtorch_cuda.so"), None);
+        assert_eq!(library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"), None);
+    }
+
+    #[test]
+    fn this_process_has_loaded_libtorch() {
+        assert_eq!(tch::Tensor::from_slice(&[1.0_f32]).size(), [1]);
+        let path = loaded_library("libtorch_cpu.so").expect("libtorch is linked");
+        assert!(path.is_file(), "{} is no file", path.display());
+        assert!(libtorch_version().is_some_and(|version| version.starts_with(|c: char| c.is_ascii_digit())));
+    }
+
+    #[test]
+    fn a_program_knows_its_commit_or_says_that_it_does_not() {
+        let program = Program::current();
+        let commit = program.commit.as_str();
+        let is_hash = commit.len() >= 40 && commit.chars().all(|c| c.is_ascii_hexdigit());
+        assert!(commit == UNKNOWN && program.dirty.is_none() || is_hash && program.dirty.is_some(), "{program:?}");
+        let of = |commit: &str, dirty| Program {
+            version: "1.2.3".into(),
+            commit: commit.into(),
+            dirty,
+            ..Program::default()
+        };
+        assert_eq!(of("0123456789abcdef", Some(true)).describe(), "1.2.3 (0123456789, changed)");
+        assert_eq!(of("0123456789abcdef", Some(false)).describe(), "1.2.3 (0123456789)");
+        assert_eq!(of(UNKNOWN, None).describe(), "1.2.3");
+    }
+
+    #[test]
+    fn what_older_runs_noted_is_read() {
+        let older: Training = serde_json::from_str(r#"{"iwol": "0.1.0", "sumo": "1.15.0", "cores": 2}"#).unwrap();
+        assert_eq!((older.program.version.as_str(), older.program.sumo.as_str()), ("0.1.0", "1.15.0"));
+        assert_eq!((older.program.commit.as_str(), older.restarts), (UNKNOWN, None));
+        let text = serde_json::to_string(&Training { restarts: Some(2), ..older.clone() }).unwrap();
+        assert_eq!(serde_json::from_str::<Training>(&text).unwrap(), Training { restarts: Some(2), ..older });
+    }
+}

@@ -1,0 +1,149 @@
+//! A run's `meta.json`: with what, on what and how it is trained, and how far it is.
+
+use std::time::SystemTime;
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::{RunDir, teacher_fingerprint};
+use crate::checkpoint::Progress;
+use crate::config::Config;
+use crate::provenance::{Host, Program, Training};
+use crate::record;
+
+#[derive(Serialize)]
+struct Meta<'a> {
+    #[serde(flatten)]
+    training: Training,
+    command: Vec<String>,
+    scenario: &'a str,
+    teacher: Option<String>,
+    started_unix_s: u64,
+    updated_unix_s: u64,
+    host: Host,
+    worlds: &'a str,
+    shards: Value,
+    device: String,
+    steps: u64,
+    seconds: f64,
+}
+
+impl RunDir {
+    /// Writes `meta.json` before the training that starts or goes on from `progress`: what somebody needs to know who finds the
+    /// folder in a year. `fingerprint` is the scenario's, `worlds` says how the worlds are hosted.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn begin_meta(
+        &self,
+        config: &Config,
+        progress: &Progress,
+        fingerprint: &str,
+        worlds: &str,
+    ) -> Result<(), record::Error> {
+        let program = Program::current();
+        let now = now();
+        // A folder in which no step was done belongs to no earlier run.
+        let before = self.read_meta().filter(|_| progress.step > 0);
+        let earlier = before.as_ref().and_then(training_of).map_or_else(Vec::new, |known| {
+            let mut earlier = known.earlier;
+            if known.program != program && !earlier.contains(&known.program) {
+                earlier.push(known.program);
+            }
+            earlier.retain(|other| *other != program);
+            earlier
+        });
+        let meta = Meta {
+            training: Training { program, earlier, restarts: Some(progress.restarts) },
+            command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
+            scenario: fingerprint,
+            teacher: teacher_fingerprint(config),
+            started_unix_s: before.and_then(|meta| meta["started_unix_s"].as_u64()).unwrap_or(now),
+            updated_unix_s: now,
+            host: Host::current(),
+            worlds,
+            shards: config.ppo.shards.into(),
+            device: String::from(config.device),
+            steps: progress.step,
+            seconds: progress.seconds,
+        };
+        self.write_meta(&serde_json::to_value(meta).expect("plain data"))
+    }
+
+    /// Brings `meta.json` up to `progress`; a run that has none gets none.
+    pub(super) fn update_meta(&self, progress: &Progress) -> Result<(), record::Error> {
+        let Some(Value::Object(mut meta)) = self.read_meta() else { return Ok(()) };
+        let news: Map<String, Value> = [
+            ("restarts".to_owned(), progress.restarts.into()),
+            ("steps".to_owned(), progress.step.into()),
+            ("seconds".to_owned(), progress.seconds.into()),
+            ("updated_unix_s".to_owned(), now().into()),
+        ]
+        .into_iter()
+        .collect();
+        meta.extend(news);
+        self.write_meta(&Value::Object(meta))
+    }
+
+    /// What the run was trained with; `None` where `meta.json` is missing or damaged.
+    pub fn training(&self) -> Option<Training> {
+        training_of(&self.read_meta()?)
+    }
+
+    pub(super) fn read_meta(&self) -> Option<Value> {
+        serde_json::from_slice(&std::fs::read(self.meta()).ok()?).ok()
+    }
+
+    fn write_meta(&self, meta: &Value) -> Result<(), record::Error> {
+        record::write_atomic(&self.meta(), format!("{meta:#}\n").as_bytes())
+    }
+}
+
+fn training_of(meta: &Value) -> Option<Training> {
+    serde_json::from_value(meta.clone()).ok()
+}
+
+fn now() -> u64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |passed| passed.as_secs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Document, Layers};
+
+    #[test]
+    fn a_resumed_run_names_every_program_that_trained_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = RunDir::new(folder.path());
+        let text = "scenario = \"scenarios/intersection.xml\"".to_owned();
+        let document = Document { name: "test".to_owned(), text, generated: false };
+        let (config, _) = Config::resolve(&Layers { document, ..Layers::default() }).unwrap();
+        let at = |step, restarts| Progress { step, restarts, ..Progress::default() };
+        assert_eq!(dir.training(), None);
+        dir.update_meta(&at(5, 0)).expect("a run without the file");
+        assert!(!dir.meta().exists());
+
+        dir.begin_meta(&config, &at(0, 0), "f", "one").unwrap();
+        dir.update_meta(&at(64, 2)).unwrap();
+        let training = dir.training().expect("written");
+        assert!(training.restarts == Some(2) && training.earlier.is_empty(), "{training:?}");
+        assert_eq!(training.program, Program::current());
+        let meta = dir.read_meta().expect("JSON");
+        assert_eq!((&meta["steps"], &meta["scenario"]), (&64.into(), &"f".into()));
+        assert!(meta["host"]["cores"].as_u64() > Some(0), "{meta}");
+
+        // The same program goes on; then one of another version had begun.
+        dir.begin_meta(&config, &at(64, 2), "f", "one").unwrap();
+        assert!(dir.training().expect("written").earlier.is_empty());
+        let older = meta.to_string().replace(&training.program.version, "0.0.7");
+        std::fs::write(dir.meta(), older.replace(&meta["started_unix_s"].to_string(), "12345")).unwrap();
+        dir.begin_meta(&config, &at(64, 2), "f", "one").unwrap();
+        let earlier = dir.training().expect("written").earlier;
+        assert_eq!(earlier.iter().map(|p| p.version.as_str()).collect::<Vec<_>>(), ["0.0.7"]);
+        assert_eq!(dir.read_meta().expect("JSON")["started_unix_s"], 12345);
+        // A new run in the folder owes nothing to it.
+        dir.begin_meta(&config, &at(0, 0), "f", "one").unwrap();
+        assert!(dir.training().expect("written").earlier.is_empty());
+    }
+}
