@@ -197,9 +197,9 @@ mod tests {
         all
     }
 
-    /// A policy shows the same whatever its pupils see: it sees what it saw in training.
+    /// A policy shows the same whatever its students see: it sees what it saw in training.
     #[test]
-    fn a_teacher_sees_more_than_its_pupils() {
+    fn a_teacher_sees_more_than_its_students() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("teacher.safetensors");
         save(&resolve(&[]), &path);
