@@ -35,14 +35,14 @@ fn play(
 ) -> (Vec<u64>, Vec<EpisodeRecord>) {
     let options = VecOptions { replay: 0.0, worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
-    let mut actions = vec![0.0; worlds * task.agents * task.spec.actions];
+    let mut actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
     let (mut bits, mut records) = (Vec::new(), Vec::new());
     for step in 0..steps {
         // Around a fair speed, so that vehicles crash, arrive and queue.
         rng::fill_normal(&mut Seed::new(5).index(step).rng(), &mut actions);
         for (k, action) in actions.iter_mut().enumerate() {
             // Steering comes first, where there are two.
-            let steers = task.spec.actions == 2 && k % 2 == 0;
+            let steers = task.spec.actions.len() == 2 && k % 2 == 0;
             *action = if steers { 0.3 * *action } else { 0.6 + 0.5 * *action };
         }
         env.step(&actions).expect("a step");

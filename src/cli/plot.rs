@@ -185,8 +185,7 @@ fn identity(run: &Path) -> (String, toml::Table) {
     for key in ["seed", "device", "simulation"] {
         settings.remove(key);
     }
-    // What an older run does not say is what was so then; what its method is not told makes no difference.
-    config::complete_older(&mut settings);
+    // What its method is not told makes no difference.
     config::remove_untold(&mut settings, &algorithm);
     // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
     shorten(&mut settings, "scenario", Path::file_name);
