@@ -140,7 +140,7 @@ impl Default for Train {
             segment: 128,
             growth: 1,
             fewest_agents: 0,
-            replay_failed: 0.0,
+            replay_failed: 0.5,
             imitate_steps: 0,
             imitate_speed: 6.0,
             imitate_yields: false,

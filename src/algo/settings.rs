@@ -213,10 +213,10 @@ impl Default for Exploration {
             log_std_explore: -1.0,
             log_std_end: -2.0,
             explore_steps: 250_000,
-            spread: 1.2,
+            spread: 0.0,
             correlation: 0.0,
             correlation_steps: 0,
-            late_steps: 60,
+            late_steps: 0,
         }
     }
 }

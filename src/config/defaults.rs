@@ -30,36 +30,21 @@ impl Config {
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
             anneal_steps: if steers { scaled(300_000) } else { scaled(train.anneal_steps) },
-            // Fewer than the eight places are taken in one of many ways, of which a policy fails in few that are seldom seen; so are
-            // meetings of many routes.
-            replay_failed: if agents < 8 || steers { 0.5 } else { train.replay_failed },
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
-            stop_success: if agents < 8 { 0.997 } else { train.stop_success },
-            // What is found at 90 % is kept when noise falls: too early for few. Who steers waits for ever for more, which only less
-            // noise brings.
-            anneal_success: match (steers, few) {
-                (true, _) => 0.9,
-                (_, true) => 0.97,
-                _ => train.anneal_success,
-            },
-            // Of 16, every second run finds a way in less than this.
-            restart_steps: if agents > 8 && !trained { 120_000 } else { train.restart_steps },
+            // Vehicles that steer reach more than this with less noise only.
+            anneal_success: if steers { 0.9 } else { train.anneal_success },
             ..train
         };
         let exploration = settings::Exploration {
-            // Of 16, MAPPO found no way with worlds that differ by 1.2, in three runs of three.
-            spread: if agents > 8 || steers { 0.0 } else { exploration.spread },
             // Of many routes, each meeting is seen seldom: noise that lasts makes one vehicle wait for the other more often, and is
-            // needed for longer. Vehicles that met without noise at the beginning of an episode would only learn from what is left.
+            // needed for longer.
             correlation: if steers { 0.8 } else { exploration.correlation },
-            // As long as it lasts, the policy's gradient is biased, and what was found wears off. Not of methods that replay, which
-            // get worse as it fades.
+            // It fades, as agents must come to do without it; methods that replay get worse as it does.
             correlation_steps: if steers && on_policy {
                 scaled(exploration.explore_steps)
             } else {
                 exploration.correlation_steps
             },
-            late_steps: if steers { 0 } else { exploration.late_steps },
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps)
                 * if steers { 2 } else { 1 },
             // At the noise of new weights a policy forgets what it knows.
@@ -67,9 +52,6 @@ impl Config {
             ..exploration
         };
         let ppo = settings::Ppo {
-            // Few who hardly wait for each other gain little time by risking a crash, but at 0.99 it is worth as much to them as a crash
-            // in twenty costs. At 0.998 time is worth so little that some creep, and at 0.995 some still crash.
-            gamma: if few { 0.997 } else { ppo.gamma },
             // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
             // the time it saves.
             gamma_explored: if steers { 0.995 } else { ppo.gamma_explored },

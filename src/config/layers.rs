@@ -59,16 +59,12 @@ impl Config {
     ///
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
     /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
-    /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Below 8, failed episodes are
-    /// played again (`train.replay_failed`), annealing goes on from 97 % of success, training stops at 99.7 %, and `ppo.gamma` is
-    /// 0.997. Above 8, noise is the same in all worlds (`exploration.spread`), and a run that finds no way begins again
-    /// (`train.restart_steps`).
+    /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16.
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
-    /// noise lasts (`exploration.correlation`; of methods that replay it does so until annealing), is the same in all worlds and there
-    /// from the start, and falls twice as slowly, after which batches grow (`train.growth`; not of methods that replay) and the view
-    /// gets longer (`ppo.gamma_explored`), in runs four times as long; `train.envs` is 128/N below 8, `ppo.gamma` that of 8,
-    /// `train.replay_failed` that of fewer, and `train.anneal_success` 0.9. Minibatches of methods that replay are half as large
-    /// (`ppo.minibatch`).
+    /// noise lasts (`exploration.correlation`; of methods that replay it does so until annealing) and falls twice as slowly, after
+    /// which batches grow (`train.growth`; not of methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four
+    /// times as long; `train.envs` is 128/N below 8 and `train.anneal_success` 0.9. Minibatches of methods that replay are half as
+    /// large (`ppo.minibatch`).
     /// Training that begins with a trained policy begins with the noise at which others wait for success.
     ///
     /// # Errors
@@ -381,16 +377,12 @@ mod tests {
         assert_eq!(at(16).train.envs, eight.train.envs);
         // What is written down is not changed.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
-        let search = |c: &Config| (c.exploration.spread, c.train.restart_steps);
-        let own = settings::Exploration::default().spread;
-        assert_eq!([&four, &eight].map(search), [(own, 0); 2]);
+        // All sizes search in the same way.
         let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
-        let (few, more) = ((0.5, 0.97, 0.997, 0.997), (0.0, 0.95, 0.99, 0.99));
-        assert_eq!([&four, &eight, &most].map(searched), [few, more, more]);
+        assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.99, 0.99); 3]);
         assert_eq!(four.train.validation_episodes, 128);
         let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
         assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.06, 0.06, 0.0, 0.0]);
-        assert_eq!([&at(16), &most].map(search), [(0.0, 120_000); 2]);
     }
 
     #[test]
@@ -404,7 +396,7 @@ mod tests {
             resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"]).expect_err("replays");
         assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
         let five = resolve_on("parking_lot", "", &[]).unwrap();
-        assert_eq!((five.exploration.correlation, five.exploration.late_steps, five.train.envs), (0.8, 0, 25));
+        assert_eq!((five.exploration.correlation, five.train.envs), (0.8, 25));
         let lasts = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps;
         assert!(lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0, "methods that replay get worse as it fades");
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
@@ -424,8 +416,6 @@ mod tests {
         let noise = settings::Exploration::default();
         assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
         assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
-        let restart = |sets: &[&str]| resolve("agents = 16", sets).unwrap().train.restart_steps;
-        assert!(restart(&[]) > 0 && restart(&["init_from=runs/any"]) == 0, "it would throw the policy away");
         assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
     }
 
