@@ -95,7 +95,7 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
     let reach = other.speed.max(DRIVING) * HORIZON;
     let new = |(k, place): &(usize, Candidate)| {
         let same = |earlier: Candidate| {
-            knowledge.are_one(&earlier, place, reach) && standing(&earlier) == standing(place)
+            knowledge.until_parted(&earlier, place) > reach && standing(&earlier) == standing(place)
         };
         !knowledge.candidates(j).take(*k).any(same)
     };
@@ -150,12 +150,9 @@ pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &
     let stands_in_the_way = |i: usize, j: usize| {
         let waits_behind = |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
         // Where it stands is the same on all of its routes.
-        let own = knowledge.candidates(i).next().map(|own| Course::on(routes, own, slots[i].size, 0.0));
-        let meets = |other: Candidate| {
-            let course = Course::on(routes, other, slots[j].size, DRIVING);
-            own.is_some_and(|own| passing(own, course, BLOCKED)[0] > IN_THE_WAY)
-        };
-        !knowledge.candidates(i).any(waits_behind) && knowledge.different(j, DRIVING * BLOCKED).any(meets)
+        let own = knowledge.candidates(i).next().unwrap_or_else(|| Candidate::of(&slots[i]));
+        let course = Course::on(routes, own, slots[i].size, 0.0);
+        !knowledge.candidates(i).any(waits_behind) && knowledge.closest(course, j, DRIVING, BLOCKED)[0] > IN_THE_WAY
     };
     blocked.clear();
     for i in (0..slots.len()).filter(|&i| drives(i)) {

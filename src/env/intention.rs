@@ -5,6 +5,7 @@
 //! that begin alike, those are open whose paths have not yet left the vehicle aside. Every feature group reads other vehicles'
 //! routes through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
 
+use super::foresight::{Closest, Course};
 use super::geometry::Stance;
 use super::lidar::to_box;
 use super::routes::RouteGeometry;
@@ -98,11 +99,11 @@ impl Forks {
         Self { alike, together, passages: routes.iter().map(|route| passages(net, &route.path)).collect() }
     }
 
-    /// Whether a vehicle moves in the same way on both candidate routes, as far as `reach` metres ahead.
-    fn are_one(&self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
-        let place = self.alike[a.route].iter().position(|&route| route == b.route);
-        let together = place.map_or(f64::NEG_INFINITY, |k| self.together[a.route][k]);
-        a.s == b.s && a.lateral == b.lateral && a.s + reach.max(0.0) < together
+    /// How far a vehicle can drive along both candidate routes until their paths part \[m\]; 0 where they have parted.
+    fn until_parted(&self, a: &Candidate, b: &Candidate) -> f64 {
+        let same = a.s == b.s && a.lateral == b.lateral;
+        let place = self.alike[a.route].iter().position(|&route| same && route == b.route);
+        place.map_or(0.0, |k| (self.together[a.route][k] - a.s).max(0.0))
     }
 }
 
@@ -373,17 +374,31 @@ impl<'a> Knowledge<'a> {
         known.into_iter().chain(open.map(|entry| entry.candidate))
     }
 
-    /// The same without those on which the vehicle moves as on an earlier one, as far as `reach` metres ahead.
-    pub(super) fn different(self, slot: usize, reach: f64) -> impl Iterator<Item = Candidate> + use<'a> {
+    /// The same, each with the distance that the vehicle drives as on an earlier one \[m\].
+    pub(super) fn branches(self, slot: usize) -> impl Iterator<Item = (Candidate, f64)> + use<'a> {
         let all = self.candidates(slot);
-        let new =
-            move |(k, one): &(usize, Candidate)| !all.clone().take(*k).any(|other| self.are_one(&other, one, reach));
-        self.candidates(slot).enumerate().filter(new).map(|(_, candidate)| candidate)
+        let branch = move |(k, one): (usize, Candidate)| {
+            let common = |other: Candidate| self.until_parted(&other, &one);
+            (one, all.clone().take(k).map(common).fold(0.0, f64::max))
+        };
+        self.candidates(slot).enumerate().map(branch)
     }
 
-    /// Whether a vehicle moves in the same way on two of its candidate routes, as far as `reach` metres ahead.
-    pub(super) fn are_one(self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
-        self.hidden.is_some_and(|(_, forks)| forks.are_one(a, b, reach))
+    /// How far a vehicle can drive along two of its candidate routes until they part \[m\].
+    pub(super) fn until_parted(self, a: &Candidate, b: &Candidate) -> f64 {
+        self.hidden.map_or(0.0, |(_, forks)| forks.until_parted(a, b))
+    }
+
+    /// The closest passing of a course and the vehicle of a slot at a speed \[m/s\], on any of its candidate routes, as
+    /// [`passing`](super::foresight::passing) has it.
+    pub(super) fn closest(self, course: Course<'_>, slot: usize, speed: f64, horizon: f64) -> [f64; 2] {
+        let mut closest = Closest::within(horizon);
+        for (place, common) in self.branches(slot) {
+            // Up to there it was looked for on an earlier route.
+            let from = if common > 0.0 && speed <= 0.0 { f64::INFINITY } else { common / speed.max(f64::MIN_POSITIVE) };
+            closest.look(course, Course::on(self.routes, place, self.traffic.slots[slot].size, speed), from);
+        }
+        closest.told()
     }
 
     /// Positions \[m\] and slots of the vehicles that may be on a route, furthest along first.

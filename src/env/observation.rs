@@ -12,7 +12,7 @@
 use std::f64::consts::PI;
 
 use super::fcfs::{self, Free};
-use super::foresight::{Course, DRIVING, closer, passing};
+use super::foresight::{Course, DRIVING};
 use super::intention::{Candidate, Knowledge};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Slot, Status, Traffic};
@@ -450,12 +450,7 @@ pub(super) fn put_encounters(
             sin,
         ]);
         if foresight > 0.0 {
-            let at_speed = |speed| {
-                let own = Course::new(routes, own, speed);
-                let on = |place| passing(own, Course::on(routes, place, other.size, other.speed), foresight);
-                let different = knowledge.different(j, other.speed * foresight);
-                different.map(on).reduce(closer).unwrap_or_default()
-            };
+            let at_speed = |speed| knowledge.closest(Course::new(routes, own, speed), j, other.speed, foresight);
             let foreseen = at_speed(own.speed);
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
