@@ -57,8 +57,8 @@ enum Standing {
     After,
 }
 
-/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever of the routes that the other may
-/// take the agent can drive least far.
+/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever
+/// of the routes that the other may take the agent can drive least far.
 pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usize) -> Free {
     let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
     let (own, other) = (&slots[slot], &slots[j]);
@@ -137,9 +137,10 @@ fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) ->
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 
-/// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has that one's turn, if it is before its
-/// own: otherwise each of them would wait for the other. One that may take several routes is in the way of another if it is so for
-/// any route that the other may take. `blocked` is scratch.
+/// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has
+/// that one's turn, if it is before its own: otherwise each of them would wait for the other. One
+/// that may take several routes is in the way of another if it is so for any route that the other
+/// may take. `blocked` is scratch.
 pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &mut Vec<(usize, usize)>) {
     let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;

@@ -55,7 +55,8 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     closest.told()
 }
 
-/// The closest passing of a vehicle and another that may take several courses, and of equally close ones the soonest.
+/// The closest passing of a vehicle and another that may take several courses, and of equally close
+/// ones the soonest.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Closest {
     /// Gap between the two \[m\].
