@@ -303,19 +303,19 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:109:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
+    site.xml:111:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:109:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
+    site.xml:111:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:113:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
+    site.xml:115:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
       hint: make the range shorter if it is to matter who is near whom
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:113:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
+    site.xml:115:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"

@@ -240,7 +240,8 @@ fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, pl
     Ok(())
 }
 
-/// A message about a word that is none of those allowed, with the nearest of these: the message quotes the word and then them.
+/// A message about a word that is none of those allowed, with the nearest of these: the message
+/// quotes the word and then them.
 fn with_nearest(message: &str) -> String {
     let mut quoted = message.split('`').skip(1).step_by(2);
     let word = quoted.next().filter(|_| message.starts_with("unknown variant"));

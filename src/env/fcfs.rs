@@ -57,8 +57,8 @@ enum Standing {
     After,
 }
 
-/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever of the routes that the other may
-/// take the agent can drive least far.
+/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever
+/// of the routes that the other may take the agent can drive least far.
 pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usize) -> Free {
     let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
     let (own, other) = (&slots[slot], &slots[j]);
@@ -94,8 +94,9 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
     };
     let reach = other.speed.max(DRIVING) * HORIZON;
     let new = |(k, place): &(usize, Candidate)| {
-        let same =
-            |earlier: Candidate| knowledge.are_one(&earlier, place, reach) && standing(&earlier) == standing(place);
+        let same = |earlier: Candidate| {
+            knowledge.until_parted(&earlier, place) > reach && standing(&earlier) == standing(place)
+        };
         !knowledge.candidates(j).take(*k).any(same)
     };
     knowledge.candidates(j).enumerate().filter(new).map(|(_, place)| on(place)).fold(Free::ALL, Free::min)
@@ -136,9 +137,10 @@ fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) ->
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 
-/// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has that one's turn, if it is before its
-/// own: otherwise each of them would wait for the other. One that may take several routes is in the way of another if it is so for
-/// any route that the other may take. `blocked` is scratch.
+/// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has
+/// that one's turn, if it is before its own: otherwise each of them would wait for the other. One
+/// that may take several routes is in the way of another if it is so for any route that the other
+/// may take. `blocked` is scratch.
 pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &mut Vec<(usize, usize)>) {
     let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;
@@ -149,12 +151,9 @@ pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &
     let stands_in_the_way = |i: usize, j: usize| {
         let waits_behind = |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
         // Where it stands is the same on all of its routes.
-        let own = knowledge.candidates(i).next().map(|own| Course::on(routes, own, slots[i].size, 0.0));
-        let meets = |other: Candidate| {
-            let course = Course::on(routes, other, slots[j].size, DRIVING);
-            own.is_some_and(|own| passing(own, course, BLOCKED)[0] > IN_THE_WAY)
-        };
-        !knowledge.candidates(i).any(waits_behind) && knowledge.different(j, DRIVING * BLOCKED).any(meets)
+        let own = knowledge.candidates(i).next().unwrap_or_else(|| Candidate::of(&slots[i]));
+        let course = Course::on(routes, own, slots[i].size, 0.0);
+        !knowledge.candidates(i).any(waits_behind) && knowledge.closest(course, j, DRIVING, BLOCKED)[0] > IN_THE_WAY
     };
     blocked.clear();
     for i in (0..slots.len()).filter(|&i| drives(i)) {

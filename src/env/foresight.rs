@@ -50,31 +50,55 @@ impl<'a> Course<'a> {
 /// How closely two vehicles pass each other within `horizon` seconds, from 0, [`CLOSE`] or farther apart, to 1, touching; and how soon
 /// they are closest, or touch, from 1 now to 0 at the horizon, where they pass closely.
 pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
-    let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
-    let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
-    let (mut least, mut when, mut time) = (CLOSE, horizon, 0.0);
-    let mut segments = [a.place.segment, b.place.segment];
-    while time < horizon && least > 0.0 {
-        let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
-        let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
-        let far = (dx * dx + dy * dy).sqrt() - reach;
-        // Few pairs are so close that it matters how they stand.
-        let apart = if far < least { separation((own, a.size), (other, b.size)) } else { far };
-        if apart < least {
-            (least, when) = (apart.max(0.0), time);
-        }
-        if closing <= 0.0 {
-            break;
-        }
-        // Until then they cannot be closer than they have been.
-        time += ((apart - least) / closing).max(step);
-    }
-    [1.0 - least / CLOSE, 1.0 - when / horizon]
+    let mut closest = Closest::within(horizon);
+    closest.look(a, b, 0.0);
+    closest.told()
 }
 
-/// Of two passings the closer one, and of equally close ones the sooner.
-pub(super) fn closer(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    if a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).is_lt() { b } else { a }
+/// The closest passing of a vehicle and another that may take several courses, and of equally close
+/// ones the soonest.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Closest {
+    /// Gap between the two \[m\].
+    least: f64,
+    /// When it is so small \[s\].
+    when: f64,
+    horizon: f64,
+}
+
+impl Closest {
+    pub(super) fn within(horizon: f64) -> Self {
+        Self { least: CLOSE, when: horizon, horizon }
+    }
+
+    /// Looks along a course of each from the time `from` on \[s\].
+    pub(super) fn look(&mut self, a: Course<'_>, b: Course<'_>, from: f64) {
+        let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
+        let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
+        let mut segments = [a.place.segment, b.place.segment];
+        // Of two that touch, only when they do so first is of interest.
+        let (mut time, end) = (from, if self.least > 0.0 { self.horizon } else { self.when });
+        while time < end {
+            let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
+            let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
+            let far = (dx * dx + dy * dy).sqrt() - reach;
+            // Few pairs are so close that it matters how they stand.
+            let apart = if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
+            if apart < self.least || apart <= 0.0 {
+                (self.least, self.when) = (apart.max(0.0), time);
+            }
+            if closing <= 0.0 || apart <= 0.0 {
+                break;
+            }
+            // Until then they cannot be closer than they have been.
+            time += ((apart - self.least) / closing).max(step);
+        }
+    }
+
+    /// As [`passing`].
+    pub(super) fn told(self) -> [f64; 2] {
+        [1.0 - self.least / CLOSE, 1.0 - self.when / self.horizon]
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! What an agent knows of where the other vehicles will go.
 //!
-//! Where the scenario hides intentions, an agent has to expect every route that a vehicle could still take: its *candidates*.
-//! They follow from the vehicle's pose and from the place where it began, never from the route that it is on: of the routes
-//! that begin alike, those are open whose paths have not yet left the vehicle aside. Every feature group reads other vehicles'
-//! routes through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
+//! Where the scenario hides intentions, an agent has to expect every route that a vehicle could
+//! still take: its *candidates*. They follow from the vehicle's pose and from the place where it
+//! began, never from the route that it is on: of the routes that begin alike, those are open whose
+//! paths have not yet left the vehicle aside. Every feature group reads other vehicles' routes
+//! through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
 
+use super::foresight::{Closest, Course};
 use super::geometry::Stance;
 use super::lidar::to_box;
 use super::routes::RouteGeometry;
@@ -13,9 +15,11 @@ use super::task::Task;
 use crate::scenario::Intention;
 use crate::sumo::net::{EdgeFunction, Net, Path};
 
-/// A route is open while its path is at most this much farther from the vehicle than the nearest candidate's \[m\].
+/// A route is open while its path is at most this much farther from the vehicle than the nearest
+/// candidate's \[m\].
 const PARTED: f64 = 1.0;
-/// A path that the vehicle stands across counts as so much farther, one that leads the other way twice as much \[m\].
+/// A path that the vehicle stands across counts as so much farther, one that leads the other way
+/// twice as much \[m\].
 const ACROSS: f64 = 3.0;
 
 /// A route that a vehicle may be on, and where the vehicle is on it.
@@ -37,7 +41,8 @@ impl Candidate {
     }
 }
 
-/// What an indicator shows. A vehicle that turns back shows the same as one that turns left (in left-hand traffic, right).
+/// What an indicator shows. A vehicle that turns back shows the same as one that turns left (in
+/// left-hand traffic, right).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Indicator {
     Off,
@@ -71,7 +76,8 @@ struct Passage {
 pub(super) struct Forks {
     /// For every route the routes that begin alike, itself included, in ascending order.
     alike: Vec<Vec<usize>>,
-    /// For every route and each of `alike`: up to which position both paths have the same points \[m\].
+    /// For every route and each of `alike`: up to which position both paths have the same points
+    /// \[m\].
     together: Vec<Vec<f64>>,
     /// For every route its junctions, in driving order.
     passages: Vec<Vec<Passage>>,
@@ -98,11 +104,12 @@ impl Forks {
         Self { alike, together, passages: routes.iter().map(|route| passages(net, &route.path)).collect() }
     }
 
-    /// Whether a vehicle moves in the same way on both candidate routes, as far as `reach` metres ahead.
-    fn are_one(&self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
-        let place = self.alike[a.route].iter().position(|&route| route == b.route);
-        let together = place.map_or(f64::NEG_INFINITY, |k| self.together[a.route][k]);
-        a.s == b.s && a.lateral == b.lateral && a.s + reach.max(0.0) < together
+    /// How far a vehicle can drive along both candidate routes until their paths part \[m\]; 0
+    /// where they have parted.
+    fn until_parted(&self, a: &Candidate, b: &Candidate) -> f64 {
+        let same = a.s == b.s && a.lateral == b.lateral;
+        let place = self.alike[a.route].iter().position(|&route| same && route == b.route);
+        place.map_or(0.0, |k| (self.together[a.route][k] - a.s).max(0.0))
     }
 }
 
@@ -174,7 +181,8 @@ pub(super) struct Intentions {
     most: usize,
     /// `[slots, most]`.
     tracked: Vec<Tracked>,
-    /// How many of them a slot has; 0 where its vehicle's route is the only one that begins as it does.
+    /// How many of them a slot has; 0 where its vehicle's route is the only one that begins as it
+    /// does.
     counts: Vec<usize>,
     /// Vehicles by candidate route, furthest along first.
     queues: Vec<Vec<Queued>>,
@@ -205,7 +213,8 @@ impl Intentions {
         self.counts.fill(0);
     }
 
-    /// Follows the vehicles. `steers`: agents follow their routes' paths by themselves; SUMO keeps others on lanes.
+    /// Follows the vehicles. `steers`: agents follow their routes' paths by themselves; SUMO keeps
+    /// others on lanes.
     pub(super) fn update(&mut self, task: &Task, traffic: &Traffic, steers: bool) {
         let seen = &task.scenario.observation;
         let signals = (seen.intention == Intention::Signalled).then_some(seen.signal_distance);
@@ -249,7 +258,8 @@ impl Intentions {
         &self.tracked[slot * self.most..][..self.counts[slot]]
     }
 
-    /// Distance of a vehicle to the first conflict point on any open route \[m\]; none where its route is known.
+    /// Distance of a vehicle to the first conflict point on any open route \[m\]; none where its
+    /// route is known.
     pub(super) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
         let open = self.of(slot).iter().filter(|entry| entry.open);
         open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s)).min_by(f64::total_cmp)
@@ -271,7 +281,8 @@ impl Intentions {
     }
 }
 
-/// Where a vehicle is on a route; looked for near the segment `hint`, or on the whole route without one.
+/// Where a vehicle is on a route; looked for near the segment `hint`, or on the whole route without
+/// one.
 fn locate(
     geometry: &RouteGeometry,
     route: usize,
@@ -299,8 +310,8 @@ fn close_parted(tracked: &mut [Tracked]) {
     }
 }
 
-/// Marks the routes that agree with the indicator of the vehicle, which shows the direction at the next junction from `distance`
-/// metres before it until the vehicle has left it.
+/// Marks the routes that agree with the indicator of the vehicle, which shows the direction at the
+/// next junction from `distance` metres before it until the vehicle has left it.
 fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Tracked]) {
     let next = |entry: &Tracked, of: &dyn Fn(&Passage) -> bool| {
         let Candidate { route, s, .. } = entry.candidate;
@@ -316,7 +327,8 @@ fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Trac
         let there = next(entry, &|passage| passage.junction == shown.junction);
         entry.agrees = there.is_some_and(|there| there.indicator == shown.indicator);
     }
-    // A vehicle far beside its route may show what no open route has: then its indicator tells nothing.
+    // A vehicle far beside its route may show what no open route has: then its indicator tells
+    // nothing.
     if !tracked.iter().any(|entry| entry.open && entry.agrees) {
         tracked.iter_mut().for_each(|entry| entry.agrees = true);
     }
@@ -373,17 +385,31 @@ impl<'a> Knowledge<'a> {
         known.into_iter().chain(open.map(|entry| entry.candidate))
     }
 
-    /// The same without those on which the vehicle moves as on an earlier one, as far as `reach` metres ahead.
-    pub(super) fn different(self, slot: usize, reach: f64) -> impl Iterator<Item = Candidate> + use<'a> {
+    /// The same, each with the distance that the vehicle drives as on an earlier one \[m\].
+    pub(super) fn branches(self, slot: usize) -> impl Iterator<Item = (Candidate, f64)> + use<'a> {
         let all = self.candidates(slot);
-        let new =
-            move |(k, one): &(usize, Candidate)| !all.clone().take(*k).any(|other| self.are_one(&other, one, reach));
-        self.candidates(slot).enumerate().filter(new).map(|(_, candidate)| candidate)
+        let branch = move |(k, one): (usize, Candidate)| {
+            let common = |other: Candidate| self.until_parted(&other, &one);
+            (one, all.clone().take(k).map(common).fold(0.0, f64::max))
+        };
+        self.candidates(slot).enumerate().map(branch)
     }
 
-    /// Whether a vehicle moves in the same way on two of its candidate routes, as far as `reach` metres ahead.
-    pub(super) fn are_one(self, a: &Candidate, b: &Candidate, reach: f64) -> bool {
-        self.hidden.is_some_and(|(_, forks)| forks.are_one(a, b, reach))
+    /// How far a vehicle can drive along two of its candidate routes until they part \[m\].
+    pub(super) fn until_parted(self, a: &Candidate, b: &Candidate) -> f64 {
+        self.hidden.map_or(0.0, |(_, forks)| forks.until_parted(a, b))
+    }
+
+    /// The closest passing of a course and the vehicle of a slot at a speed \[m/s\], on any of its
+    /// candidate routes, as [`passing`](super::foresight::passing) has it.
+    pub(super) fn closest(self, course: Course<'_>, slot: usize, speed: f64, horizon: f64) -> [f64; 2] {
+        let mut closest = Closest::within(horizon);
+        for (place, common) in self.branches(slot) {
+            // Up to there it was looked for on an earlier route.
+            let from = if common > 0.0 && speed <= 0.0 { f64::INFINITY } else { common / speed.max(f64::MIN_POSITIVE) };
+            closest.look(course, Course::on(self.routes, place, self.traffic.slots[slot].size, speed), from);
+        }
+        closest.told()
     }
 
     /// Positions \[m\] and slots of the vehicles that may be on a route, furthest along first.

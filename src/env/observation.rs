@@ -12,7 +12,7 @@
 use std::f64::consts::PI;
 
 use super::fcfs::{self, Free};
-use super::foresight::{Course, DRIVING, closer, passing};
+use super::foresight::{Course, DRIVING};
 use super::intention::{Candidate, Knowledge};
 use super::routes::RouteGeometry;
 use super::slots::{CLEARED, Slot, Status, Traffic};
@@ -215,8 +215,8 @@ struct View<'a> {
     slot: usize,
 }
 
-/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where agents are told of them. Of others'
-/// routes the agent learns what `knowledge` has.
+/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where
+/// agents are told of them. Of others' routes the agent learns what `knowledge` has.
 pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: usize, out: &mut [f32]) {
     let (scenario, routes, traffic) = (&task.scenario, &task.routes[..], knowledge.traffic);
     let knowledge = knowledge.to(slot);
@@ -327,8 +327,8 @@ impl View<'_> {
         }
     }
 
-    /// The nearest vehicle in front on the agent's lanes, and how many there are; vehicles whose routes are hidden count on any route
-    /// that they could still take.
+    /// The nearest vehicle in front on the agent's lanes, and how many there are; vehicles whose
+    /// routes are hidden count on any route that they could still take.
     fn put_leader(&self, w: &mut Writer) {
         let traffic = self.traffic;
         let own = &traffic.slots[self.slot];
@@ -355,8 +355,9 @@ impl View<'_> {
         w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
     }
 
-    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere. A vehicle whose route is hidden is
-    /// in the stream of each route that it could still take, but only once among those that the agent does not meet.
+    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere. A
+    /// vehicle whose route is hidden is in the stream of each route that it could still take, but
+    /// only once among those that the agent does not meet.
     fn put_streams(&self, w: &mut Writer) {
         let (traffic, knowledge, settings) = (self.traffic, self.knowledge, &self.scenario.observation);
         let own = &traffic.slots[self.slot];
@@ -402,9 +403,10 @@ impl Encounters {
     }
 }
 
-/// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on its way is where they
-/// meet: at the end of the gap between them, and a flag says so. Of the routes that a vehicle could still take, the one counts on
-/// which the two meet soonest; how closely they pass is told of the route on which they pass closest.
+/// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on
+/// its way is where they meet: at the end of the gap between them, and a flag says so. Of the
+/// routes that a vehicle could still take, the one counts on which the two meet soonest; how
+/// closely they pass is told of the route on which they pass closest.
 pub(super) fn put_encounters(
     w: &mut Writer,
     knowledge: Knowledge<'_>,
@@ -450,12 +452,7 @@ pub(super) fn put_encounters(
             sin,
         ]);
         if foresight > 0.0 {
-            let at_speed = |speed| {
-                let own = Course::new(routes, own, speed);
-                let on = |place| passing(own, Course::on(routes, place, other.size, other.speed), foresight);
-                let different = knowledge.different(j, other.speed * foresight);
-                different.map(on).reduce(closer).unwrap_or_default()
-            };
+            let at_speed = |speed| knowledge.closest(Course::new(routes, own, speed), j, other.speed, foresight);
             let foreseen = at_speed(own.speed);
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
@@ -472,8 +469,9 @@ pub(super) fn put_encounters(
     }
 }
 
-/// Where an agent on `route` next meets another vehicle on one of that vehicle's candidate routes: the distances of both to that
-/// place \[m\], and whether the other is ahead on the agent's own route.
+/// Where an agent on `route` next meets another vehicle on one of that vehicle's candidate routes:
+/// the distances of both to that place \[m\], and whether the other is ahead on the agent's own
+/// route.
 fn meet(route: &RouteGeometry, own: &Slot, place: &Candidate, other: &Slot) -> Option<(f64, f64, bool)> {
     let ahead = route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
     match ahead {

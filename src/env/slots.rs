@@ -172,8 +172,9 @@ impl Traffic {
         }
     }
 
-    /// Gives turns to those who have come within `near` metres of where their ways first meet others', the closest first. Of a
-    /// vehicle whose route is hidden, the distance is that to the first conflict point on any route that it could still take.
+    /// Gives turns to those who have come within `near` metres of where their ways first meet
+    /// others', the closest first. Of a vehicle whose route is hidden, the distance is that to the
+    /// first conflict point on any route that it could still take.
     pub(super) fn take_turns(&mut self, routes: &[RouteGeometry], intentions: Option<&Intentions>, near: f64) {
         let way = |j: usize, slot: &Slot| {
             let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));

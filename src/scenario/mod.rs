@@ -259,15 +259,17 @@ impl NeighbourOrder {
     }
 }
 
-/// What an agent knows of another vehicle's intention: the part of the route that the vehicle has not yet begun.
+/// What an agent knows of another vehicle's intention: the part of the route that the vehicle has
+/// not yet begun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Intention {
     /// The whole route.
     #[default]
     Seen,
-    /// The direction at the next junction, from the vehicle's indicator: within [`Observation::signal_distance`] of the junction,
-    /// within the detection range and with no other vehicle in between. Otherwise nothing.
+    /// The direction at the next junction, from the vehicle's indicator: within
+    /// [`Observation::signal_distance`] of the junction, within the detection range and with no
+    /// other vehicle in between. Otherwise nothing.
     Signalled,
     /// Nothing: the vehicle may take every route that its position leaves open (paper).
     Hidden,

@@ -44,7 +44,8 @@ fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> 
     Arc::clone(made.entry(format!("{name} {intention:?} {signal_distance}")).or_insert_with(make))
 }
 
-/// A vehicle's route and place as shares of what there is, its offset \[m\], its turn of heading \[rad\] and its speed \[m/s\].
+/// A vehicle's route and place as shares of what there is, its offset \[m\], its turn of heading
+/// \[rad\] and its speed \[m/s\].
 type Place = (f64, f64, f64, f64, f64);
 
 fn place() -> impl Strategy<Value = Place> {
@@ -108,7 +109,8 @@ fn alike(task: &Task, route: usize) -> Vec<usize> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
-    /// Wherever a vehicle is, and whichever route that begins alike it is on, the others observe the same.
+    /// Wherever a vehicle is, and whichever route that begins alike it is on, the others observe
+    /// the same.
     #[test]
     fn a_hidden_route_changes_no_observation(
         name in prop::sample::select(&FORKED[..]),
@@ -193,7 +195,8 @@ proptest! {
     }
 }
 
-/// The groups of features that tell others' routes where those are seen, so that the tests above can fail.
+/// The groups of features that tell others' routes where those are seen, so that the tests above
+/// can fail.
 #[test]
 fn a_seen_route_changes_what_depends_on_it() {
     let places = |k: usize| -> Vec<Place> {
@@ -274,7 +277,8 @@ fn an_indicator_is_seen_past_nobody() {
     }
 }
 
-/// Which routes are open from the beginning of a turn to its end, and where nothing is to be hidden.
+/// Which routes are open from the beginning of a turn to its end, and where nothing is to be
+/// hidden.
 #[test]
 fn routes_close_where_they_part() {
     let task = task_of("intersection_turns_small", Intention::Hidden, 30.0);
@@ -304,7 +308,8 @@ fn routes_close_where_they_part() {
     }
 }
 
-/// A vehicle that steers where its actions take it, through whole episodes: which route it means to take shows nowhere.
+/// A vehicle that steers where its actions take it, through whole episodes: which route it means to
+/// take shows nowhere.
 #[test]
 fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
     let mut differences = [0; 2];
