@@ -215,9 +215,9 @@ pub struct Env {
     pub lidar_range: f64,
     /// Range d_comm of the physical mask \[m\].
     pub communication_range: f64,
-    /// Weight in training of each other agent's reward beside one's own, which has weight 1.
+    /// Weight in training of each other agent's advantage beside one's own, which has weight 1.
     pub cooperation: f64,
-    /// How far apart agents share in each other's reward \[m\]; `inf`: all agents of a world.
+    /// How far apart agents share in each other's advantages \[m\]; `inf`: all agents of a world.
     pub share_range: f64,
     /// Mean throttle of an untrained policy.
     pub initial_throttle: f64,

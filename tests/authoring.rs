@@ -303,27 +303,27 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:111:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
+    site.xml:113:18: error: route `north_left` takes 62 steps at the speed limit, and the horizon is 60
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:111:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
+    site.xml:113:18: warning: route `north_left` takes 62 steps at the speed limit, and the horizon is 120
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:115:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
+    site.xml:117:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
       hint: make the range shorter if it is to matter who is near whom
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:115:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
+    site.xml:117:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
-    site.xml:93:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
+    site.xml:95:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
       hint: make the range longer, or maxSpeed lower
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:93:18: warning: agents see no vehicle that crosses their way
+    site.xml:95:18: warning: agents see no vehicle that crosses their way
       hint: give neighbours (nearest) or conflictStreams (conflict) more than 0
     "#);
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
@@ -331,7 +331,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: nothing holds agents to limits but maxSpeed; lower it if they count
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:102:66: warning: a crash is rewarded no less than an arrival
+    site.xml:104:66: warning: a crash is rewarded no less than an arrival
       hint: see the weights in scenarios/intersection.xml
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"

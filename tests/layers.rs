@@ -5,12 +5,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, and the ones that each may name.
-const ALLOWED: [(&str, &[&str]); 22] = [
+const ALLOWED: [(&str, &[&str]); 23] = [
     ("rng", &[]),
     ("fnv", &[]),
     ("stats", &[]),
     ("suggest", &[]),
     ("sumo", &[]),
+    ("provenance", &["sumo"]),
     ("scenario", &["fnv", "record", "sumo", "suggest"]),
     ("env", &["scenario", "sumo", "rng"]),
     ("nn", &["rng"]),
@@ -21,9 +22,24 @@ const ALLOWED: [(&str, &[&str]); 22] = [
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
     ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
-    ("train", &["algo", "checkpoint", "config", "env", "evaluate", "fnv", "record", "rng", "rollout", "scenario"]),
+    (
+        "train",
+        &[
+            "algo",
+            "checkpoint",
+            "config",
+            "env",
+            "evaluate",
+            "fnv",
+            "provenance",
+            "record",
+            "rng",
+            "rollout",
+            "scenario",
+        ],
+    ),
     ("sweep", &["config", "record", "train"]),
-    ("report", &["plot", "record", "stats", "sweep"]),
+    ("report", &["plot", "provenance", "record", "stats", "sweep"]),
     ("replay", &["env", "plot", "record", "sumo"]),
     ("inspect", &["env", "plot", "rng", "scenario", "sumo"]),
     ("cli", &[]),

@@ -268,16 +268,6 @@ fn failures_are_told_and_retried_on_request() {
     let (code, _, stderr) = run(&["--retry"]);
     assert_eq!(code, Some(1));
     assert!(stderr.contains("1 of 2 cells to do"), "{stderr}");
-    // A run from before there was a setting is one in which it did nothing.
-    let config = out.join("tiny/mappo/seed_0/config.toml");
-    let old = std::fs::read_to_string(&config).expect("a configuration");
-    let known = |line: &&str| !line.starts_with("restart_steps =") && !line.starts_with("correlation =");
-    let older: Vec<&str> = old.lines().filter(known).collect();
-    assert_eq!(older.len() + 2, old.lines().count());
-    std::fs::write(&config, older.join("\n")).expect("written");
-    let (code, _, stderr) = run(&[]);
-    assert_eq!(code, Some(1));
-    assert!(stderr.contains("0 of 2 cells to do"), "{stderr}");
     sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 256\nexploration = { correlation = 0.5 }"));
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));

@@ -6,7 +6,6 @@ use serde_json::Value;
 
 use super::document::Document;
 use super::{Block, Line, METRICS, Metric, Row, Unit, aggregate, references, resamples, scores};
-use crate::evaluate::KmPerCrash;
 use crate::provenance::Program;
 use crate::stats::aggregate::{
     bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
@@ -134,9 +133,11 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     let rows: Vec<Vec<String>> = (block.series.iter())
         .map(|line| {
             let cells = line.rows.iter().map(|row| {
-                let per_crash = row.driven().and_then(|(km, crashes)| KmPerCrash::new(km, crashes));
-                per_crash
-                    .map_or_else(|| "–".to_owned(), |k| format!("{:.2} ({} in {:.1} km)", k.estimate, k.crashes, k.km))
+                let per_crash = row.driven().and_then(|(km, crashes)| {
+                    let estimate = Estimate::exposure_per_event(km, crashes)?;
+                    Some(format!("{estimate:.2} ({crashes} in {km:.1} km)"))
+                });
+                per_crash.unwrap_or_else(|| "–".to_owned())
             });
             std::iter::once(line.label.clone()).chain(cells).collect()
         })

@@ -357,9 +357,9 @@ pub struct Reward {
     pub out_of_road: f64,
     /// Replaces the step's reward in a crash.
     pub crash: f64,
-    /// Weight in training of each other agent's reward beside one's own, which has weight 1; 0 to 1.
+    /// Weight in training of each other agent's advantage beside one's own, which has weight 1; 0 to 1.
     pub cooperation: f64,
-    /// How far apart agents share in each other's reward \[m\]; infinite: all agents of a world.
+    /// How far apart agents share in each other's advantages \[m\]; infinite: all agents of a world.
     pub share_range: f64,
 }
 

@@ -177,9 +177,10 @@ def graph():
 
 
 def graph_softmax(logits, graph, dim):
-    """Weights in proportion to G exp(logit), over `dim`: 0 on closed edges, whose G has a gradient."""
+    """Weights in proportion to G exp(logit), over `dim`: 0 on closed edges, whose G has a gradient, as of at most e^9 times
+    the strongest open edge."""
     top = logits.detach().masked_fill(graph.detach() < 0.5, -torch.inf).amax(dim, keepdim=True)
-    weights = (logits - top).exp() * graph
+    weights = (logits - top).clamp(max=9).exp() * graph
     return weights / weights.sum(dim, keepdim=True)
 
 
