@@ -34,7 +34,9 @@ fn main() {
 /// where the sources are in no repository of their own, or there is no git.
 fn describe_checkout() {
     const SOURCES: [&str; 4] = ["src", "build.rs", "Cargo.toml", "Cargo.lock"];
-    SOURCES.iter().for_each(|path| println!("cargo::rerun-if-changed={path}"));
+    for path in SOURCES {
+        println!("cargo::rerun-if-changed={path}");
+    }
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
     let git = |arguments: &[&str]| {
         let mut command = Command::new("git");

@@ -392,9 +392,7 @@ mod tests {
                 Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
             let (rows, flag) = (8, |b: bool| f32::from(u8::from(b)));
             let mut rollout = Rollout { cooperation, ..Rollout::new(sizes) };
-            for k in 0..rows * agents {
-                rollout.active[k] = flag(active[k]);
-            }
+            rollout.active[..rows * agents].iter_mut().zip(&active).for_each(|(to, from)| *to = flag(*from));
             if limited {
                 rollout.sharing = near[..rows * agents * agents].iter().map(|&b| flag(b)).collect();
             }

@@ -319,11 +319,11 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
-    site.xml:95:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
+    site.xml:96:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, and sees 6 m
       hint: make the range longer, or maxSpeed lower
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:95:18: warning: agents see no vehicle that crosses their way
+    site.xml:96:18: warning: agents see no vehicle that crosses their way
       hint: give neighbours (nearest) or conflictStreams (conflict) more than 0
     "#);
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
@@ -331,7 +331,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: nothing holds agents to limits but maxSpeed; lower it if they count
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:104:66: warning: a crash is rewarded no less than an arrival
+    site.xml:106:66: warning: a crash is rewarded no less than an arrival
       hint: see the weights in scenarios/intersection.xml
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"

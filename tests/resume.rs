@@ -49,7 +49,7 @@ fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     }
     // One of them imitates a policy that sees more, before and after it is resumed.
     if (algorithm, encoder) == ("ex-iwol", "mlp") {
-        config.train.teacher = TEACHER.clone();
+        config.train.teacher.clone_from(&TEACHER);
         config.train.imitate_steps = 1000;
     }
     (config, scenario)

@@ -218,7 +218,7 @@ mod tests {
                 there = if begins { [true; AGENTS] } else { there };
                 let cut = events[row % events.len()] == 0;
                 if t < STEPS {
-                    rollout.interrupted[row] = f32::from(u8::from(cut && row % 2 == 0));
+                    rollout.interrupted[row] = f32::from(u8::from(cut && row.is_multiple_of(2)));
                 }
                 for (i, there) in there.iter_mut().enumerate() {
                     let k = row * AGENTS + i;

@@ -118,13 +118,13 @@ fn begin_alike(a: &RouteGeometry, b: &RouteGeometry) -> bool {
     if a.is_walked() != b.is_walked() {
         return false;
     }
-    let begins_on = |a: &Path, b: &Path| match a.lanes.first() {
-        Some(lane) => b.lanes.contains(lane),
-        None => {
-            let (_, lateral, segment) = b.nearest(a.points[0]);
-            let ([ax, ay], [bx, by]) = (a.direction(0), b.direction(segment));
-            lateral.abs() < 0.1 && ax * bx + ay * by > 0.99
+    let begins_on = |a: &Path, b: &Path| {
+        if let Some(lane) = a.lanes.first() {
+            return b.lanes.contains(lane);
         }
+        let (_, lateral, segment) = b.nearest(a.points[0]);
+        let ([ax, ay], [bx, by]) = (a.direction(0), b.direction(segment));
+        lateral.abs() < 0.1 && ax * bx + ay * by > 0.99
     };
     begins_on(a.lanes(), b.lanes()) || begins_on(b.lanes(), a.lanes())
 }
@@ -330,7 +330,9 @@ fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Trac
     // A vehicle far beside its route may show what no open route has: then its indicator tells
     // nothing.
     if !tracked.iter().any(|entry| entry.open && entry.agrees) {
-        tracked.iter_mut().for_each(|entry| entry.agrees = true);
+        for entry in &mut *tracked {
+            entry.agrees = true;
+        }
     }
 }
 

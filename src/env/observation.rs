@@ -474,13 +474,11 @@ pub(super) fn put_encounters(
 /// route.
 fn meet(route: &RouteGeometry, own: &Slot, place: &Candidate, other: &Slot) -> Option<(f64, f64, bool)> {
     let ahead = route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
-    match ahead {
-        Some(way) => Some((way - f64::midpoint(own.size[0], other.size[0]), 0.0, true)),
-        None => {
-            let met = route.next_meeting(own.s, place.route, place.s, CLEARED)?;
-            Some((met.own - own.s, met.other - place.s, false))
-        }
+    if let Some(way) = ahead {
+        return Some((way - f64::midpoint(own.size[0], other.size[0]), 0.0, true));
     }
+    let met = route.next_meeting(own.s, place.route, place.s, CLEARED)?;
+    Some((met.own - own.s, met.other - place.s, false))
 }
 
 fn put_vehicles(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, usize)>, count: usize) {

@@ -11,7 +11,7 @@ pub enum Mask<'a> {
     /// row needs at least one key that is seen.
     Add(&'a Tensor),
     /// The graph `[B, 1, Q, T]` of 0 and 1 by which weights are multiplied before they are
-    /// normalised ([`graph_softmax`]).
+    /// normalised (`graph_softmax`).
     Graph(&'a Tensor),
     /// Multiplied: a key with factor 0 keeps the logit 0, hence still gets weight.
     Multiply(&'a Tensor),

@@ -1,7 +1,7 @@
 //! The report of a sweep: tables, figures and data for other programs, made from the files of its cells alone.
 //!
 //! The unit is the seed: a row's mean is over trained runs, its interval Student's t. A table or figure has one unit of
-//! interval and names it ([`Unit`]). Aggregates over several places of the
+//! interval and names it (`Unit`). Aggregates over several places of the
 //! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see [`crate::stats::aggregate`].
 
 mod document;

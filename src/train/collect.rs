@@ -60,7 +60,9 @@ impl Trainer {
                     row.copy_from_slice(noise.carried());
                     for ((row, offset), late) in row.chunks_mut(width).zip(&self.rollout.log_std_offset).zip(&late) {
                         let scale = if *late { 0.0 } else { offset.exp() };
-                        row.iter_mut().for_each(|carried| *carried *= scale);
+                        for carried in row {
+                            *carried *= scale;
+                        }
                     }
                     carried = Tensor::from_slice(row).view([e, n, a]);
                     self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions].copy_from_slice(noise.log_fresh());
