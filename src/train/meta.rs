@@ -1,5 +1,6 @@
 //! A run's `meta.json`: with what, on what and how it is trained, and how far it is.
 
+use std::path::Path;
 use std::time::SystemTime;
 
 use serde::Serialize;
@@ -55,7 +56,7 @@ impl RunDir {
         });
         let meta = Meta {
             training: Training { program, earlier, restarts: Some(progress.restarts) },
-            command: std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect(),
+            command: command(),
             scenario: fingerprint,
             teacher: teacher_fingerprint(config),
             started_unix_s: before.and_then(|meta| meta["started_unix_s"].as_u64()).unwrap_or(now),
@@ -105,6 +106,18 @@ fn training_of(meta: &Value) -> Option<Training> {
 
 fn now() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |passed| passed.as_secs())
+}
+
+/// The command line of this process; of the program's own path its name alone, which is the same on
+/// every machine.
+fn command() -> Vec<String> {
+    let mut words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+    if let Some(program) = words.first_mut()
+        && let Some(name) = Path::new(program.as_str()).file_name()
+    {
+        *program = name.to_string_lossy().into_owned();
+    }
+    words
 }
 
 #[cfg(test)]
