@@ -58,7 +58,7 @@ impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///
     /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
-    /// 8/N, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
+    /// 8/N down to a half, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
     /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16.
     /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
     /// noise lasts (`exploration.correlation`; of methods that replay it does so until annealing) and falls twice as slowly, after
@@ -372,7 +372,10 @@ mod tests {
         assert!([&four, &most].iter().all(|c| c.ppo.minibatch == eight.ppo.minibatch));
         let replays = resolve("agents = 8", &["algorithm=maddpg"]).unwrap();
         assert_eq!(2 * replays.ppo.minibatch, eight.ppo.minibatch);
-        assert_eq!(most.train.anneal_steps * 48, eight.train.anneal_steps * 8);
+        assert_eq!(
+            (2 * most.train.anneal_steps, 2 * at(16).train.anneal_steps),
+            (eight.train.anneal_steps, eight.train.anneal_steps)
+        );
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
         assert_eq!(at(16).train.envs, eight.train.envs);
