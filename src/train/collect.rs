@@ -66,7 +66,7 @@ impl Trainer {
                     }
                     carried = Tensor::from_slice(row).view([e, n, a]);
                     self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions].copy_from_slice(noise.log_fresh());
-                    offset += Tensor::from_slice(noise.log_fresh()).view([1, 1, a]);
+                    offset = &world_offset + Tensor::from_slice(noise.log_fresh()).view([1, 1, a]);
                 }
                 let graph = if s.graphs > 0 {
                     if self.learner.graph_lasts() {
@@ -188,6 +188,50 @@ mod tests {
 
     use super::*;
     use crate::config::{Config, Layers};
+
+    /// Where vehicles steer and noise lasts, each action has the probability of the process that drew
+    /// it, given the noise of the step before, in every world and at every step.
+    #[test]
+    fn actions_under_lasting_noise_have_the_probability_of_its_process() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
+        let flags = [("scenario", scenario), ("algorithm", "mappo")];
+        let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+        let (mut config, scenario) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
+        (config.train.envs, config.train.segment, config.exploration.spread) = (2, 6, 0.7);
+        let (correlation, log_std) = (config.exploration.correlation, config.exploration.log_std_start);
+        let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+        // Nothing is left over from the rollout before.
+        trainer.collect(Seed::new(1)).expect("SUMO runs");
+        trainer.collect(Seed::new(2)).expect("SUMO runs");
+        let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
+        let (e, n) = (s.envs as i64, s.agents as i64);
+        for t in 0..s.steps {
+            let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
+            let input = Observation {
+                observation: part(&rollout.observation, s.observation),
+                comm: part(&rollout.comm, s.agents),
+                start: Tensor::zeros([e], FLOAT),
+                memory: Tensor::zeros([e, n, 0], FLOAT),
+            };
+            let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
+            let [mean, action, carried, log_prob] =
+                [&mean, &part(&rollout.action, 2), &part(&rollout.carried, 2), &part(&rollout.log_prob, 2)]
+                    .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
+            for (k, found) in log_prob.iter().enumerate() {
+                let (world, dimension) = (k / (2 * s.agents), k % 2);
+                let steers = dimension == 0;
+                let scheduled = log_std + if steers { f64::from(0.37_f32.ln()) } else { 0.0 };
+                let kept = if steers || t == 0 { 0.0 } else { correlation };
+                let deviation =
+                    (scheduled + f64::from(rollout.log_std_offset[world])).exp() * (1.0 - kept * kept).sqrt();
+                let expected = f64::from(mean[k]) + scheduled.exp() * f64::from(carried[k]);
+                assert!(!(steers || t == 0) || carried[k] == 0.0, "only throttle and brake have lasting noise");
+                let z = (f64::from(action[k]) - expected) / deviation;
+                let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
+                assert!((f64::from(*found) - density).abs() < 1e-3, "step {t}, entry {k}: {found} {density}");
+            }
+        }
+    }
 
     /// What a rollout ends with is valued over the graph that acted, as all else of it.
     #[test]
