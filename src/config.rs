@@ -106,9 +106,9 @@ pub struct Train {
     /// training what a step away from it gives back, so that the best policy stays the best. Danger is 1 at a crash and falls to 0
     /// where vehicles that go straight on do not touch within [`World::DANGER`](crate::env::World::DANGER). 0: none.
     pub shaping: f64,
-    /// Whether the value of the last observation stands for what would come after the horizon, as if
-    /// episodes went on. Without it the horizon is a deadline: an agent that has not arrived by then
-    /// earns nothing more.
+    /// Whether the value of the last observation stands for what would come after the horizon, as
+    /// if episodes went on. Without it the horizon is a deadline: an agent that has not arrived by
+    /// then earns nothing more.
     pub bootstrap_horizon: bool,
     /// Environment steps between validations; each is followed by a checkpoint.
     pub validate_every: u64,

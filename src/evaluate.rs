@@ -129,7 +129,8 @@ pub struct KmPerCrash {
     pub km: f64,
     /// Crashes of agents ([`EpisodeRecord::crashes`]).
     pub crashes: u64,
-    /// Kilometres per crash with the exact interval of a Poisson count; without a crash a lower bound alone.
+    /// Kilometres per crash with the exact interval of a Poisson count; without a crash a lower
+    /// bound alone.
     #[serde(flatten)]
     pub estimate: Estimate,
 }

@@ -1,4 +1,5 @@
-//! Where results come from: the program's version and commit, SUMO's and libtorch's version, the machine.
+//! Where results come from: the program's version and commit, SUMO's and libtorch's version, the
+//! machine.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -117,7 +118,8 @@ impl Host {
     }
 }
 
-/// Version of the libtorch that this process has loaded, from the file `build-version` in its folder.
+/// Version of the libtorch that this process has loaded, from the file `build-version` in its
+/// folder.
 pub fn libtorch_version() -> Option<String> {
     let library = loaded_library("libtorch_cpu.so")?;
     let text = fs::read_to_string(library.parent()?.parent()?.join("build-version")).ok()?;
@@ -130,8 +132,8 @@ pub fn loaded_library(name: &str) -> Option<PathBuf> {
     maps.lines().find_map(|line| library_path(line, name))
 }
 
-/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the sixth column and may
-/// hold spaces; the columns before it do not hold a slash.
+/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the
+/// sixth column and may hold spaces; the columns before it do not hold a slash.
 fn library_path(line: &str, name: &str) -> Option<PathBuf> {
     let path = Path::new(&line[line.find('/')?..]);
     (path.file_name()? == name).then(|| path.to_owned())

@@ -66,8 +66,8 @@ pub struct Rollout {
     pub reward: Vec<f32>,
     /// Weight of each other agent's reward beside one's own, which has weight 1.
     pub cooperation: f64,
-    /// Who shares in whose reward, `[T, E, N, N]`, 1 where agent `i` shares in that of `j`; empty
-    /// where all agents of a world share.
+    /// Which agents share in each other's advantages, `[T, E, N, N]`: 1 where agent `i` shares in
+    /// that of `j`; empty where all agents of a world share.
     pub sharing: Vec<f32>,
     /// Potential of what is observed, `[T + 1, E, N]`, 0 for those who are not there; empty where rewards are not shaped.
     pub potential: Vec<f32>,
@@ -136,9 +136,10 @@ impl Rollout {
     /// Generalised advantage estimation: advantages and returns, `[T, E, N]`, from values `[T + 1, E, N]` in units of
     /// the reward.
     ///
-    /// A trajectory that [`ends`](Self::ends) has no future; one that is truncated otherwise is bootstrapped with the value of its
-    /// last observation; both end the chain. Inactive entries are zero. Rewards are shaped by the potential: each step earns what
-    /// it adds to it, and a trajectory that ends for good has none.
+    /// A trajectory that [`ends`](Self::ends) has no future; one that is truncated otherwise is
+    /// bootstrapped with the value of its last observation; both end the chain. Inactive entries
+    /// are zero. Rewards are shaped by the potential: each step earns what it adds to it, and a
+    /// trajectory that ends for good has none.
     pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let width = self.sizes.envs * self.sizes.agents;
         debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
@@ -168,7 +169,8 @@ impl Rollout {
         (advantage, returns)
     }
 
-    /// Adds to each active agent's advantage those of the other agents of its world, with the weight
+    /// Adds to each active agent's advantage those of the other agents of its world, with the
+    /// weight
     /// [`Rollout::cooperation`]; `advantage: [T, E, N]` are those of the agents' own rewards.
     ///
     /// Advantages are linear in rewards and values, so these are the advantages of the sum of own
@@ -193,8 +195,8 @@ impl Rollout {
         }
     }
 
-    /// Each agent's own reward and, weighted by [`Rollout::cooperation`], the penalties of the other
-    /// agents of its world, `[T, E, N]`: what methods learn from that replay single steps.
+    /// Each agent's own reward and, weighted by [`Rollout::cooperation`], the penalties of the
+    /// other agents of its world, `[T, E, N]`: what methods learn from that replay single steps.
     ///
     /// A penalty is a negative reward of a step that terminates a trajectory. As nobody earns
     /// anything by the presence of others, nobody gains by staying.
@@ -307,8 +309,8 @@ mod tests {
         assert_eq!((&team.terminated[..], &team.truncated[..]), (&[0.0; 3][..], &[0.0, 0.0, 1.0][..]));
     }
 
-    /// An agent that stands and earns nothing has the less to expect the nearer the horizon is, as an
-    /// episode does not go on beyond it; it does go on where a simulation broke off.
+    /// An agent that stands and earns nothing has the less to expect the nearer the horizon is, as
+    /// an episode does not go on beyond it; it does go on where a simulation broke off.
     #[test]
     fn the_horizon_is_a_deadline() {
         let sizes = Sizes { steps: 4, envs: 1, agents: 1, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
@@ -328,8 +330,8 @@ mod tests {
         assert!(close(standing(1.0, 0.0, true), goes_on), "where the setting says so");
     }
 
-    /// A rollout of steps in which the first of several agents arrives at step `arrival` for a reward,
-    /// and the others drive on and earn at every step.
+    /// A rollout of steps in which the first of several agents arrives at step `arrival` for a
+    /// reward, and the others drive on and earn at every step.
     fn arriving_at(arrival: usize, steps: usize, agents: usize, reward: f32, others: &[f32]) -> Rollout {
         let sizes = Sizes { steps, envs: 1, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
         let mut rollout = Rollout::new(sizes);
@@ -345,8 +347,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the others earn and however much of it is shared, an agent that may arrive gains
-        /// nothing by waiting.
+        /// Whatever the others earn and however much of it is shared, an agent that may arrive
+        /// gains nothing by waiting.
         #[test]
         fn nobody_gains_by_waiting(
             steps in 2usize..30,
@@ -378,7 +380,8 @@ mod tests {
             prop_assert!(earned(&of(0)) >= earned(&of(steps - 1)) - 1e-4);
         }
 
-        /// What is shared is the weighted sum of the others' advantages, of those who act and are in range.
+        /// What is shared is the weighted sum of the others' advantages, of those who act and are
+        /// in range.
         #[test]
         fn advantages_are_shared_by_the_definition(
             agents in 1usize..6,

@@ -80,7 +80,8 @@ impl Estimate {
     }
 
     /// How much exposure (kilometres, hours) there is for each event, with the exact interval of a
-    /// Poisson count (Garwood 1936): the count's bounds are quantiles of the chi-squared distribution.
+    /// Poisson count (Garwood 1936): the count's bounds are quantiles of the chi-squared
+    /// distribution.
     ///
     /// Without an event there is a lower bound alone: the mean is NaN and the upper bound infinite.
     /// The interval presumes that events are independent; events that come in clusters make it too
@@ -300,15 +301,15 @@ mod tests {
 
     #[test]
     fn garwood_intervals_match_published_values() {
-        // Ulm (1990), "A simple method to calculate the confidence interval of a standardized mortality
-        // ratio": exact limits of Poisson counts.
+        // Ulm (1990), "A simple method to calculate the confidence interval of a standardized
+        // mortality ratio": exact limits of Poisson counts.
         for (events, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390)] {
             let [least, most] = garwood(events);
             close(least, low, 6e-4);
             close(most, high, 6e-4);
         }
-        // By definition: as many events or fewer have a chance of 2.5 % at the upper bound, as many or
-        // more at the lower one.
+        // By definition: as many events or fewer have a chance of 2.5 % at the upper bound, as many
+        // or more at the lower one.
         let below = |mean: f64, events: u64| {
             let term = |k: u64| (k as f64 * mean.ln() - mean - ln_gamma(k as f64 + 1.0)).exp();
             (0..=events).map(term).sum::<f64>()

@@ -139,8 +139,8 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     within("episode length", straight.episode_length.mean, 51.6, 0.1);
 }
 
-/// Success of pure pursuit, and the share of vehicles that leave the road, as another implementation
-/// of the same vehicle gave them.
+/// Success of pure pursuit, and the share of vehicles that leave the road, as another
+/// implementation of the same vehicle gave them.
 #[test]
 fn pure_pursuit_through_turns_is_as_in_the_reference() {
     for (name, speed, success, out_of_road) in [

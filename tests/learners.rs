@@ -388,7 +388,8 @@ fn an_update_sees_the_policy_that_acted() {
     });
 }
 
-/// Graphs that are drawn again in an update have as much noise as those that acted: hardly any noise, the same graph.
+/// Graphs that are drawn again in an update have as much noise as those that acted: hardly any
+/// noise, the same graph.
 #[test]
 fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
     each(|name, encoder| {

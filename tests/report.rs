@@ -1,4 +1,5 @@
-//! Reports made from hand-written results: what a table says about its intervals, and where results come from.
+//! Reports made from hand-written results: what a table says about its intervals, and where results
+//! come from.
 
 use std::path::Path;
 

@@ -35,8 +35,8 @@ pub(super) struct Batch {
     pub(super) imitation: f64,
     /// Of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
-    /// Shift of the means by noise of earlier steps, `[T · E, N, A]`; empty where noise is independent
-    /// from step to step.
+    /// Shift of the means by noise of earlier steps, `[T · E, N, A]`; empty where noise is
+    /// independent from step to step.
     pub(super) carried: Tensor,
     /// Added to the logarithm of the standard deviation, `[T · E, N, A]`.
     pub(super) log_std_offset: Tensor,
@@ -134,8 +134,9 @@ impl Batch {
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
     }
 
-    /// Factor on the noise of sampled graphs in each row, beside the schedule's, `[(T + 1) · E, 1, 1]`;
-    /// the last rows, in which no agent acts, have the factor of the rows before.
+    /// Factor on the noise of sampled graphs in each row, beside the schedule's,
+    /// `[(T + 1) · E, 1, 1]`; the last rows, in which no agent acts, have the factor of the rows
+    /// before.
     pub(super) fn graph_noise_scale(&self, envs: i64) -> Tensor {
         let acted = self.noise_scale.view([-1, 1, 1]);
         let last = acted.narrow(0, acted.size()[0] - envs, envs);

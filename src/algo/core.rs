@@ -21,7 +21,8 @@ use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// Name of the diagnostic: share of the physically possible edges of the learned graph that are open.
+/// Name of the diagnostic: share of the physically possible edges of the learned graph that are
+/// open.
 pub(super) const EDGE_RATE: &str = "graph/edge_rate";
 
 /// The networks of one algorithm: how they decide, what they value, and what they lose on a shard.

@@ -130,8 +130,8 @@ impl MessageCritic {
         self.trunk.memory()
     }
 
-    /// Values (normalised) of a shard's active samples, `[B]`, the messages behind them, `[B, D]`, and
-    /// the share of possible edges that were open.
+    /// Values (normalised) of a shard's active samples, `[B]`, the messages behind them, `[B, D]`,
+    /// and the share of possible edges that were open.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);

@@ -191,13 +191,13 @@ pub enum ActMode<'a> {
     Sample {
         /// Standard normal, `[E, N, A]`.
         action: &'a Tensor,
-        /// Shift of the mean by noise of earlier steps, in units of the scheduled standard deviation,
-        /// `[E, N, A]`; empty where noise is independent from step to step.
+        /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
+        /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
         carried: &'a Tensor,
         /// Standard logistic, `[E, N, G · N]` for G graphs side by side; empty for policies without one.
         graph: &'a Tensor,
-        /// Added to the logarithm of the standard deviation, `[E, 1, A]` or `[E, 1, 1]`: how much less
-        /// noise each environment and dimension of the action has.
+        /// Added to the logarithm of the standard deviation, `[E, 1, A]` or `[E, 1, 1]`: how much
+        /// less noise each environment and dimension of the action has.
         log_std_offset: &'a Tensor,
     },
 }

@@ -193,10 +193,11 @@ pub struct Exploration {
     /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
     /// apart who goes first.
     pub spread: f64,
-    /// Correlation of the noise of throttle and brake with that of the step before (first-order autoregressive, of the same variance), until
-    /// annealing begins; none after it. Such noise moves a vehicle further from where it would be, and so finds other orders
-    /// of going first; but vehicles that must reckon with it drive slowly (Hollenstein et al., AAAI 2024). Probabilities of actions
-    /// are those given the noise of the step before.
+    /// Correlation of the noise of throttle and brake with that of the step before (first-order
+    /// autoregressive, of the same variance), until annealing begins; none after it. Such noise
+    /// moves a vehicle further from where it would be, and so finds other orders of going first;
+    /// but vehicles that must reckon with it drive slowly (Hollenstein et al., AAAI 2024).
+    /// Probabilities of actions are those given the noise of the step before.
     pub correlation: f64,
     /// Environment steps over which it falls to 0; 0: it stays.
     pub correlation_steps: u64,

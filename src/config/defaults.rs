@@ -30,7 +30,8 @@ impl Config {
             envs: if few { 2 * scaled(envs) } else { scaled(envs).max(envs.min(2 * scaled(envs))).max(8) } as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
-            // Vehicles become faster as long as annealing lasts: with a sixth of it, 48 drove at four fifths of their throughput.
+            // Vehicles become faster as long as annealing lasts: with a sixth of it, 48 drove at
+            // four fifths of their throughput.
             anneal_steps: at_least_half(if steers { 300_000 } else { train.anneal_steps }),
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
             // Vehicles that steer reach more than this with less noise only.
@@ -41,7 +42,8 @@ impl Config {
             // Of many routes, each meeting is seen seldom: noise that lasts makes one vehicle wait for the other more often, and is
             // needed for longer.
             correlation: if steers { 0.8 } else { exploration.correlation },
-            // It fades, as agents must come to do without it; methods that replay get worse as it does.
+            // It fades, as agents must come to do without it; methods that replay get worse as it
+            // does.
             correlation_steps: if steers && on_policy {
                 scaled(exploration.explore_steps)
             } else {

@@ -57,15 +57,17 @@ pub struct Layers {
 impl Config {
     /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
     ///
-    /// Where they are not given, these follow the number of agents N (between 4 and 48): `train.anneal_steps` in proportion to
-    /// 8/N down to a half, as are `train.validate_every` and `train.validation_episodes` down to a quarter, `steps` and
-    /// `exploration.explore_steps` up only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16.
-    /// Vehicles that steer imitate pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay), their
-    /// noise lasts (`exploration.correlation`; of methods that replay it does so until annealing) and falls twice as slowly, after
-    /// which batches grow (`train.growth`; not of methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four
-    /// times as long; `train.envs` is 128/N below 8 and `train.anneal_success` 0.9. Minibatches of methods that replay are half as
-    /// large (`ppo.minibatch`).
-    /// Training that begins with a trained policy begins with the noise at which others wait for success.
+    /// Where they are not given, these follow the number of agents N (between 4 and 48):
+    /// `train.anneal_steps` in proportion to 8/N down to a half, as are `train.validate_every` and
+    /// `train.validation_episodes` down to a quarter, `steps` and `exploration.explore_steps` up
+    /// only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Vehicles that steer imitate
+    /// pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay),
+    /// their noise lasts (`exploration.correlation`; of methods that replay it does so until
+    /// annealing) and falls twice as slowly, after which batches grow (`train.growth`; not of
+    /// methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four times as
+    /// long; `train.envs` is 128/N below 8 and `train.anneal_success` 0.9. Minibatches of methods
+    /// that replay are half as large (`ppo.minibatch`). Training that begins with a trained policy
+    /// begins with the noise at which others wait for success.
     ///
     /// # Errors
     /// [`Error`], naming the place.

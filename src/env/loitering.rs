@@ -1,7 +1,8 @@
 //! Loitering: an agent crawls or stands just before its finish although nobody is in its way.
 //!
-//! A policy that earns something for being on the road may learn to wait in front of its finish. Such
-//! an agent is safe and arrives at last, so that success, safety and crashes say nothing about it.
+//! A policy that earns something for being on the road may learn to wait in front of its finish.
+//! Such an agent is safe and arrives at last, so that success, safety and crashes say nothing about
+//! it.
 
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::slots::{Slot, Status};
@@ -11,7 +12,8 @@ use super::task::Task;
 const NEAR: f64 = 15.0;
 /// An agent that is at least this fast does not loiter \[m/s\].
 const SLOW: f64 = 3.0;
-/// An agent has loitered once the time that it was slow, near and free adds up to more than this \[s\].
+/// An agent has loitered once the time that it was slow, near and free adds up to more than this
+/// \[s\].
 const LONGEST: f64 = 2.0;
 /// An agent has started to move once it was faster than this \[m/s\].
 const MOVING: f64 = 0.1;
@@ -55,8 +57,8 @@ pub(super) fn watch(task: &Task, slots: &mut [Slot]) {
     }
 }
 
-/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's way to its finish: on the
-/// lanes that both use, or with its body where the agent's body has to pass.
+/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's way to its finish: on
+/// the lanes that both use, or with its body where the agent's body has to pass.
 fn is_anyone_ahead(task: &Task, slots: &[Slot], agent: usize) -> bool {
     let own = &slots[agent];
     let route = &task.routes[own.route];

@@ -31,12 +31,13 @@ pub struct EpisodeRecord {
     /// Distance that the agents drove, all together \[km\]; 0 in files of older versions.
     #[serde(default)]
     pub distance_km: f64,
-    /// Crashes of agents: pairs of which at least one was an agent that was still driving. Two agents
-    /// that collide are one crash; the other may also be a wreck, background traffic or a pedestrian.
+    /// Crashes of agents: pairs of which at least one was an agent that was still driving. Two
+    /// agents that collide are one crash; the other may also be a wreck, background traffic or a
+    /// pedestrian.
     #[serde(default)]
     pub crashes: u32,
-    /// Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at most 15 m from
-    /// their finish and with nobody ahead. 0 in files of older versions.
+    /// Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at most 15 m
+    /// from their finish and with nobody ahead. 0 in files of older versions.
     #[serde(default)]
     pub loitering: f64,
     /// Where the two differ, and why.

@@ -58,8 +58,8 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
     features
 }
 
-/// Writes the privileged state as seen from `slot`, `[S]`; `time_left` is the share of the horizon that
-/// is left, 1 at the start of an episode.
+/// Writes the privileged state as seen from `slot`, `[S]`; `time_left` is the share of the horizon
+/// that is left, 1 at the start of an episode.
 pub(super) fn write(task: &Task, traffic: &Traffic, time_left: f64, slot: usize, out: &mut [f32]) {
     let (scenario, routes) = (&task.scenario, &task.routes[..]);
     let own = &traffic.slots[slot];

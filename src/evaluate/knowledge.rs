@@ -1,12 +1,12 @@
 //! What a latent knows beyond the observation from which it is made.
 //!
 //! A decoder predicts a target (the privileged state, the agent's message) from the latent. Most of
-//! that target may already stand in the observation, and predicting it again is no merit. The decoder
-//! is therefore also judged on those features of the target that the observation does not determine,
-//! beside a linear probe: ridge regression from the raw observation to the target.
+//! that target may already stand in the observation, and predicting it again is no merit. The
+//! decoder is therefore also judged on those features of the target that the observation does not
+//! determine, beside a linear probe: ridge regression from the raw observation to the target.
 //!
-//! The probe is fitted on the episodes with even numbers. The probe, and whatever it is compared with,
-//! is judged on the episodes with odd numbers, so that no episode is on both sides.
+//! The probe is fitted on the episodes with even numbers. The probe, and whatever it is compared
+//! with, is judged on the episodes with odd numbers, so that no episode is on both sides.
 
 use std::collections::BTreeSet;
 
@@ -16,8 +16,8 @@ use tch::{Kind, Tensor};
 
 use crate::algo::Reconstruction;
 
-/// A target feature is determined by the observation where the probe explains at least this share of
-/// its variance in the episodes on which the probe was not fitted.
+/// A target feature is determined by the observation where the probe explains at least this share
+/// of its variance in the episodes on which the probe was not fitted.
 pub const DETERMINED: f64 = 0.99;
 /// Ridge of the regression from standardised features. A target that is one of the observation's
 /// features is explained up to a quarter of this.
@@ -29,16 +29,19 @@ const FEWEST_EPISODES: usize = 4;
 /// Without so many samples per feature of the observation to fit on there is no probe.
 const FEWEST_SAMPLES: f64 = 10.0;
 
-/// How well a decoder predicts its target from a latent, over the active agents of every eighth step.
+/// How well a decoder predicts its target from a latent, over the active agents of every eighth
+/// step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Knowledge {
     /// The target: `world` (the privileged state) or `interaction` (the agent's message).
     pub name: &'static str,
     /// Mean squared error over samples and features.
     pub error: f64,
-    /// Share of the target's variance that is predicted: 1 is perfect, 0 as good as always saying the mean.
+    /// Share of the target's variance that is predicted: 1 is perfect, 0 as good as always saying
+    /// the mean.
     pub explained: f64,
-    /// The same beside a linear probe from the observation; `None` with too few episodes or samples.
+    /// The same beside a linear probe from the observation; `None` with too few episodes or
+    /// samples.
     pub probe: Option<Probe>,
 }
 
@@ -56,10 +59,11 @@ pub struct Probe {
     pub features: usize,
     /// Share of the variance of all these features that the probe explains.
     pub explained: f64,
-    /// Features that the observation does not determine: the probe explains less than [`DETERMINED`].
+    /// Features that the observation does not determine: the probe explains less than
+    /// [`DETERMINED`].
     pub undetermined: usize,
-    /// Share of the variance of the undetermined features that the decoder explains; `None` where all
-    /// features are determined.
+    /// Share of the variance of the undetermined features that the decoder explains; `None` where
+    /// all features are determined.
     pub undetermined_explained: Option<f64>,
     /// Share of the variance of the undetermined features that the probe explains.
     pub undetermined_probe_explained: Option<f64>,
@@ -68,7 +72,8 @@ pub struct Probe {
 /// Sums over samples from which [`Knowledge`] follows; index 0 is the half to fit on.
 #[derive(Default)]
 pub(super) struct Sums {
-    /// Products of the observation's features with each other, `[1 + O, 1 + O]`; feature 0 is always 1.
+    /// Products of the observation's features with each other, `[1 + O, 1 + O]`; feature 0 is
+    /// always 1.
     observations: [Option<Tensor>; 2],
     episodes: [BTreeSet<u64>; 2],
     targets: Vec<Target>,
@@ -90,7 +95,8 @@ struct TargetSums {
 }
 
 impl Sums {
-    /// Adds the samples of one decision: `observation [E, N, O]` and `active [E, N]` of worlds that play these episodes.
+    /// Adds the samples of one decision: `observation [E, N, O]` and `active [E, N]` of worlds that
+    /// play these episodes.
     pub(super) fn add(&mut self, all: &[Reconstruction], observation: &Tensor, active: &Tensor, episodes: &[u64]) {
         if all.is_empty() {
             return;
@@ -167,7 +173,8 @@ fn accumulate(sum: &mut Option<Tensor>, more: Tensor) {
     }
 }
 
-/// 1 − errors / variances, summed over the chosen features; `None` where there is nothing to explain.
+/// 1 − errors / variances, summed over the chosen features; `None` where there is nothing to
+/// explain.
 fn explained(errors: &[f64], variances: &[f64], chosen: &[bool]) -> Option<f64> {
     let sum = |values: &[f64]| values.iter().zip(chosen).filter(|(_, chosen)| **chosen).map(|(v, _)| v).sum::<f64>();
     let variance = sum(variances);
@@ -230,7 +237,8 @@ impl Moments {
     }
 }
 
-/// Weights of the ridge regression, `[1 + O, K]`, of which row 0 is the intercept; `None` with too few samples.
+/// Weights of the ridge regression, `[1 + O, K]`, of which row 0 is the intercept; `None` with too
+/// few samples.
 fn fit(moments: &Moments) -> Option<DMatrix<f64>> {
     let (n, targets) = (moments.count, moments.products.ncols());
     let mean = |i: usize| moments.gram[(0, i)] / n;
@@ -297,8 +305,9 @@ mod tests {
     const WORLDS: usize = 16;
     const AGENTS: usize = 2;
 
-    /// What is found when `of` gives observation, target and prediction of a sample, from the number of
-    /// the episode and a source of normal numbers; `rounds` times 16 episodes of `steps` decisions.
+    /// What is found when `of` gives observation, target and prediction of a sample, from the
+    /// number of the episode and a source of normal numbers; `rounds` times 16 episodes of `steps`
+    /// decisions.
     fn knowledge(
         rounds: u64,
         steps: u64,
@@ -337,8 +346,8 @@ mod tests {
 
     #[test]
     fn what_the_observation_holds_is_determined_and_what_is_independent_is_not() {
-        // The target: a copy of a feature, a sum of two, a constant, and something that is not observed.
-        // The decoder says the last of these exactly, and nothing about the others.
+        // The target: a copy of a feature, a sum of two, a constant, and something that is not
+        // observed. The decoder says the last of these exactly, and nothing about the others.
         let found = knowledge(4, 20, |_, normal| {
             let [a, b, hidden] = [normal(), normal(), normal()];
             [vec![a, b, 0.5], vec![a, 0.3 * a - 2.0 * b + 1.0, 0.25, hidden], vec![0.0, 0.0, 0.25, hidden]]
@@ -378,8 +387,8 @@ mod tests {
 
     #[test]
     fn an_episode_is_on_one_side_alone() {
-        // Observations that tell episodes apart, and a target of which each episode has its own value:
-        // samples of one episode on both sides would make it look determined.
+        // Observations that tell episodes apart, and a target of which each episode has its own
+        // value: samples of one episode on both sides would make it look determined.
         let of_episode = |episode: u64, count: usize| {
             let mut values = vec![0.0; count];
             rng::fill_normal(&mut Seed::new(9).index(episode).rng(), &mut values);

@@ -72,13 +72,14 @@ impl SelfAttention {
     }
 }
 
-/// Attention weights over a graph G of 0 and 1: `G_ij exp(logit_ij) / Σ_k G_ik exp(logit_ik)`, over the
-/// last dimension.
+/// Attention weights over a graph G of 0 and 1: `G_ij exp(logit_ij) / Σ_k G_ik exp(logit_ik)`, over
+/// the last dimension.
 ///
 /// A closed edge has weight 0 exactly, whatever its logit. It has a gradient nevertheless: that of
-/// what is read, `out_i = Σ_j weight_ij v_j`, is `∂out_i/∂G_ij = exp(logit_ij) (v_j - out_i) / Σ`, so
-/// that a learned graph finds out what an edge would bring. Edges that are physically impossible
-/// get no gradient where the graph is a product with the physical mask. Every row needs an open edge.
+/// what is read, `out_i = Σ_j weight_ij v_j`, is `∂out_i/∂G_ij = exp(logit_ij) (v_j - out_i) / Σ`,
+/// so that a learned graph finds out what an edge would bring. Edges that are physically impossible
+/// get no gradient where the graph is a product with the physical mask. Every row needs an open
+/// edge.
 pub(super) fn graph_softmax(logits: &Tensor, graph: &Tensor) -> Tensor {
     /// A closed edge counts as at most e⁹ times the strongest open one, lest it overflow.
     const MOST: f64 = 9.0;

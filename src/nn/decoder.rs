@@ -28,7 +28,8 @@ impl Reach {
     }
 
     /// As [`Reach::of`], by a learned graph of 0 and 1, whose edges have gradients whether they are
-    /// open or closed; `relation: [B, N, N]` (0 or 1) is what attention with relations knows of a pair.
+    /// open or closed; `relation: [B, N, N]` (0 or 1) is what attention with relations knows of a
+    /// pair.
     pub fn over(graph: &Tensor, relation: &Tensor) -> Self {
         let graph = graph.unsqueeze(1);
         Self { bias: graph.zeros_like().detach(), graph: Some((graph, relation.detach().unsqueeze(1))) }
@@ -42,8 +43,8 @@ impl Reach {
         Self { bias: self.bias.masked_fill(&later, f64::NEG_INFINITY), graph }
     }
 
-    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere; a
-    /// learned graph acts beside it.
+    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere;
+    /// a learned graph acts beside it.
     pub fn bias(&self) -> &Tensor {
         &self.bias
     }

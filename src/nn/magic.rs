@@ -52,9 +52,9 @@ impl Scheduler {
     }
 }
 
-/// Multi-head graph attention by additive scores, whose weights are normalised over the graph's open
-/// edges. The reference multiplies scores, weights and normalised weights by the graph: the same
-/// weights, but no gradient for a closed edge.
+/// Multi-head graph attention by additive scores, whose weights are normalised over the graph's
+/// open edges. The reference multiplies scores, weights and normalised weights by the graph: the
+/// same weights, but no gradient for a closed edge.
 #[derive(Debug)]
 pub struct GraphAttention {
     heads: i64,

@@ -14,8 +14,9 @@ use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskMode {
-    /// Only edges are attended to: what is sent over a cut edge changes nothing, bit for bit, and gets no gradient. The
-    /// gradient of an edge, open or closed, is that of its renormalised attention weight, so a learned graph is trained.
+    /// Only edges are attended to: what is sent over a cut edge changes nothing, bit for bit, and
+    /// gets no gradient. The gradient of an edge, open or closed, is that of its renormalised
+    /// attention weight, so a learned graph is trained.
     #[default]
     Hard,
     /// Logits are multiplied by the graph, as in the released code: a cut edge has logit 0 and still leaks.
@@ -280,8 +281,8 @@ mod tests {
         assert!(gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0), "the scheduler is trained");
     }
 
-    /// Where the scheduler closes every edge, it still finds out what the possible ones would bring,
-    /// and nothing of those that are physically cut.
+    /// Where the scheduler closes every edge, it still finds out what the possible ones would
+    /// bring, and nothing of those that are physically cut.
     #[test]
     fn closed_edges_have_a_gradient_where_they_are_possible() {
         let scheduler_gradient = |physical: &Tensor| {

@@ -1,8 +1,9 @@
 //! The report of a sweep: tables, figures and data for other programs, made from the files of its cells alone.
 //!
-//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. A table or figure has one unit of
-//! interval and names it (`Unit`). Aggregates over several places of the
-//! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see [`crate::stats::aggregate`].
+//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. A table or
+//! figure has one unit of interval and names it (`Unit`). Aggregates over several places of the
+//! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see
+//! [`crate::stats::aggregate`].
 
 mod document;
 mod figures;
@@ -81,16 +82,18 @@ struct Row<'a> {
     runs: Vec<(&'a Cell, Option<Value>)>,
 }
 
-/// The independent values of which an interval is made. The intervals of one table or figure have one unit.
+/// The independent values of which an interval is made. The intervals of one table or figure have
+/// one unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
-    /// Trained runs: Student's t interval of their mean, which says what another seed may give. Where all runs give the
-    /// same it is a point.
+    /// Trained runs: Student's t interval of their mean, which says what another seed may give.
+    /// Where all runs give the same it is a point.
     Seeds,
-    /// The episodes of the one run that there is: what that policy does, whatever another seed would give.
+    /// The episodes of the one run that there is: what that policy does, whatever another seed
+    /// would give.
     Episodes,
-    /// The episodes of all runs together, of a rate: Wilson's interval, which is no point where all runs give the same. It
-    /// says what these policies do, whatever another seed would give.
+    /// The episodes of all runs together, of a rate: Wilson's interval, which is no point where all
+    /// runs give the same. It says what these policies do, whatever another seed would give.
     Together,
 }
 
@@ -157,8 +160,8 @@ impl Row<'_> {
         self.runs.iter().filter_map(|(_, found)| metric.of(found.as_ref()?, "mean")).collect()
     }
 
-    /// Mean and interval. Bounds that the unit does not give (of one seed, over seeds) are infinite; others of rates stay
-    /// in their range.
+    /// Mean and interval. Bounds that the unit does not give (of one seed, over seeds) are
+    /// infinite; others of rates stay in their range.
     fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
         let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
         let values = self.values(metric);

@@ -32,9 +32,9 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     document.text(text);
 }
 
-/// A table per metric, a line per series, a column per place; published values below. One table with a column per metric where
-/// there is but one place. Lines with several seeds and lines with one have tables of their own, as their intervals have other
-/// units.
+/// A table per metric, a line per series, a column per place; published values below. One table
+/// with a column per metric where there is but one place. Lines with several seeds and lines with
+/// one have tables of their own, as their intervals have other units.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
     let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) = block.series.iter().partition(|line| line.has_seeds());
     let metrics: Vec<&Metric> = block.metrics().collect();
@@ -61,7 +61,8 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
     }
 }
 
-/// A table of some lines and metrics with intervals of one unit, with published values below if they are wanted.
+/// A table of some lines and metrics with intervals of one unit, with published values below if
+/// they are wanted.
 fn table(
     document: &mut Document,
     sweep: &Sweep,
@@ -119,7 +120,8 @@ fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
     }
 }
 
-/// Mean ± half the width of the t-interval over seeds, the mean alone of one; a dash without values.
+/// Mean ± half the width of the t-interval over seeds, the mean alone of one; a dash without
+/// values.
 fn over_seeds(values: &[f64], digits: usize) -> String {
     match Estimate::t(values) {
         None => "–".to_owned(),
@@ -151,8 +153,8 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     document.table(std::iter::once(title).chain(places).collect(), rows);
 }
 
-/// What the latents know, and a linear probe from the observation beside it, of the features that the observation does not
-/// determine.
+/// What the latents know, and a linear probe from the observation beside it, of the features that
+/// the observation does not determine.
 pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
     for target in ["world", "interaction"] {
         let mut rows: Vec<Vec<String>> = Vec::new();
@@ -260,7 +262,8 @@ struct Group {
     sumo: Vec<String>,
 }
 
-/// What training took and with what it was done, per cell without its seed, and what evaluated the policies.
+/// What training took and with what it was done, per cell without its seed, and what evaluated the
+/// policies.
 pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'_>]) {
     let mut groups: Vec<(String, Group)> = Vec::new();
     for cell in &sweep.cells {

@@ -152,7 +152,8 @@ pub struct Control {
     /// vehicle on its route.
     pub steering: Option<Steering>,
     /// Mean throttle of an untrained policy, -1 to 1. At 0 vehicles hardly move under noise where
-    /// brakes are stronger than the engine; the larger it is, the sooner all drive at full throttle.
+    /// brakes are stronger than the engine; the larger it is, the sooner all drive at full
+    /// throttle.
     pub initial_throttle: f64,
 }
 
@@ -357,9 +358,11 @@ pub struct Reward {
     pub out_of_road: f64,
     /// Replaces the step's reward in a crash.
     pub crash: f64,
-    /// Weight in training of each other agent's advantage beside one's own, which has weight 1; 0 to 1.
+    /// Weight in training of each other agent's advantage beside one's own, which has weight 1; 0
+    /// to 1.
     pub cooperation: f64,
-    /// How far apart agents share in each other's advantages \[m\]; infinite: all agents of a world.
+    /// How far apart agents share in each other's advantages \[m\]; infinite: all agents of a
+    /// world.
     pub share_range: f64,
 }
 

@@ -189,8 +189,8 @@ mod tests {
     use super::*;
     use crate::config::{Config, Layers};
 
-    /// Where vehicles steer and noise lasts, each action has the probability of the process that drew
-    /// it, given the noise of the step before, in every world and at every step.
+    /// Where vehicles steer and noise lasts, each action has the probability of the process that
+    /// drew it, given the noise of the step before, in every world and at every step.
     #[test]
     fn actions_under_lasting_noise_have_the_probability_of_its_process() {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");

@@ -14,8 +14,8 @@ use crate::evaluate::Evaluation;
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 
 /// Keys of what a validation says about a decoder: error and explained variance over all features,
-/// explained variance of the linear probe, undetermined features, and explained variance of these by
-/// the decoder and by the probe ([`crate::evaluate::Probe`]).
+/// explained variance of the linear probe, undetermined features, and explained variance of these
+/// by the decoder and by the probe ([`crate::evaluate::Probe`]).
 const WORLD: [&str; 6] = [
     "validation/world_error",
     "validation/world_explained",

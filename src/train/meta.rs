@@ -30,8 +30,9 @@ struct Meta<'a> {
 }
 
 impl RunDir {
-    /// Writes `meta.json` before the training that starts or goes on from `progress`: what somebody needs to know who finds the
-    /// folder in a year. `fingerprint` is the scenario's, `worlds` says how the worlds are hosted.
+    /// Writes `meta.json` before the training that starts or goes on from `progress`: what somebody
+    /// needs to know who finds the folder in a year. `fingerprint` is the scenario's, `worlds` says
+    /// how the worlds are hosted.
     ///
     /// # Errors
     /// When the file cannot be written.

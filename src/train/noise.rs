@@ -21,7 +21,8 @@ pub(super) struct CorrelatedNoise {
 }
 
 impl CorrelatedNoise {
-    /// The noise of so many agents with actions of these dimensions; `correlation` is from 0 to below 1.
+    /// The noise of so many agents with actions of these dimensions; `correlation` is from 0 to
+    /// below 1.
     pub(super) fn new(agents: usize, actions: &[ActionDimension], correlation: f32) -> Self {
         let count = agents * actions.len();
         let of = |action: &ActionDimension| if action.correlated { correlation } else { 0.0 };

@@ -93,7 +93,8 @@ impl RunDir {
         self.0.join(".lock")
     }
 
-    /// The run folder of what `path` stands for: a run folder, or a checkpoint in the folder `checkpoints` of one.
+    /// The run folder of what `path` stands for: a run folder, or a checkpoint in the folder
+    /// `checkpoints` of one.
     pub fn of(path: &Path) -> Option<Self> {
         if path.is_dir() {
             return Some(Self::new(path));

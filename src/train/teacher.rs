@@ -172,7 +172,8 @@ mod tests {
         checkpoint.save(path).expect("saved");
     }
 
-    /// What the policy in `path` shows in thirty steps of two worlds, where agents see what `sets` say.
+    /// What the policy in `path` shows in thirty steps of two worlds, where agents see what `sets`
+    /// say.
     fn shown(path: &Path, sets: &[&str]) -> Vec<f32> {
         let (mut config, scenario) = resolve(sets);
         (config.train.teacher, config.train.imitate_steps) = (path.to_owned(), 1);

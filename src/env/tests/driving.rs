@@ -2,9 +2,9 @@
 
 use super::*;
 
-/// An episode in which the agents of one lane stop `stops[k]` metres before the finish, counted from
-/// the first of the lane, or drive through at full throttle where there is none; all others stand at
-/// their spawn places. The record, and what was driven by SUMO's count \[km\].
+/// An episode in which the agents of one lane stop `stops[k]` metres before the finish, counted
+/// from the first of the lane, or drive through at full throttle where there is none; all others
+/// stand at their spawn places. The record, and what was driven by SUMO's count \[km\].
 fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
     let task = task(16, |s| s.termination.horizon = 300);
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
@@ -51,7 +51,8 @@ fn an_agent_that_waits_before_its_finish_loiters() {
 fn an_agent_that_has_not_moved_yet_does_not_loiter() {
     let task = task(4, |s| s.termination.horizon = 60);
     let half = task.scenario.vehicle.length / 2.0;
-    // An episode whose first agent is alone on its lane; the finish there is moved to 8 m ahead of it.
+    // An episode whose first agent is alone on its lane; the finish there is moved to 8 m ahead of
+    // it.
     let begin = |seed| {
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -85,8 +86,8 @@ fn distance_and_crashes_are_counted() {
     let (record, driven) = lane(&[None]);
     assert!(driven > 0.05 && (record.distance_km - driven).abs() < 1e-3, "{} {driven}", record.distance_km);
     assert_eq!(record.crashes, 0);
-    // The second of the lane runs into the first, which stands: one crash of two. The third runs into
-    // the wrecks: one more.
+    // The second of the lane runs into the first, which stands: one crash of two. The third runs
+    // into the wrecks: one more.
     let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
     assert_eq!((record.crashes, record.failures.crashed()), (2, 3), "{record:?}");
 }

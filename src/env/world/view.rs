@@ -18,8 +18,8 @@ pub struct Frame {
     pub start: bool,
     /// `[N]`: each agent's own reward of the last step.
     pub reward: Vec<f32>,
-    /// Who shares in whose reward, `[N, N]`: 1 where agents are no further apart than the scenario's
-    /// share range; empty where it has none, and all agents share.
+    /// Which agents share in each other's advantages, `[N, N]`: 1 where they are no further apart
+    /// than the scenario's share range; empty where it has none, and all agents share.
     pub sharing: Vec<f32>,
     /// `[N]`, 1 where the last step ended an agent's trajectory for good.
     pub terminated: Vec<f32>,
