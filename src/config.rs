@@ -114,7 +114,7 @@ pub struct Train {
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions on seeds of their own.
     pub validation_episodes: u64,
-    /// Stop when annealing is over and this share of agents succeeded on average of the last [`Train::stop_validations`]
+    /// Stop when annealing is over and this share of agents succeeded in each of the last [`Train::stop_validations`]
     /// validations; 0 never stops early.
     pub stop_success: f64,
     /// See [`Train::stop_success`].
@@ -149,7 +149,7 @@ impl Default for Train {
             bootstrap_horizon: false,
             validate_every: 16_384,
             validation_episodes: 64,
-            stop_success: 0.99,
+            stop_success: 0.995,
             stop_validations: 4,
             anneal_success: 0.95,
             anneal_steps: 180_000,

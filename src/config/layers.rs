@@ -385,7 +385,7 @@ mod tests {
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
         // All sizes search in the same way.
         let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
-        assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.99, 0.99); 3]);
+        assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.99); 3]);
         assert_eq!(four.train.validation_episodes, 128);
         let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
         assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.06, 0.06, 0.0, 0.0]);

@@ -116,12 +116,13 @@ pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
     }
 }
 
-/// Whether there is nothing more to learn.
+/// Whether there is nothing more to learn: each of the last validations succeeded, so that a policy that still swings
+/// between them is not the last one.
 pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
     let (train, recent) = (&config.train, &progress.recent);
-    let mean = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
     let enough = recent.len() >= train.stop_validations as usize;
-    train.stop_success > 0.0 && enough && mean >= train.stop_success && annealed(config, progress)
+    let good = recent.iter().all(|success| *success >= train.stop_success);
+    train.stop_success > 0.0 && enough && good && annealed(config, progress)
 }
 
 /// How long annealing takes: at most half of the run.
@@ -238,6 +239,17 @@ mod tests {
         let pace = pace(&config, &end);
         assert!((pace.log_std + 2.0).abs() < 1e-12);
         assert!((pace.learning_rate - 1e-4 * (-2.0_f64).exp()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_policy_that_swings_is_not_solved() {
+        let config = config();
+        let solved = |recent: [f64; 2]| {
+            let progress = Progress { recent: recent.into(), annealed: 200, annealing: true, ..Progress::default() };
+            super::solved(&config, &progress)
+        };
+        assert!(solved([0.95, 1.0]));
+        assert!(!solved([1.0, 0.94]) && !solved([0.94, 1.0]), "the mean of both would be good enough");
     }
 
     #[test]
