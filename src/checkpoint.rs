@@ -36,19 +36,6 @@ pub struct Progress {
     pub annealed: u64,
     /// Whether the last validation lets it go on.
     pub annealing: bool,
-    /// How often training has begun again with new weights.
-    #[serde(default)]
-    pub restarts: u64,
-    /// Step at which the present weights were new.
-    #[serde(default)]
-    pub begun: u64,
-    /// Whether they have found a way: a validation let annealing begin. Checkpoints that do not say so are older than the choice.
-    #[serde(default = "yes")]
-    pub found: bool,
-}
-
-fn yes() -> bool {
-    true
 }
 
 /// What a checkpoint holds.
@@ -150,8 +137,8 @@ impl Checkpoint {
         let episodes: Vec<(u64, bool)> =
             serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
         let counters = [progress.iteration, progress.step, progress.next_validation, progress.validated];
-        if progress.annealed > progress.step || progress.begun > progress.step {
-            return Err(damaged("it has annealed for more steps than it took, or begun after them".to_owned()));
+        if progress.annealed > progress.step {
+            return Err(damaged("it has annealed for more steps than it took".to_owned()));
         }
         if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
             return Err(damaged("a counter in it is out of range".to_owned()));

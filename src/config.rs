@@ -97,15 +97,6 @@ pub struct Train {
     pub imitate_steps: u64,
     /// Speed of the pursuit that is imitated \[m/s\].
     pub imitate_speed: f64,
-    /// Whether it gives way to others, first come, first served.
-    pub imitate_yields: bool,
-    /// A run folder or checkpoint of a policy without memory, trained on the same scenario with any number of agents, that is imitated
-    /// instead of pursuit. It sees what it saw when it was trained, which may be more than the pupil sees. Empty: pursuit.
-    pub teacher: PathBuf,
-    /// Weight of the danger of a crash as a potential (Ng et al., 1999): a step that brings an agent closer to one costs it in
-    /// training what a step away from it gives back, so that the best policy stays the best. Danger is 1 at a crash and falls to 0
-    /// where vehicles that go straight on do not touch within [`World::DANGER`](crate::env::World::DANGER). 0: none.
-    pub shaping: f64,
     /// Whether the value of the last observation stands for what would come after the horizon, as
     /// if episodes went on. Without it the horizon is a deadline: an agent that has not arrived by
     /// then earns nothing more.
@@ -126,11 +117,6 @@ pub struct Train {
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
-    /// When no validation has let annealing begin so many environment steps after training began, and the last is below
-    /// [`Train::restart_success`], it begins again with other new weights, if there is time for as many and for annealing; 0: never.
-    pub restart_steps: u64,
-    /// A validation with this share of successful agents is worth going on from.
-    pub restart_success: f64,
 }
 
 impl Default for Train {
@@ -143,9 +129,6 @@ impl Default for Train {
             replay_failed: 0.5,
             imitate_steps: 0,
             imitate_speed: 6.0,
-            imitate_yields: false,
-            teacher: PathBuf::new(),
-            shaping: 0.0,
             bootstrap_horizon: false,
             validate_every: 16_384,
             validation_episodes: 64,
@@ -153,8 +136,6 @@ impl Default for Train {
             stop_validations: 4,
             anneal_success: 0.95,
             anneal_steps: 180_000,
-            restart_steps: 0,
-            restart_success: 0.8,
         }
     }
 }

@@ -80,9 +80,6 @@ pub struct Training {
     /// Other programs that trained it before it was resumed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub earlier: Vec<Program>,
-    /// How often training restarted with new weights; `None` where nobody knows.
-    #[serde(default)]
-    pub restarts: Option<u64>,
 }
 
 /// The machine.
@@ -180,8 +177,9 @@ mod tests {
     fn what_older_runs_noted_is_read() {
         let older: Training = serde_json::from_str(r#"{"iwol": "0.1.0", "sumo": "1.15.0", "cores": 2}"#).unwrap();
         assert_eq!((older.program.version.as_str(), older.program.sumo.as_str()), ("0.1.0", "1.15.0"));
-        assert_eq!((older.program.commit.as_str(), older.restarts), (UNKNOWN, None));
-        let text = serde_json::to_string(&Training { restarts: Some(2), ..older.clone() }).unwrap();
-        assert_eq!(serde_json::from_str::<Training>(&text).unwrap(), Training { restarts: Some(2), ..older });
+        assert_eq!((older.program.commit.as_str(), older.earlier.len()), (UNKNOWN, 0));
+        let resumed = Training { earlier: vec![older.program.clone()], ..older };
+        let text = serde_json::to_string(&resumed).unwrap();
+        assert_eq!(serde_json::from_str::<Training>(&text).unwrap(), resumed);
     }
 }

@@ -48,8 +48,9 @@ pub struct Rollout {
     pub graph_noise: Vec<f32>,
     /// `[T, E, N, A]`, as sampled (not clipped).
     pub action: Vec<f32>,
-    /// What the teacher would have done, `[T, E, N, A]`; empty where there is none.
-    pub teacher: Vec<f32>,
+    /// What pure pursuit of the route would have done, `[T, E, N, A]`; empty where the policy does
+    /// not imitate it.
+    pub pursuit: Vec<f32>,
     /// Of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
     /// Shift of each action's mean by noise of earlier steps, in units of the scheduled standard
@@ -58,10 +59,6 @@ pub struct Rollout {
     /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T, A]`;
     /// empty where noise is independent from step to step.
     pub log_fresh: Vec<f32>,
-    /// `[T, E]`, 1 where actions are sampled, 0 where they are the policy's mean, which the policy learns nothing from.
-    pub sampled: Vec<f32>,
-    /// Added to the logarithm of the actions' standard deviation, `[E]`.
-    pub log_std_offset: Vec<f32>,
     /// Own reward of each agent, `[T, E, N]`.
     pub reward: Vec<f32>,
     /// Weight of each other agent's reward beside one's own, which has weight 1.
@@ -69,8 +66,6 @@ pub struct Rollout {
     /// Which agents share in each other's advantages, `[T, E, N, N]`: 1 where agent `i` shares in
     /// that of `j`; empty where all agents of a world share.
     pub sharing: Vec<f32>,
-    /// Potential of what is observed, `[T + 1, E, N]`, 0 for those who are not there; empty where rewards are not shaped.
-    pub potential: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory ended for good.
     pub terminated: Vec<f32>,
     /// `[T, E, N]`, 1 where the trajectory was truncated: at the horizon, or because its simulation broke off.
@@ -95,16 +90,13 @@ impl Rollout {
             memory: vec![0.0; closed * sizes.memory],
             graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],
-            teacher: Vec::new(),
+            pursuit: Vec::new(),
             log_prob: vec![0.0; rows * sizes.actions],
             carried: Vec::new(),
             log_fresh: Vec::new(),
-            sampled: vec![1.0; sizes.steps * sizes.envs],
-            log_std_offset: vec![0.0; sizes.envs],
             reward: vec![0.0; rows],
             cooperation: 0.0,
             sharing: Vec::new(),
-            potential: Vec::new(),
             terminated: vec![0.0; rows],
             truncated: vec![0.0; rows],
             interrupted: vec![0.0; sizes.steps * sizes.envs],
@@ -138,15 +130,13 @@ impl Rollout {
     ///
     /// A trajectory that [`ends`](Self::ends) has no future; one that is truncated otherwise is
     /// bootstrapped with the value of its last observation; both end the chain. Inactive entries
-    /// are zero. Rewards are shaped by the potential: each step earns what it adds to it, and a
-    /// trajectory that ends for good has none.
+    /// are zero.
     pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let width = self.sizes.envs * self.sizes.agents;
         debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
         let mut advantage = vec![0.0; self.sizes.steps * width];
         let mut returns = vec![0.0; self.sizes.steps * width];
         let mut chain = vec![0.0_f64; width];
-        let potential = |i: usize| self.potential.get(i).map_or(0.0, |potential| f64::from(*potential));
         for t in (0..self.sizes.steps).rev() {
             for (k, chain) in chain.iter_mut().enumerate() {
                 let i = t * width + k;
@@ -158,10 +148,9 @@ impl Rollout {
                 if ends || self.truncated[i] > 0.0 {
                     *chain = 0.0;
                 }
-                let next = if ends { 0.0 } else { f64::from(values[i + width]) + potential(i + width) };
+                let next = if ends { 0.0 } else { f64::from(values[i + width]) };
                 let value = f64::from(values[i]);
-                let reward = f64::from(self.reward[i]) - potential(i);
-                *chain = reward + gamma * next - value + gamma * lambda * *chain;
+                *chain = f64::from(self.reward[i]) + gamma * next - value + gamma * lambda * *chain;
                 advantage[i] = *chain as f32;
                 returns[i] = (*chain + value) as f32;
             }
@@ -224,7 +213,6 @@ impl Rollout {
             Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
         team.interrupted.clone_from(&self.interrupted);
         team.bootstrap_horizon = self.bootstrap_horizon;
-        team.potential = self.potential.chunks(self.sizes.agents).map(|crew| crew.iter().sum()).collect();
         let rows = self.sizes.steps * self.sizes.envs;
         for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
             let crew = || (0..self.sizes.agents).filter(|&i| active[i] > 0.0).map(|i| row * self.sizes.agents + i);
@@ -419,7 +407,6 @@ mod tests {
             events in proptest::collection::vec(0u8..5, 60),
             rewards in proptest::collection::vec(-3.0f32..3.0, 60),
             values in proptest::collection::vec(-3.0f32..3.0, 60),
-            potentials in proptest::collection::vec(-3.0f32..3.0, 60),
             breaks in proptest::collection::vec(any::<bool>(), 14),
             bootstrap in any::<bool>(),
             gamma in 0.5f64..1.0,
@@ -433,15 +420,6 @@ mod tests {
             };
             let values: Vec<f32> = (0..(steps + 1) * width).map(|i| values[i % values.len()]).collect();
             let (advantage, returns) = rollout.advantages(&values, gamma, lambda);
-            // Shaped by a potential, whose value is less by it, nothing changes about what is better than what.
-            let potential: Vec<f32> = (0..values.len()).map(|i| potentials[i % potentials.len()]).collect();
-            let rest: Vec<f32> = values.iter().zip(&potential).map(|(value, potential)| value - potential).collect();
-            let shaped = Rollout { potential: potential.clone(), ..rollout.clone() };
-            let (same, less) = shaped.advantages(&rest, gamma, lambda);
-            for i in (0..advantage.len()).filter(|&i| rollout.active[i] > 0.0) {
-                prop_assert!((same[i] - advantage[i]).abs() < 1e-4, "{} {}", same[i], advantage[i]);
-                prop_assert!((less[i] + potential[i] - returns[i]).abs() < 1e-4);
-            }
             for k in 0..width {
                 for t in 0..steps {
                     let at = |t: usize| t * width + k;

@@ -9,7 +9,6 @@ mod meta;
 mod noise;
 mod run_dir;
 mod schedule;
-mod teacher;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -31,8 +30,6 @@ use crate::scenario::Scenario;
 
 use files::Files;
 pub use run_dir::RunDir;
-use teacher::Teacher;
-pub use teacher::fingerprint as teacher_fingerprint;
 
 /// How training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,8 +53,6 @@ pub struct Report {
     pub training_success: Option<f64>,
     /// Success of the last validation.
     pub validation_success: Option<f64>,
-    /// How often training has begun again with new weights.
-    pub restarts: u64,
 }
 
 /// Seconds per part of the loop since the last report.
@@ -86,8 +81,6 @@ pub struct Trainer {
     task: Arc<Task>,
     env: VecEnv,
     learner: Box<dyn Algorithm>,
-    /// Whom the policy imitates at first; none where that is over.
-    teacher: Option<Teacher>,
     rollout: Rollout,
     /// Memory of the policy before the coming decision, `[E, N, M]`.
     memory: Tensor,
@@ -184,11 +177,7 @@ impl Trainer {
                 (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
             }
         };
-        let teacher = schedule::may_imitate(&config, &progress).then(|| Teacher::new(&config)).transpose()?;
         let mut rollout = Rollout::new(sizes);
-        for (e, offset) in rollout.log_std_offset.iter_mut().enumerate() {
-            *offset = -(config.exploration.spread * e as f64 / (worlds - 1).max(1) as f64) as f32;
-        }
         rollout.cooperation = task.scenario.reward.cooperation;
         rollout.bootstrap_horizon = config.train.bootstrap_horizon;
         Ok(Self {
@@ -199,7 +188,6 @@ impl Trainer {
             task,
             env,
             learner,
-            teacher,
             progress,
             seed,
             finished: Vec::new(),
@@ -246,10 +234,9 @@ impl Trainer {
     fn grow(&mut self) {
         let steps = self.config.train.segment * schedule::pace(&self.config, &self.progress).growth;
         if steps != self.rollout.sizes.steps {
-            let log_std_offset = std::mem::take(&mut self.rollout.log_std_offset);
             let Rollout { cooperation, bootstrap_horizon, .. } = self.rollout;
             let empty = Rollout::new(Sizes { steps, ..self.rollout.sizes });
-            self.rollout = Rollout { log_std_offset, cooperation, bootstrap_horizon, ..empty };
+            self.rollout = Rollout { cooperation, bootstrap_horizon, ..empty };
         }
     }
 
@@ -338,8 +325,7 @@ impl Trainer {
             let seconds = self.progress.seconds - before.1;
             let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
             let training_success = files.iteration(self, &losses, steps_per_second)?;
-            let (step, restarts) = (self.progress.step, self.progress.restarts);
-            report(&Report { step, steps_per_second, training_success, validation_success, restarts });
+            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
         };
         files.sync()?;
         dir.update_meta(&self.progress)?;
@@ -364,24 +350,11 @@ impl Trainer {
             self.progress.best = Some((success, window));
             self.checkpoint().save(&dir.best())?;
         }
-        if schedule::hopeless(&self.config, &self.progress) {
-            self.restart()?;
-        }
         dir.update_meta(&self.progress)?;
         self.checkpoint().save(&dir.last())?;
         Ok(success)
     }
 
-    /// Begins again with new weights, in the same worlds.
-    fn restart(&mut self) -> Result<(), Error> {
-        schedule::restarted(&mut self.progress);
-        let weights = self.seed.child("weights").index(self.progress.restarts);
-        let config = &self.config;
-        self.learner =
-            algo::build(&config.algorithm, &self.task.spec, &config.settings(), weights, config.device.find()?)?;
-        let _ = self.memory.zero_();
-        Ok(())
-    }
 }
 
 /// Refuses to resume a run whose worlds would not be brought back to where they stood.
@@ -441,8 +414,7 @@ pub enum Error {
     },
     /// The weights to start from are of another method.
     #[error(
-        "`{}` holds a policy of {of}, and this run trains {trained}, which has other networks; to have it imitated instead, set \
-         train.teacher and train.imitate_steps",
+        "`{}` holds a policy of {of}, and this run trains {trained}, which has other networks",
         path.display()
     )]
     OtherMethod {
@@ -453,9 +425,6 @@ pub enum Error {
         /// The run's.
         trained: String,
     },
-    /// Nobody can be imitated.
-    #[error(transparent)]
-    Teacher(#[from] teacher::Error),
     /// The run folder cannot be made.
     #[error("cannot make the run folder `{}`", path.display())]
     Folder {

@@ -167,7 +167,7 @@ fn damaged_checkpoints_are_refused() {
         assert!(meta[key].is_string(), "{key}: {meta}");
         assert_eq!((&json["run"][key], &json["program"][key]), (&meta[key], &meta[key]), "{key}");
     }
-    assert_eq!((&meta["steps"], &meta["restarts"], &json["run"]["restarts"]), (&64.into(), &0.into(), &0.into()));
+    assert_eq!(meta["steps"], 64);
     assert!(meta["seconds"].as_f64() > Some(0.0) && meta["host"]["cores"].as_u64() > Some(0), "{meta}");
     assert!(json["metrics"]["failures"]["crossing"].is_u64());
     let success = &json["metrics"]["success"];

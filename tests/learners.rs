@@ -66,8 +66,8 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let open = Tensor::full([e, n, n * learner.graphs() as i64], 1e4, (Kind::Float, Device::Cpu));
     let input = observation(learner, x.copy(), comm.copy());
     let (carried, offset) = (nothing(), Tensor::zeros([e, 1, 1], (Kind::Float, Device::Cpu)));
-    let (action, graph, carried, log_std_offset) = (&zero, &open, &carried, &offset);
-    let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
+    let (action, graph, carried, log_fresh) = (&zero, &open, &carried, &offset);
+    let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
 
@@ -274,7 +274,7 @@ fn a_policy_that_moves_too_far_ends_its_update() {
             (settings.ppo.epochs, settings.ppo.target_kl) = (epochs, target_kl);
             let mut learner = loud(name, &spec(4), &settings);
             let mut rollout = random_rollout(&*learner, 4, 3);
-            rollout.teacher = vec![0.5; rollout.action.len()];
+            rollout.pursuit = vec![0.5; rollout.action.len()];
             let losses = learner.update(&rollout, &Pace { imitation, ..PACE }, Seed::new(4)).expect("finite");
             let of = |what: &str| losses.iter().find(|(found, _)| *found == what).expect("is reported").1;
             (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
@@ -341,14 +341,7 @@ fn shards_share_one_set_of_weights() {
             // A part of the samples would be another part.
             settings.iwol.decoded = 1.0;
             let mut learner = loud(name, &spec(4), &settings);
-            let mut rollout = random_rollout(&*learner, 4, 3);
-            // Worlds that differ in noise, and rows that teach the policy nothing.
-            rollout.log_std_offset = vec![0.0, -0.7, -1.4];
-            rollout
-                .sampled
-                .iter_mut()
-                .enumerate()
-                .for_each(|(row, sampled)| *sampled = f32::from(u8::from(row % 4 > 0)));
+            let rollout = random_rollout(&*learner, 4, 3);
             let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
             (learner.state(), losses)
         };
@@ -373,14 +366,13 @@ fn an_update_sees_the_policy_that_acted() {
         }
         let mut learner = loud(name, &spec(4), &small(encoder));
         let mut rollout = random_rollout(&*learner, 4, 3);
-        rollout.log_std_offset = vec![0.0, -0.7, -1.4];
         decide(&*learner, &mut rollout);
-        nothing_moved(name, encoder, &mut *learner, &rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
         // Noise that is correlated from step to step is as probable as the process says.
         rollout.carried = Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
         rollout.log_fresh = (0..rollout.sizes.steps).map(|t| if t == 0 { 0.0 } else { -0.5 }).collect();
         decide(&*learner, &mut rollout);
-        nothing_moved(name, encoder, &mut *learner, &rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
         let changed = Rollout { carried: Vec::new(), log_fresh: Vec::new(), ..rollout };
         let losses = learner.update(&changed, &STILL, Seed::new(4)).expect("finite");
         let kl = losses.iter().find(|loss| loss.0 == "ppo/approx_kl").expect("reported").1;
@@ -400,10 +392,9 @@ fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
             return;
         }
         let mut rollout = random_rollout(&*learner, 4, 3);
-        rollout.log_std_offset = vec![-8.0; 3];
         rollout.graph_noise.fill(0.0);
         decide(&*learner, &mut rollout);
-        nothing_moved(name, encoder, &mut *learner, &rollout);
+        nothing_moved(name, encoder, &mut *learner, &rollout, Pace { log_std: -8.0, ..STILL });
     });
 }
 
@@ -411,7 +402,6 @@ fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
 fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let s = rollout.sizes;
     let (e, n) = (s.envs as i64, s.agents as i64);
-    let world_offset = Tensor::from_slice(&rollout.log_std_offset).view([e, 1, 1]);
     let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
     for t in 0..s.steps {
         let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
@@ -430,8 +420,8 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let correlated = !rollout.carried.is_empty();
         let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
         let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
-        let (action, graph, carried, log_std_offset) = (&eps, &graph, &carried, &(&world_offset + fresh));
-        let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
+        let (action, graph, carried, log_fresh) = (&eps, &graph, &carried, &Tensor::from(fresh).to_kind(Kind::Float).view([1]));
+        let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
         rollout.memory[cells].copy_from_slice(&numbers(&memory));
@@ -442,8 +432,8 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
 }
 
 /// An update without a learning rate finds the policy where it was.
-fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, rollout: &Rollout) {
-    let losses = learner.update(rollout, &STILL, Seed::new(4)).expect("finite");
+fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, rollout: &Rollout, pace: Pace) {
+    let losses = learner.update(rollout, &pace, Seed::new(4)).expect("finite");
     let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
     assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
     assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
@@ -527,39 +517,9 @@ fn symbols_tell_of_actions_within_their_bounds() {
 }
 
 /// Where the noise has not begun yet, what was done and how probable it was do not matter to the policy.
+/// With all weight on imitation, policies come to do what pursuit would, and what was earned does not matter.
 #[test]
-fn the_policy_learns_nothing_from_actions_without_noise() {
-    each(|name, encoder| {
-        if !algo::capabilities(name).expect("known").on_policy {
-            return;
-        }
-        let updated = |disturb: f32| {
-            let mut settings = small(encoder);
-            // Where means lie is another matter.
-            settings.ppo.bounds = 0.0;
-            let mut learner = loud(name, &spec(4), &settings);
-            let mut rollout = random_rollout(&*learner, 4, 3);
-            let s = rollout.sizes;
-            for (row, sampled) in rollout.sampled.iter_mut().enumerate() {
-                *sampled = f32::from(u8::from(row % 3 != 0));
-                if row % 3 == 0 {
-                    let cell = row * s.agents..(row + 1) * s.agents;
-                    rollout.action[cell.clone()].iter_mut().for_each(|action| *action += disturb);
-                    rollout.log_prob[cell].iter_mut().for_each(|log_prob| *log_prob -= disturb);
-                }
-            }
-            let pace = Pace { learning_rate: 1e-2, log_std: -0.5, gamma: 0.99, imitation: 0.0, growth: 1 };
-            learner.update(&rollout, &pace, Seed::new(4)).expect("finite");
-            let actor = learner.state().into_iter().filter(|(name, _)| name.starts_with("actor/"));
-            actor.map(|(_, t)| Vec::<f32>::try_from(t.reshape([-1])).expect("floats")).collect::<Vec<_>>()
-        };
-        assert_eq!(updated(0.0), updated(0.7), "{name} {encoder:?}");
-    });
-}
-
-/// With all weight on imitation, policies come to do what the teacher would, and what was earned does not matter.
-#[test]
-fn a_teacher_is_imitated() {
+fn pursuit_is_imitated() {
     for name in algo::NAMES {
         if !algo::capabilities(name).expect("known").on_policy {
             continue;
@@ -567,7 +527,7 @@ fn a_teacher_is_imitated() {
         let taught = |reward: f32| {
             let mut learner = algo::build(name, &spec(4), &small(EncoderKind::Mlp), Seed::new(1), Device::Cpu).unwrap();
             let mut rollout = random_rollout(&*learner, 4, 3);
-            rollout.teacher = vec![-0.4; rollout.action.len()];
+            rollout.pursuit = vec![-0.4; rollout.action.len()];
             rollout.reward.iter_mut().for_each(|earned| *earned *= reward);
             let pace = Pace { learning_rate: 1e-2, log_std: 0.0, gamma: 0.99, imitation: 1.0, growth: 1 };
             for update in 0..12 {
@@ -824,8 +784,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
             let offset = Tensor::zeros([e as i64, 1, 1], (Kind::Float, Device::Cpu));
-            let (action, carried, graph, log_std_offset) = (&shaped(&eps, 1), &nothing(), &graph, &offset);
-            let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_std_offset });
+            let (action, carried, graph, log_fresh) = (&shaped(&eps, 1), &nothing(), &graph, &offset);
+            let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
             let numbers = |tensor: &Tensor| Vec::<f32>::try_from(tensor.reshape([-1])).expect("numbers");
             let (actions, log_probs) = (numbers(&decision.action), numbers(&decision.log_prob));
             let seen: Vec<f32> = x.iter().step_by(o).copied().collect();

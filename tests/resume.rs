@@ -1,14 +1,13 @@
 //! Reproducibility against the real simulator: same seed, same bits; stopping, resuming and validating change nothing.
 
-use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::train::{Outcome, Report, RunDir, Trainer};
+use iwol_sumo::train::{Outcome, RunDir, Trainer};
 use tch::{Kind, Tensor};
 
 // Over TraCI, as several trainers are alive at once, and libsumo has one place.
@@ -28,29 +27,12 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")
 }
 
-/// A policy with new weights, to be imitated, that sees more than the runs of these tests do.
-static TEACHER: LazyLock<PathBuf> = LazyLock::new(|| {
-    let text = config("mappo", "mlp", 720).0.to_toml();
-    let document = Document { name: "teacher".to_owned(), text, generated: true };
-    let sets = vec!["env.observation=both".to_owned()];
-    let (config, scenario) =
-        Config::resolve(&Layers { document, sets, ..Layers::default() }).expect("a valid configuration");
-    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("teacher.safetensors");
-    Trainer::new(config, scenario).expect("SUMO runs").checkpoint().save(&file).expect("saved");
-    file
-});
-
 /// One whose rollouts, where they may, grow to twice their length after two iterations.
 fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     let (mut config, scenario) = config(algorithm, encoder, 720);
     config.exploration.explore_steps = 240;
     if algo::capabilities(algorithm).is_ok_and(|c| c.on_policy) {
         config.train.growth = 2;
-    }
-    // One of them imitates a policy that sees more, before and after it is resumed.
-    if (algorithm, encoder) == ("ex-iwol", "mlp") {
-        config.train.teacher.clone_from(&TEACHER);
-        config.train.imitate_steps = 1000;
     }
     (config, scenario)
 }
@@ -191,69 +173,3 @@ fn a_stopped_run_goes_on_in_its_folder() {
     assert_eq!((recorded(dir.metrics()), recorded(dir.episodes())), before);
 }
 
-#[test]
-fn a_run_that_begins_again_with_new_weights_can_be_cut_off_anywhere() {
-    let folder = tempfile::tempdir().expect("a folder");
-    // Nobody arrives within 60 steps and an untrained policy's speed, so that no weights find a way.
-    let config = || {
-        let (mut config, scenario) = config("mappo", "gru", 600);
-        (config.train.validate_every, config.train.restart_steps, config.train.anneal_steps) = (120, 120, 120);
-        config.exploration.correlation = 0.5;
-        (config, scenario)
-    };
-    let start = |(config, scenario)| Trainer::new(config, scenario).expect("SUMO runs");
-    let whole = RunDir::new(folder.path().join("whole"));
-    let never = AtomicBool::new(false);
-    let mut restarts = Vec::new();
-    let mut begun = Vec::new();
-    let mut trainer = start(config());
-    begun.push(bits(&trainer.checkpoint()));
-    let mut see = |report: &Report| {
-        if restarts.last().is_some_and(|last| *last < report.restarts) {
-            // Nothing is written between the beginning with new weights and the iteration that ends here.
-            begun.push(bits(&Checkpoint::load(&whole.last()).expect("a checkpoint")));
-            std::fs::copy(whole.last(), folder.path().join(report.restarts.to_string())).expect("copied");
-        }
-        restarts.push(report.restarts);
-    };
-    trainer.run(&whole, &never, &mut see).expect("trained");
-    // Not later: there has to be time for another search, and for annealing.
-    assert_eq!(restarts, [0, 1, 2, 3, 3]);
-    let weights = |bits: &[(String, Vec<u64>)]| -> Vec<_> {
-        bits.iter().filter(|(name, _)| name.starts_with("actor/")).cloned().collect()
-    };
-    let begun: Vec<_> = begun.iter().map(|bits| weights(bits)).collect();
-    assert!(!begun[0].is_empty());
-    for (i, one) in begun.iter().enumerate() {
-        assert!(begun[..i].iter().all(|other| other != one), "weights {i} are not new");
-    }
-
-    // Cut off after each iteration, and, from the files kept above, right after each beginning.
-    let whole = Checkpoint::load(&whole.last()).expect("saved");
-    assert_eq!((whole.progress.restarts, whole.progress.begun), (3, 360));
-    let cut = |name: &str, first: Option<&Checkpoint>| {
-        let parts = RunDir::new(folder.path().join(name));
-        let resume = |stored: &Checkpoint| {
-            let (config, scenario) = config();
-            Trainer::resume(config, scenario, stored).expect("resumed")
-        };
-        let mut trainer = first.map_or_else(|| start(config()), resume);
-        loop {
-            let stop = AtomicBool::new(false);
-            let outcome = trainer.run(&parts, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
-            let stored = Checkpoint::load(&parts.last()).expect("a checkpoint");
-            if outcome.expect("a clean end") == Outcome::Finished {
-                assert_eq!(bits(&whole), bits(&stored), "{name}");
-                assert_eq!(
-                    Progress { seconds: 0.0, ..whole.progress.clone() },
-                    Progress { seconds: 0.0, ..stored.progress }
-                );
-                return;
-            }
-            trainer = resume(&stored);
-        }
-    };
-    cut("each", None);
-    let right_after = Checkpoint::load(&folder.path().join("2")).expect("a checkpoint");
-    cut("after", Some(&right_after));
-}

@@ -29,8 +29,9 @@ pub(super) struct Batch {
     pub(super) value_graph: Tensor,
     /// `[T · E, N, A]`
     pub(super) action: Tensor,
-    /// What the teacher would have done, `[T · E, N, A]`; empty where there is none.
-    pub(super) teacher: Tensor,
+    /// What pure pursuit of the route would have done, `[T · E, N, A]`; empty where the policy does
+    /// not imitate it.
+    pub(super) pursuit: Tensor,
     /// Weight of imitating it in the policy's loss.
     pub(super) imitation: f64,
     /// Of each dimension of the action, `[T · E, N, A]`.
@@ -38,13 +39,9 @@ pub(super) struct Batch {
     /// Shift of the means by noise of earlier steps, `[T · E, N, A]`; empty where noise is
     /// independent from step to step.
     pub(super) carried: Tensor,
-    /// Added to the logarithm of the standard deviation, `[T · E, N, A]`.
-    pub(super) log_std_offset: Tensor,
-    /// Factor on the noise of sampled graphs in each row, beside the schedule's, `[T · E]`.
-    noise_scale: Tensor,
-    /// 1 where the policy learns from the action, `[T · E, N]`.
-    pub(super) sampled: Tensor,
-    /// Normalised over the samples that the policy learns from, `[T · E, N]`.
+    /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, A]`.
+    pub(super) log_fresh: Tensor,
+    /// Normalised over the active samples, `[T · E, N]`.
     pub(super) advantage: Tensor,
     /// In units of the reward, `[T · E, N]`.
     pub(super) returns: Tensor,
@@ -80,17 +77,14 @@ impl Batch {
             policy_graph: tensor(&rollout.graph_noise, &policy_graph),
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
-            teacher: tensor(&rollout.teacher, &[-1, n, s.actions as i64]),
+            pursuit: tensor(&rollout.pursuit, &[-1, n, s.actions as i64]),
             imitation: 0.0,
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
             carried: tensor(&rollout.carried, &[-1, n, s.actions as i64]),
-            log_std_offset: (tensor(&rollout.log_std_offset, &[1, s.envs as i64, 1]) + fresh)
-                .view([rows, 1, s.actions as i64])
+            log_fresh: fresh
+                .expand([s.steps as i64, s.envs as i64, s.actions as i64], false)
+                .reshape([rows, 1, s.actions as i64])
                 .expand([rows, n, s.actions as i64], false),
-            noise_scale: (tensor(&rollout.log_std_offset, &[1, -1]).exp()
-                * tensor(&rollout.sampled, &[s.steps as i64, -1]))
-            .view([-1]),
-            sampled: tensor(&rollout.sampled, &[rows, 1]).expand([rows, n], false).contiguous(),
             advantage: empty(),
             returns: empty(),
             value: empty(),
@@ -123,24 +117,10 @@ impl Batch {
         };
         let count = advantage.len();
         self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
-        let learned: Vec<f32> = rollout.active[..count]
-            .iter()
-            .enumerate()
-            .map(|(i, active)| active * rollout.sampled[i / agents])
-            .collect();
-        ppo::normalize_advantages(&mut advantage, &learned);
+        ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
         let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
         (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
-    }
-
-    /// Factor on the noise of sampled graphs in each row, beside the schedule's,
-    /// `[(T + 1) · E, 1, 1]`; the last rows, in which no agent acts, have the factor of the rows
-    /// before.
-    pub(super) fn graph_noise_scale(&self, envs: i64) -> Tensor {
-        let acted = self.noise_scale.view([-1, 1, 1]);
-        let last = acted.narrow(0, acted.size()[0] - envs, envs);
-        Tensor::cat(&[&acted, &last], 0)
     }
 
     /// A second handle on the same tensors, for another thread.
@@ -173,13 +153,11 @@ impl Batch {
             policy_graph: change(&self.policy_graph),
             value_graph: change(&self.value_graph),
             action: change(&self.action),
-            teacher: change(&self.teacher),
+            pursuit: change(&self.pursuit),
             imitation: self.imitation,
             log_prob: change(&self.log_prob),
             carried: change(&self.carried),
-            log_std_offset: change(&self.log_std_offset),
-            noise_scale: change(&self.noise_scale),
-            sampled: change(&self.sampled),
+            log_fresh: change(&self.log_fresh),
             advantage: change(&self.advantage),
             returns: change(&self.returns),
             value: change(&self.value),
@@ -202,9 +180,6 @@ pub(super) struct Shard {
     agents: i64,
     /// Share of the minibatch's active samples that are here.
     pub(super) weight: f64,
-    /// The share of those that the policy learns from, over `weight`: means over them times this, with the shards' weights, add up to the
-    /// minibatch's.
-    pub(super) of_sampled: f64,
     /// Of what a loss draws at random.
     pub(super) seed: Seed,
 }
@@ -231,11 +206,7 @@ pub(super) fn minibatches(
             .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
             .map(|i| i as i64)
             .collect();
-        let sum =
-            |weight: &dyn Fn(usize) -> f64| samples.iter().map(|&i| weight(rows[i as usize / agents] as usize)).sum();
-        let sampled = |row: usize| f64::from(rollout.sampled[row]);
         Shard {
-            of_sampled: sum(&sampled),
             length: length as i64,
             agents: agents as i64,
             first: indices(&rows[..chunks.len()]),
@@ -249,12 +220,9 @@ pub(super) fn minibatches(
     let minibatch = |chunks: &[(usize, usize)]| {
         let parts = chunks.chunks(chunks.len().div_ceil(shards.max(1)).max(1));
         let mut parts: Vec<Shard> = parts.map(shard).filter(|shard| shard.weight > 0.0).collect();
-        let total = |of: fn(&Shard) -> f64| parts.iter().map(of).sum::<f64>();
-        let [all, sampled] = [total(|s| s.weight), total(|s| s.of_sampled)];
+        let all: f64 = parts.iter().map(|part| part.weight).sum();
         for part in &mut parts {
             part.weight /= all;
-            // Where the policy learns from nothing, its means are 0 anyway.
-            part.of_sampled = if sampled > 0.0 { part.of_sampled / sampled / part.weight } else { 0.0 };
         }
         parts
     };

@@ -322,8 +322,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                     batch.value_graph = noise("resampled", 1);
                 }
                 if N::GRAPHS > 0 {
-                    batch.policy_graph =
-                        noise("resampled policy", N::GRAPHS) * batch.graph_noise_scale(rollout.sizes.envs as i64);
+                    batch.policy_graph = noise("resampled policy", N::GRAPHS);
                 }
             }
             let order = seed.child("epoch").index(epoch as u64);
@@ -402,10 +401,10 @@ pub(super) fn act_on(
         let input = input.map(there);
         let decision = match mode {
             ActMode::Deterministic => act(&input, mode),
-            ActMode::Sample { action, carried, graph, log_std_offset } => {
-                let [action, carried, graph, offset] = [action, carried, graph, log_std_offset].map(|t| there(t));
-                let (action, carried, graph, log_std_offset) = (&action, &carried, &graph, &offset);
-                act(&input, &ActMode::Sample { action, carried, graph, log_std_offset })
+            ActMode::Sample { action, carried, graph, log_fresh } => {
+                let [action, carried, graph, log_fresh] = [action, carried, graph, log_fresh].map(|t| there(t));
+                let (action, carried, graph, log_fresh) = (&action, &carried, &graph, &log_fresh);
+                act(&input, &ActMode::Sample { action, carried, graph, log_fresh })
             }
         };
         decision.map(|tensor| tensor.to_device(Device::Cpu))

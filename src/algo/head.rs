@@ -73,9 +73,9 @@ impl GaussianHead {
     pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
         let (mean, action, log_std) = match mode {
-            ActMode::Sample { action: noise, carried, log_std_offset, .. } => {
+            ActMode::Sample { action: noise, carried, log_fresh, .. } => {
                 let mean = shifted(&mean, &log_std, carried);
-                let log_std = log_std + *log_std_offset;
+                let log_std = log_std + *log_fresh;
                 let action = &mean + log_std.exp() * *noise;
                 (mean, action, log_std)
             }
@@ -128,7 +128,7 @@ impl PolicyTerms {
         let carried =
             if batch.carried.numel() > 0 { shard.active(&batch.carried) } else { batch.carried.shallow_clone() };
         let expected = shifted(&mean, &log_std, &carried);
-        let log_std = log_std + shard.active(&batch.log_std_offset);
+        let log_std = log_std + shard.active(&batch.log_fresh);
         let log_prob = gaussian_log_prob(&expected, &log_std, &shard.active(&batch.action));
         let counted = |log_prob: Tensor| match ratio {
             Ratio::Joint => log_prob.sum_dim_intlist(-1, true, Kind::Float),
@@ -136,10 +136,9 @@ impl PolicyTerms {
         };
         let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
-        let sampled = shard.active(&batch.sampled);
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &sampled, ppo.clip) * shard.of_sampled;
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip);
         let imitation = (batch.imitation > 0.0).then(|| {
-            let error = (&mean - shard.active(&batch.teacher)) / head.log_std.detach().exp();
+            let error = (&mean - shard.active(&batch.pursuit)) / head.log_std.detach().exp();
             error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
         });
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
@@ -147,11 +146,10 @@ impl PolicyTerms {
             let difference = &log_prob - &old;
             let outside = (difference.exp() - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
-            let mean = |x: &Tensor| ppo::masked_mean(x, &sampled) * shard.of_sampled;
-            (mean(&(difference.exp() - 1.0 - difference)), mean(&outside.mean_dim(-1, false, Kind::Float)))
+            ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
         });
         let earned = &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
-        // The negative logarithm of the probability of what the teacher does, but for a constant.
+        // The negative logarithm of the probability of what pursuit does, but for a constant.
         let loss = match imitation {
             Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,
             None => earned,

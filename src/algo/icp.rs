@@ -187,9 +187,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         // Others see what an action does, which ends at its bounds.
         let told = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
-        // Like the policy, from actions that were sampled.
-        let error = (self.decoder.forward(&self.show(&f)) - told).square().mean_dim(-1, false, Kind::Float);
-        let message = ppo::masked_mean(&error, &shard.active(&batch.sampled)) * shard.of_sampled;
+        let message = (self.decoder.forward(&self.show(&f)) - told).square().mean(Kind::Float);
 
         let mut report = vec![("loss/value", value.detach()), ("loss/message", message.detach())];
         report.extend(policy.report());

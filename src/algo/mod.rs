@@ -196,9 +196,9 @@ pub enum ActMode<'a> {
         carried: &'a Tensor,
         /// Standard logistic, `[E, N, G · N]` for G graphs side by side; empty for policies without one.
         graph: &'a Tensor,
-        /// Added to the logarithm of the standard deviation, `[E, 1, A]` or `[E, 1, 1]`: how much
-        /// less noise each environment and dimension of the action has.
-        log_std_offset: &'a Tensor,
+        /// Logarithm of the share of the standard deviation that is drawn anew, `[A]` or `[1]`: 0
+        /// where noise is independent from step to step.
+        log_fresh: &'a Tensor,
     },
 }
 

@@ -127,10 +127,10 @@ impl Sequence {
             let read = self.decoder.forward(&previous, &of(representation), &order.reach.up_to(i), &mut decoded);
             let (action, log_prob) = match mode {
                 ActMode::Deterministic => self.head.sample(&read, &ActMode::Deterministic),
-                ActMode::Sample { action, carried, graph, log_std_offset } => {
+                ActMode::Sample { action, carried, graph, log_fresh } => {
                     let carried = if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
                     let (action, carried) = (&of(action), &carried);
-                    self.head.sample(&read, &ActMode::Sample { action, carried, graph, log_std_offset })
+                    self.head.sample(&read, &ActMode::Sample { action, carried, graph, log_fresh })
                 }
             };
             last = action.where_self(&of(&order.present).unsqueeze(-1), &last);

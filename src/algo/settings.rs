@@ -189,10 +189,6 @@ pub struct Exploration {
     pub log_std_end: f64,
     /// Environment steps over which it falls linearly from the first to the second.
     pub explore_steps: u64,
-    /// The worlds of a rollout differ in their noise (of actions, and of a policy's sampled communication graphs): from the one above down
-    /// to one whose logarithm is smaller by this, in equal steps. Quiet worlds show what the policy does without noise, which agents must not come to rely on to tell
-    /// apart who goes first.
-    pub spread: f64,
     /// Correlation of the noise of throttle and brake with that of the step before (first-order
     /// autoregressive, of the same variance), until annealing begins; none after it. Such noise
     /// moves a vehicle further from where it would be, and so finds other orders of going first;
@@ -201,9 +197,6 @@ pub struct Exploration {
     pub correlation: f64,
     /// Environment steps over which it falls to 0; 0: it stays.
     pub correlation_steps: u64,
-    /// In every second episode the noise begins at a random step below this only; 0: always at once. Without noise, agents
-    /// in like places do the same; what they do then must be learned from there, as any noise tells them apart.
-    pub late_steps: u32,
 }
 
 impl Default for Exploration {
@@ -214,10 +207,8 @@ impl Default for Exploration {
             log_std_explore: -1.0,
             log_std_end: -2.0,
             explore_steps: 250_000,
-            spread: 0.0,
             correlation: 0.0,
             correlation_steps: 0,
-            late_steps: 0,
         }
     }
 }

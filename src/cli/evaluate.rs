@@ -161,11 +161,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let stop = super::stop_flag()?;
     let program = Program::current();
-    let training = args.run.as_deref().zip(checkpoint.as_ref()).map(|(path, checkpoint)| {
-        let known = RunDir::of(path).and_then(|run| run.training()).unwrap_or_default();
-        // A checkpoint alone says this at least.
-        Training { restarts: known.restarts.or(Some(checkpoint.progress.restarts)), ..known }
-    });
+    let training = args.run.as_deref().map(|path| RunDir::of(path).and_then(|run| run.training()).unwrap_or_default());
     let mut rows = Vec::new();
     let mut recorded = None;
     for (name, policy) in &policies {

@@ -144,13 +144,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             config.scenario.display()
         );
     }
-    if args.resume && dir.has_another_teacher(&config) {
-        bail!(
-            "`{}` began to imitate another policy than `{}` is now; put that back, or start a new run from this one's policy with --init-from",
-            dir.path().display(),
-            config.train.teacher.display()
-        );
-    }
     if !args.resume {
         refuse_strange(&dir, args.config.as_deref())?;
     }
@@ -199,7 +192,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     bar.reset_eta();
     let terminal = std::io::stderr().is_terminal();
     let mut last_line = Instant::now();
-    let mut restarts = trainer.progress().restarts;
     let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
         let percent = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s));
         let message = format!(
@@ -208,14 +200,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             percent(report.training_success),
             percent(report.validation_success)
         );
-        if report.restarts > restarts {
-            restarts = report.restarts;
-            let note = format!(
-                "{:>9} steps  no way found in train.restart_steps = {}: new weights ({restarts})",
-                report.step, config.train.restart_steps
-            );
-            bar.suspend(|| say!("{note}"));
-        }
         if terminal {
             bar.set_position(report.step);
             bar.set_message(message);

@@ -477,11 +477,6 @@ mod tests {
         assert!(message("", &["env.observation=all"]).contains("unknown variant"));
         assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
         assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
-        assert_eq!(
-            message("", &["train.teacher=runs/x"]),
-            "--set train.teacher=runs/x: bad value for `train.teacher`: allowed: nobody where train.imitate_steps is 0"
-        );
-        assert!(message("", &["train.teacher=runs/x", "algorithm=maddpg"]).contains("nobody with MADDPG"));
         assert!(message("", &["ppo.target_kl=0.01", "algorithm=commformer"]).contains("0 with CommFormer"));
     }
 }

@@ -291,24 +291,16 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
     world.reset(0);
     exchange(&mut world, &mut rails, &[0.0; 8]);
     let mut crashed_at: Vec<Option<usize>> = vec![None; 8];
-    let (mut wrecks_gone, mut calm) = (0, 0);
+    let mut wrecks_gone = 0;
     for step in 1..400 {
         let on_road: Vec<bool> = rails.vehicles.iter().map(Option::is_some).collect();
         // Slot 7 stands and keeps the episode going.
         let mut actions = [1.0; 8];
         actions[7] = 0.0;
-        let danger: Vec<f64> = (0..8).map(|i| world.danger(i)).collect();
         exchange(&mut world, &mut rails, &actions);
         for i in 0..8 {
-            assert!((0.0..=1.0).contains(&danger[i]) && (world.frame().active[i] > 0.0 || world.danger(i) == 0.0));
-            calm += u32::from(world.frame().active[i] > 0.0 && danger[i] == 0.0);
             if world.frame().terminated[i] > 0.0 {
                 crashed_at[i] = (world.frame().reward[i] < 0.0).then_some(step);
-                assert!(
-                    crashed_at[i].is_none() || danger[i] > 0.9,
-                    "slot {i} crashed out of a danger of {}",
-                    danger[i]
-                );
             }
             if let (Some(at), true, false) = (crashed_at[i], on_road[i], rails.vehicles[i].is_some()) {
                 // 2.5 s are 25 further steps; the vehicle goes with the exchange after them.
@@ -320,7 +312,7 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
             break;
         }
     }
-    assert!(wrecks_gone >= 2 && calm > 50, "full throttle crashes, and in {calm} steps there was no danger");
+    assert!(wrecks_gone >= 2, "full throttle crashes");
 }
 
 /// The failures of an episode in which the slots drive that `drives` picks, by route and place in its queue (0: first).

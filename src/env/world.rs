@@ -371,30 +371,6 @@ impl World {
         Ok(())
     }
 
-    /// What agents would see and hear with the settings of another task of the same scenario, but for when vehicles get their turns:
-    /// `seen: [N, O]` of that task's, zeros where an agent is gone, and the physical mask `comm: [N, N]`.
-    pub(crate) fn observe_as(&self, task: &Task, seen: &mut [f32], comm: &mut [f32]) {
-        // What this world knows of where vehicles have been goes for that task as well.
-        let tracked = Intentions::new(task).map(|new| self.intentions.clone().unwrap_or(new));
-        let intentions = tracked.map(|mut intentions| {
-            intentions.update(task, &self.traffic, self.steers());
-            intentions
-        });
-        let knowledge = Knowledge::public(task, &self.traffic, intentions.as_ref());
-        let mut turns = Vec::new();
-        if task.scenario.observation.turns > 0.0 {
-            fcfs::inherit(knowledge, &mut turns, &mut Vec::new());
-        }
-        for (i, seen) in seen.chunks_mut(task.spec.observation.len()).enumerate() {
-            if self.present[i] {
-                observation::write(task, knowledge, &turns, i, seen);
-            } else {
-                seen.fill(0.0);
-            }
-        }
-        physical_mask(&self.poses, &self.present, task.scenario.communication.range, comm);
-    }
-
     /// Whether agents steer, so that they follow their routes' paths and not the lanes.
     fn steers(&self) -> bool {
         self.driver == Driver::Agents && self.task.scenario.control.steering.is_some()

@@ -255,8 +255,6 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
 struct Group {
     /// Steps and seconds of each.
     runs: Vec<(f64, f64)>,
-    /// Restarts with new weights of each.
-    restarts: Vec<String>,
     /// Programs that trained them, and SUMO's versions.
     programs: Vec<String>,
     sumo: Vec<String>,
@@ -277,7 +275,6 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
         group.runs.push((trained.steps as f64, trained.seconds));
         let found = results_of(blocks, &cell.id).next();
         let known = super::training(cell, found).unwrap_or_default();
-        group.restarts.push(known.restarts.map_or_else(|| "–".to_owned(), |restarts| restarts.to_string()));
         for program in known.earlier.iter().chain([&known.program]) {
             add(&mut group.programs, program.describe());
             add(&mut group.sumo, program.sumo.clone());
@@ -287,7 +284,7 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
         return;
     }
     document.heading(2, "Training");
-    let header = ["runs", "seeds", "steps", "minutes", "steps/s", "restarts of each seed", "iwol", "SUMO"];
+    let header = ["runs", "seeds", "steps", "minutes", "steps/s", "iwol", "SUMO"];
     let rows = groups.into_iter().map(|(name, group)| {
         let runs = &group.runs;
         let column = |of: fn(&(f64, f64)) -> f64| runs.iter().map(of).collect::<Vec<_>>();
@@ -298,7 +295,6 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
             format!("{:.0}", mean(column(|run| run.0))),
             over_seeds(&column(|run| run.1 / 60.0), 1),
             format!("{:.0}", mean(column(|run| run.0 / run.1.max(1e-9)))),
-            group.restarts.join(", "),
             group.programs.join("; "),
             group.sumo.join("; "),
         ]

@@ -176,9 +176,6 @@ impl Cell {
         if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
             return Err(Error::Scenario { folder: self.folder.clone(), path: self.config.scenario.clone() });
         }
-        if self.run().has_another_teacher(&self.config) {
-            return Err(Error::Teacher { folder: self.folder.clone(), path: self.config.train.teacher.clone() });
-        }
         match config::between(&was, &is).into_iter().next() {
             None => Ok(()),
             Some(config::Change { key, was, is }) => Err(Error::Changed { folder: self.folder.clone(), key, was, is }),

@@ -55,17 +55,6 @@ pub enum Error {
         /// The scenario's file.
         path: PathBuf,
     },
-    /// A cell's folder holds a run that was taught by other weights than the teacher's file holds now.
-    #[error(
-        "`{}` was taught by the policy in `{}` as it was before; change that back, or move the run away, or choose another --out",
-        folder.display(), path.display()
-    )]
-    Teacher {
-        /// The cell's folder.
-        folder: PathBuf,
-        /// The teacher.
-        path: PathBuf,
-    },
     /// What a report is made from would replace a run.
     #[error("`{}` holds a run with its weights; choose another folder to keep what reports are made from", folder.display())]
     Kept {

@@ -115,7 +115,6 @@ impl Files {
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
-            ("weights/restarts", trainer.progress.restarts as f64),
             ("resets/respawns", resets.respawns as f64),
             ("resets/loads", resets.loads as f64),
             ("resets/restarts", resets.restarts as f64),

@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::{RunDir, teacher_fingerprint};
+use super::RunDir;
 use crate::checkpoint::Progress;
 use crate::config::Config;
 use crate::provenance::{Host, Program, Training};
@@ -18,7 +18,6 @@ struct Meta<'a> {
     training: Training,
     command: Vec<String>,
     scenario: &'a str,
-    teacher: Option<String>,
     started_unix_s: u64,
     updated_unix_s: u64,
     host: Host,
@@ -56,10 +55,9 @@ impl RunDir {
             earlier
         });
         let meta = Meta {
-            training: Training { program, earlier, restarts: Some(progress.restarts) },
+            training: Training { program, earlier },
             command: command(),
             scenario: fingerprint,
-            teacher: teacher_fingerprint(config),
             started_unix_s: before.and_then(|meta| meta["started_unix_s"].as_u64()).unwrap_or(now),
             updated_unix_s: now,
             host: Host::current(),
@@ -76,7 +74,6 @@ impl RunDir {
     pub(super) fn update_meta(&self, progress: &Progress) -> Result<(), record::Error> {
         let Some(Value::Object(mut meta)) = self.read_meta() else { return Ok(()) };
         let news: Map<String, Value> = [
-            ("restarts".to_owned(), progress.restarts.into()),
             ("steps".to_owned(), progress.step.into()),
             ("seconds".to_owned(), progress.seconds.into()),
             ("updated_unix_s".to_owned(), now().into()),
@@ -133,31 +130,31 @@ mod tests {
         let text = "scenario = \"scenarios/intersection.xml\"".to_owned();
         let document = Document { name: "test".to_owned(), text, generated: false };
         let (config, _) = Config::resolve(&Layers { document, ..Layers::default() }).unwrap();
-        let at = |step, restarts| Progress { step, restarts, ..Progress::default() };
+        let at = |step| Progress { step, ..Progress::default() };
         assert_eq!(dir.training(), None);
-        dir.update_meta(&at(5, 0)).expect("a run without the file");
+        dir.update_meta(&at(5)).expect("a run without the file");
         assert!(!dir.meta().exists());
 
-        dir.begin_meta(&config, &at(0, 0), "f", "one").unwrap();
-        dir.update_meta(&at(64, 2)).unwrap();
+        dir.begin_meta(&config, &at(0), "f", "one").unwrap();
+        dir.update_meta(&at(64)).unwrap();
         let training = dir.training().expect("written");
-        assert!(training.restarts == Some(2) && training.earlier.is_empty(), "{training:?}");
+        assert!(training.earlier.is_empty(), "{training:?}");
         assert_eq!(training.program, Program::current());
         let meta = dir.read_meta().expect("JSON");
         assert_eq!((&meta["steps"], &meta["scenario"]), (&64.into(), &"f".into()));
         assert!(meta["host"]["cores"].as_u64() > Some(0), "{meta}");
 
         // The same program goes on; then one of another version had begun.
-        dir.begin_meta(&config, &at(64, 2), "f", "one").unwrap();
+        dir.begin_meta(&config, &at(64), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
         let older = meta.to_string().replace(&training.program.version, "0.0.7");
         std::fs::write(dir.meta(), older.replace(&meta["started_unix_s"].to_string(), "12345")).unwrap();
-        dir.begin_meta(&config, &at(64, 2), "f", "one").unwrap();
+        dir.begin_meta(&config, &at(64), "f", "one").unwrap();
         let earlier = dir.training().expect("written").earlier;
         assert_eq!(earlier.iter().map(|p| p.version.as_str()).collect::<Vec<_>>(), ["0.0.7"]);
         assert_eq!(dir.read_meta().expect("JSON")["started_unix_s"], 12345);
         // A new run in the folder owes nothing to it.
-        dir.begin_meta(&config, &at(0, 0), "f", "one").unwrap();
+        dir.begin_meta(&config, &at(0), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
     }
 }

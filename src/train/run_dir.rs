@@ -3,8 +3,7 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
-use super::{Error, teacher_fingerprint};
-use crate::config::Config;
+use super::Error;
 
 /// Files of a run.
 #[derive(Debug, Clone)]
@@ -34,18 +33,7 @@ impl RunDir {
     /// [`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint) of the scenario that the run was begun with; none before it is
     /// begun, and of older runs.
     pub fn fingerprint(&self) -> Option<String> {
-        self.begun_with("scenario")
-    }
-
-    /// Whether the run began to imitate other weights than those that the settings' teacher has now; not where either cannot be told, as
-    /// of older runs.
-    pub fn has_another_teacher(&self, config: &Config) -> bool {
-        let is = teacher_fingerprint(config);
-        is.is_some() && self.begun_with("teacher").is_some_and(|was| Some(was) != is)
-    }
-
-    fn begun_with(&self, what: &str) -> Option<String> {
-        Some(self.read_meta()?[what].as_str()?.to_owned())
+        Some(self.read_meta()?["scenario"].as_str()?.to_owned())
     }
 
     /// A line per iteration, and one per validation.

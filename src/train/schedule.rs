@@ -15,10 +15,9 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let (trained, length) = (progress.step - progress.begun, noise.explore_steps);
-    let loud = between(noise.log_std_start, noise.log_std_explore, ramp(trained, length));
+    let loud = between(noise.log_std_start, noise.log_std_explore, ramp(progress.step, noise.explore_steps));
     let log_std = between(loud, noise.log_std_end.min(loud), quiet);
-    let explored = trained >= length;
+    let explored = progress.step >= noise.explore_steps;
     // A step of the same size changes a policy with less noise by more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
@@ -31,12 +30,6 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     }
 }
 
-/// Whether the policy imitates a teacher, or new weights in its place still may.
-pub(super) fn may_imitate(config: &Config, progress: &Progress) -> bool {
-    let begins_again = config.train.restart_steps > 0 && !progress.found;
-    fading(config.train.imitate_steps, progress) > 0.0 || (config.train.imitate_steps > 0 && begins_again)
-}
-
 /// Correlation of the noise from step to step: none once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     let noise = &config.exploration;
@@ -44,9 +37,9 @@ pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
 }
 
-/// From 1 to 0 over `steps` from when training began; 0 where there are none.
+/// From 1 to 0 over the first `steps` of training; 0 where there are none.
 fn fading(steps: u64, progress: &Progress) -> f64 {
-    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step - progress.begun, steps) }
+    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step, steps) }
 }
 
 /// Whether no validation has succeeded yet, or what was found was not good enough.
@@ -76,7 +69,6 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     let old = progress.recent.len().saturating_sub(train.stop_validations as usize);
     progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
-    progress.found |= progress.annealing;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
         // Close: it learns on without more noise. Lost on the way: back to exploring. Both as far as the time that is left allows.
         let (whole, left) = (anneal_steps(config), config.steps.saturating_sub(progress.step));
@@ -88,31 +80,10 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
 }
 
-/// Whether new weights are the better choice: these have found no way for long enough, and there is time for others.
-pub(super) fn hopeless(config: &Config, progress: &Progress) -> bool {
-    let patience = config.train.restart_steps;
-    let (waited, left) = (progress.step - progress.begun, config.steps.saturating_sub(progress.step));
-    let in_time = waited >= patience && left >= patience + anneal_steps(config);
-    let enough = config.train.restart_success;
-    let hope = config.train.anneal_success == 0.0 || progress.recent.last().is_none_or(|success| *success >= enough);
-    patience > 0 && in_time && !progress.found && progress.annealed == 0 && !hope
-}
-
-/// New weights take the place of those that found no way.
-pub(super) fn restarted(progress: &mut Progress) {
-    progress.restarts += 1;
-    progress.begun = progress.step;
-    progress.recent.clear();
-}
-
 /// A run that was to take `before` steps goes on with those of `config`: what annealed only because it ended is taken back.
 pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
-    if config.steps > before {
-        // Whoever asks for more of this run wants this policy.
-        progress.found = true;
-        if !progress.annealing {
-            progress.annealed = 0;
-        }
+    if config.steps > before && !progress.annealing {
+        progress.annealed = 0;
     }
 }
 
@@ -161,26 +132,18 @@ mod tests {
     #[test]
     fn imitation_fades() {
         let mut config = config();
-        let at = |config: &Config, step| pace(config, &Progress { step, begun: 100, ..Progress::default() }).imitation;
-        assert_eq!(at(&config, 100), 0.0, "by default nobody is imitated");
+        let at = |config: &Config, step| pace(config, &Progress { step, ..Progress::default() }).imitation;
+        assert_eq!(at(&config, 0), 0.0, "by default nobody is imitated");
         config.train.imitate_steps = 200;
-        assert_eq!([100, 150, 300, 900].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
-        let may = |config: &Config, step, found| {
-            may_imitate(config, &Progress { step, begun: 100, found, ..Progress::default() })
-        };
-        assert_eq!([(150, false), (300, false)].map(|(step, found)| may(&config, step, found)), [true, false]);
-        config.train.restart_steps = 1000;
-        assert!(may(&config, 300, false), "new weights may come, and imitate again");
-        assert!(!may(&config, 300, true), "unless these have found a way");
+        assert_eq!([0, 50, 200, 800].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
     }
 
     #[test]
     fn batches_grow_when_the_noise_is_small() {
         let mut config = config();
         config.train.growth = 4;
-        let at = |step, begun| pace(&config, &Progress { step, begun, ..Progress::default() }).growth;
-        assert_eq!([at(0, 0), at(399, 0), at(400, 0), at(1000, 0)], [1, 1, 4, 4]);
-        assert_eq!([at(599, 200), at(600, 200)], [1, 4], "new weights begin anew");
+        let at = |step| pace(&config, &Progress { step, ..Progress::default() }).growth;
+        assert_eq!([0, 399, 400, 1000].map(at), [1, 1, 4, 4]);
     }
 
     #[test]
@@ -297,63 +260,8 @@ mod tests {
         assert_eq!(at(560), 0.5, "it looks for a way again");
         // Or it falls by itself.
         config.exploration.correlation_steps = 200;
-        let falls = |step| correlation(&config, &Progress { step, begun: 100, ..Progress::default() });
-        assert_eq!([100, 150, 300, 900].map(falls), [0.5, 0.375, 0.0, 0.0]);
-    }
-
-    /// Plays a run in iterations of 10 steps with a validation after each five; gives it, and where it began again.
-    fn search(config: &Config, success: impl Fn(&Progress) -> f64) -> (Progress, Vec<u64>) {
-        let (mut progress, mut began) = (Progress::default(), Vec::new());
-        while progress.step < config.steps {
-            advance(config, &mut progress, 10);
-            if progress.step % 50 == 0 {
-                let success = success(&progress);
-                validated(config, &mut progress, success);
-                if hopeless(config, &progress) {
-                    restarted(&mut progress);
-                    began.push(progress.step);
-                    let log_std = pace(config, &progress).log_std;
-                    assert!((log_std - config.exploration.log_std_start).abs() < 1e-12, "with the noise of new ones");
-                }
-            }
-        }
-        (progress, began)
-    }
-
-    #[test]
-    fn a_run_that_finds_no_way_begins_again() {
-        let mut config = config();
-        config.steps = 2000;
-        config.train.restart_steps = 300;
-        // As long as there is time for another search, and for annealing, with which it ends.
-        let (end, began) = search(&config, |_| 0.5);
-        assert_eq!(began, [300, 600, 900, 1200, 1500]);
-        assert_eq!((end.restarts, end.begun, end.annealed), (5, 1500, 200));
-        // Others found a way, and lose it again: they are kept, and search on.
-        let (end, began) = search(&config, |p| if p.restarts == 1 && p.step < 700 { 0.92 } else { 0.5 });
-        assert_eq!(began, [300]);
-        assert!(end.found);
-        // Close to a way.
-        assert_eq!(search(&config, |p| if p.step < 1000 { 0.85 } else { 0.5 }).1, [1000, 1300]);
-        config.train.restart_success = 0.45;
-        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
-        config.train.restart_success = 0.8;
-        // Where success is no matter, or not asked for.
-        config.train.anneal_success = 0.0;
-        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
-        (config.train.anneal_success, config.train.restart_steps) = (0.9, 0);
-        assert_eq!(search(&config, |_| 0.5).1, [0; 0]);
-    }
-
-    #[test]
-    fn a_run_that_is_made_longer_keeps_its_weights() {
-        let mut config = config();
-        config.train.restart_steps = 300;
-        let mut progress = play(&config, |_| 0.5, |_, _| ());
-        config.steps = 4000;
-        extended(&config, &mut progress, 1000);
-        validated(&config, &mut progress, 0.5);
-        assert!(!hopeless(&config, &progress));
+        let falls = |step| correlation(&config, &Progress { step, ..Progress::default() });
+        assert_eq!([0, 50, 200, 800].map(falls), [0.5, 0.375, 0.0, 0.0]);
     }
 
     #[test]

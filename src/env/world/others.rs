@@ -331,24 +331,6 @@ fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
     }
 }
 
-impl World {
-    /// The longest time to a crash that is a danger \[s\].
-    pub const DANGER: f64 = 3.0;
-
-    /// How close the agent of a slot is to a crash, 0 to 1: by the time until it would touch another vehicle if both went straight on
-    /// as they do, of [`World::DANGER`]. 0 for one that is gone.
-    pub fn danger(&self, slot: usize) -> f64 {
-        let own = &self.traffic.slots[slot];
-        if own.status != Status::Active {
-            return 0.0;
-        }
-        let on_road = |(j, other): &(usize, &Slot)| *j != slot && other.departed && other.status != Status::Empty;
-        let others = self.traffic.slots.iter().enumerate().filter(on_road);
-        let soonest = others.map(|(_, other)| time_to_collision(own, other)).fold(Self::DANGER, f64::min);
-        1.0 - soonest / Self::DANGER
-    }
-}
-
 /// Time until two vehicles touch if both go on as they do, at most [`HORIZON`] \[s\].
 fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
     let reach = (a.size[0] + a.size[1] + b.size[0] + b.size[1]) / 2.0;
