@@ -20,7 +20,10 @@ fn main() {
     // Missing files are watched, too. scripts/bootstrap renews this one's time when it links another libtorch.
     println!("cargo::rerun-if-changed={}", libtorch.join("build-version").display());
     if !lib.join("libtorch_cpu.so").exists() {
-        fail(&format!("there is no libtorch in {}: run scripts/bootstrap first", libtorch.display()));
+        fail(&format!(
+            "there is no libtorch in {}: run scripts/bootstrap first",
+            libtorch.display()
+        ));
     }
     println!("cargo::rustc-link-arg=-Wl,-rpath,{}", lib.display());
     if lib.join("libtorch_cuda.so").exists() {
@@ -40,7 +43,12 @@ fn describe_checkout() {
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
     let git = |arguments: &[&str]| {
         let mut command = Command::new("git");
-        command.arg("--no-optional-locks").arg("-C").arg(&package).args(arguments).stderr(Stdio::null());
+        command
+            .arg("--no-optional-locks")
+            .arg("-C")
+            .arg(&package)
+            .args(arguments)
+            .stderr(Stdio::null());
         // A hook of git's that builds has its own repository in these.
         for variable in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
             command.env_remove(variable);
@@ -48,11 +56,15 @@ fn describe_checkout() {
         let output = command.output().ok().filter(|output| output.status.success())?;
         Some(String::from_utf8(output.stdout).ok()?.trim_end_matches('\n').to_owned())
     };
-    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    let same =
+        |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     let own = git(&["rev-parse", "--show-toplevel"]).filter(|top| same(Path::new(top), &package));
     let commit = own.and_then(|_| git(&["rev-parse", "HEAD"]));
-    let changes = commit.as_ref().and_then(|_| git(&[&["status", "--porcelain", "--"][..], &SOURCES].concat()));
-    let dirty = changes.map_or("unknown", |changes| if changes.is_empty() { "false" } else { "true" });
+    let changes = commit
+        .as_ref()
+        .and_then(|_| git(&[&["status", "--porcelain", "--"][..], &SOURCES].concat()));
+    let dirty =
+        changes.map_or("unknown", |changes| if changes.is_empty() { "false" } else { "true" });
     println!("cargo::rustc-env=IWOL_COMMIT={}", commit.as_deref().unwrap_or("unknown"));
     println!("cargo::rustc-env=IWOL_DIRTY={dirty}");
     // A commit alone changes no source, and no development build is made again for it: that one goes on to name the commit

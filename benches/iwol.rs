@@ -57,14 +57,20 @@ fn world(c: &mut Criterion) {
     const STEPS: usize = 60;
     let mut group = c.benchmark_group("env/world, beside SUMO");
     let turns = "intersection_turns";
-    for (scenario, agents, lidar_beams) in
-        [("intersection", 8, 0), ("intersection", 24, 0), ("intersection", 48, 0), (turns, 48, 0), (turns, 48, 72)]
-    {
+    for (scenario, agents, lidar_beams) in [
+        ("intersection", 8, 0),
+        ("intersection", 24, 0),
+        ("intersection", 48, 0),
+        (turns, 48, 0),
+        (turns, 48, 72),
+    ] {
         let task = task_of(scenario, agents, lidar_beams);
-        let per_agent = if task.scenario.control.steering.is_some() { &[0.0, 0.4][..] } else { &[0.4] };
+        let per_agent =
+            if task.scenario.control.steering.is_some() { &[0.0, 0.4][..] } else { &[0.4] };
         let actions = per_agent.repeat(agents as usize);
         let mut simulation =
-            TraciSimulation::start(task.simulation_config(0, 1, &Hosting::default())).expect("SUMO runs");
+            TraciSimulation::start(task.simulation_config(0, 1, &Hosting::default()))
+                .expect("SUMO runs");
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), 0, 1, u64::MAX);
         let (mut commands, mut snapshots) = (Vec::new(), Vec::new());
         world.reset(0);
@@ -75,30 +81,43 @@ fn world(c: &mut Criterion) {
             world.observe(0, snapshots.last().expect("one")).expect("no vehicle is lost");
         }
         group.throughput(Throughput::Elements(STEPS as u64));
-        group.bench_function(format!("{scenario}, {agents} vehicles, {lidar_beams} beams, {STEPS} steps"), |b| {
-            b.iter(|| {
-                world.reset(0);
-                for snapshot in &snapshots {
-                    commands.clear();
-                    world.act(0, black_box(&actions), &mut commands);
-                    world.observe(0, black_box(snapshot)).expect("no vehicle is lost");
-                }
-            });
-        });
+        group.bench_function(
+            format!("{scenario}, {agents} vehicles, {lidar_beams} beams, {STEPS} steps"),
+            |b| {
+                b.iter(|| {
+                    world.reset(0);
+                    for snapshot in &snapshots {
+                        commands.clear();
+                        world.act(0, black_box(&actions), &mut commands);
+                        world.observe(0, black_box(snapshot)).expect("no vehicle is lost");
+                    }
+                });
+            },
+        );
     }
     group.finish();
 }
 
 /// The physical mask and the collision test by themselves.
 fn parts(c: &mut Criterion) {
-    let poses: Vec<Pose> =
-        (0..48).map(|i| Pose { x: f64::from(i % 7) * 9.0, y: f64::from(i / 7) * 6.0, heading: f64::from(i) }).collect();
+    let poses: Vec<Pose> = (0..48)
+        .map(|i| Pose {
+            x: f64::from(i % 7) * 9.0,
+            y: f64::from(i / 7) * 6.0,
+            heading: f64::from(i),
+        })
+        .collect();
     let (present, mut mask) = (vec![true; 48], vec![0.0; 48 * 48]);
     c.bench_function("physical mask/48 vehicles", |b| {
         b.iter(|| physical_mask(black_box(&poses), &present, 30.0, &mut mask));
     });
     c.bench_function("boxes overlap/one pair", |b| {
-        b.iter(|| boxes_overlap((black_box(&poses[0]), [4.515, 1.852]), (black_box(&poses[8]), [4.515, 1.852])));
+        b.iter(|| {
+            boxes_overlap(
+                (black_box(&poses[0]), [4.515, 1.852]),
+                (black_box(&poses[8]), [4.515, 1.852]),
+            )
+        });
     });
 }
 
@@ -138,7 +157,8 @@ fn act(c: &mut Criterion) {
     let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
     for name in algo::NAMES {
         let learner =
-            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
+            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)
+                .expect("a learner");
         let input = Observation {
             observation: zeros(&[worlds, agents, task.spec.observation.len() as i64]),
             comm: zeros(&[worlds, agents, agents]) + 1.0,
@@ -159,7 +179,8 @@ fn update(c: &mut Criterion) {
     let pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, imitation: 0.0, growth: 1 };
     for name in algo::NAMES {
         let mut learner =
-            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu).expect("a learner");
+            algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)
+                .expect("a learner");
         let sizes = Sizes {
             steps: 16,
             envs: 16,

@@ -68,9 +68,9 @@ impl Checkpoint {
             }
         }
         let dropped = |name: &str| {
-            name.split('/')
-                .next()
-                .is_some_and(|set| ["_adam", "_memory", "_target"].iter().any(|end| set.ends_with(end)))
+            name.split('/').next().is_some_and(|set| {
+                ["_adam", "_memory", "_target"].iter().any(|end| set.ends_with(end))
+            })
         };
         self.learner.retain(|(name, _)| !dropped(name));
         self.worlds.clear();
@@ -90,10 +90,21 @@ impl Checkpoint {
             entries.push((format!("learner/{name}"), dtype, shape, bytes));
         }
         for (i, world) in self.worlds.iter().enumerate() {
-            entries.push((format!("world/{i}"), Dtype::F32, vec![world.actions.len()], f32_bytes(&world.actions)));
+            entries.push((
+                format!("world/{i}"),
+                Dtype::F32,
+                vec![world.actions.len()],
+                f32_bytes(&world.actions),
+            ));
         }
-        entries.push(("memory".to_owned(), Dtype::F32, vec![self.memory.len()], f32_bytes(&self.memory)));
-        let episodes: Vec<(u64, bool)> = self.worlds.iter().map(|world| (world.episode, world.interrupted)).collect();
+        entries.push((
+            "memory".to_owned(),
+            Dtype::F32,
+            vec![self.memory.len()],
+            f32_bytes(&self.memory),
+        ));
+        let episodes: Vec<(u64, bool)> =
+            self.worlds.iter().map(|world| (world.episode, world.interrupted)).collect();
         let positions: Vec<&Position> = self.worlds.iter().map(|world| &world.position).collect();
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
@@ -107,10 +118,13 @@ impl Checkpoint {
         let views = entries
             .iter()
             .map(|(name, dtype, shape, bytes)| {
-                TensorView::new(*dtype, shape.clone(), bytes).map(|view| (name, view)).map_err(|e| bad(e.to_string()))
+                TensorView::new(*dtype, shape.clone(), bytes)
+                    .map(|view| (name, view))
+                    .map_err(|e| bad(e.to_string()))
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let bytes = safetensors::serialize(views, Some(metadata)).map_err(|e| bad(e.to_string()))?;
+        let bytes =
+            safetensors::serialize(views, Some(metadata)).map_err(|e| bad(e.to_string()))?;
         record::write_atomic(path, &bytes)?;
         Ok(())
     }
@@ -120,27 +134,35 @@ impl Checkpoint {
     /// # Errors
     /// [`Error`] for anything that is not a whole checkpoint of this program.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let bytes =
+            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
         let damaged = |message: String| Error::Damaged { path: path.to_owned(), message };
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| damaged(e.to_string()))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(e.to_string()))?;
         let metadata = header.metadata().as_ref();
         let text = |key: &str| {
-            metadata.and_then(|m| m.get(key)).cloned().ok_or_else(|| damaged(format!("it has no `{key}` entry")))
+            metadata
+                .and_then(|m| m.get(key))
+                .cloned()
+                .ok_or_else(|| damaged(format!("it has no `{key}` entry")))
         };
         let format = text("format")?;
         if format != FORMAT {
-            return Err(damaged(format!("its format is `{format}`, this program reads `{FORMAT}`")));
+            return Err(damaged(format!(
+                "its format is `{format}`, this program reads `{FORMAT}`"
+            )));
         }
-        let progress: Progress =
-            serde_json::from_str(&text("progress")?).map_err(|e| damaged(format!("progress: {e}")))?;
-        let episodes: Vec<(u64, bool)> =
-            serde_json::from_str(&text("episodes")?).map_err(|e| damaged(format!("episodes: {e}")))?;
-        let counters = [progress.iteration, progress.step, progress.next_validation, progress.validated];
+        let progress: Progress = serde_json::from_str(&text("progress")?)
+            .map_err(|e| damaged(format!("progress: {e}")))?;
+        let episodes: Vec<(u64, bool)> = serde_json::from_str(&text("episodes")?)
+            .map_err(|e| damaged(format!("episodes: {e}")))?;
+        let counters =
+            [progress.iteration, progress.step, progress.next_validation, progress.validated];
         if progress.annealed > progress.step {
             return Err(damaged("it has annealed for more steps than it took".to_owned()));
         }
-        if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60) {
+        if counters.iter().chain(episodes.iter().map(|(episode, _)| episode)).any(|&n| n > 1 << 60)
+        {
             return Err(damaged("a counter in it is out of range".to_owned()));
         }
         // A checkpoint without them is older than replays: its worlds play their streams in order.
@@ -149,11 +171,17 @@ impl Checkpoint {
             if interrupted { Position::before(episode) } else { Position::before(episode + stride) }
         };
         let positions: Vec<Position> = match text("positions") {
-            Ok(text) => serde_json::from_str(&text).map_err(|e| damaged(format!("positions: {e}")))?,
+            Ok(text) => {
+                serde_json::from_str(&text).map_err(|e| damaged(format!("positions: {e}")))?
+            }
             Err(_) => episodes.iter().map(after).collect(),
         };
-        let counters = |p: &Position| [p.next, p.fresh, p.turn].into_iter().chain(p.failed.iter().copied()).max();
-        if positions.len() != episodes.len() || positions.iter().filter_map(counters).any(|n| n > 1 << 60) {
+        let counters = |p: &Position| {
+            [p.next, p.fresh, p.turn].into_iter().chain(p.failed.iter().copied()).max()
+        };
+        if positions.len() != episodes.len()
+            || positions.iter().filter_map(counters).any(|n| n > 1 << 60)
+        {
             return Err(damaged("its positions in the episodes do not fit".to_owned()));
         }
         let floats = |name: &str| -> Result<Vec<f32>, Error> {
@@ -161,14 +189,23 @@ impl Checkpoint {
             if view.dtype() != Dtype::F32 {
                 return Err(damaged(format!("{name} is not of 32-bit floats")));
             }
-            Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+            Ok(view
+                .data()
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                .collect())
         };
         let worlds = episodes
             .iter()
             .zip(positions)
             .enumerate()
             .map(|(i, (&(episode, interrupted), position))| {
-                Ok(WorldState { episode, interrupted, actions: floats(&format!("world/{i}"))?, position })
+                Ok(WorldState {
+                    episode,
+                    interrupted,
+                    actions: floats(&format!("world/{i}"))?,
+                    position,
+                })
             })
             .collect::<Result<_, Error>>()?;
         let mut learner = Vec::new();
@@ -183,8 +220,8 @@ impl Checkpoint {
                 other => return Err(damaged(format!("{name} has the unexpected type {other:?}"))),
             };
             let shape: Vec<i64> = view.shape().iter().map(|&d| d as i64).collect();
-            let tensor =
-                Tensor::f_from_data_size(view.data(), &shape, kind).map_err(|e| damaged(format!("{name}: {e}")))?;
+            let tensor = Tensor::f_from_data_size(view.data(), &shape, kind)
+                .map_err(|e| damaged(format!("{name}: {e}")))?;
             learner.push((name.to_owned(), tensor));
         }
         Ok(Self {
@@ -214,7 +251,8 @@ fn tensor_bytes(tensor: &Tensor) -> (Dtype, Vec<u8>) {
             (Dtype::I64, values.iter().flat_map(|v| v.to_le_bytes()).collect())
         }
         _ => {
-            let values = Vec::<f32>::try_from(flat.to_kind(Kind::Float)).expect("a flat tensor of floats");
+            let values =
+                Vec::<f32>::try_from(flat.to_kind(Kind::Float)).expect("a flat tensor of floats");
             (Dtype::F32, f32_bytes(&values))
         }
     }

@@ -310,7 +310,12 @@ impl Config {
     /// Where the worlds run.
     pub fn hosting(&self) -> Hosting {
         let Simulation { backend, processes, timeout, audit } = self.simulation;
-        Hosting { backend: backend.backend(), processes, timeout: Duration::from_secs_f64(timeout), audit }
+        Hosting {
+            backend: backend.backend(),
+            processes,
+            timeout: Duration::from_secs_f64(timeout),
+            audit,
+        }
     }
 
     /// As TOML.

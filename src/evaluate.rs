@@ -13,7 +13,9 @@ use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor};
 
 use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation};
-use crate::env::{self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Pursuit, Task, VecEnv, VecOptions};
+use crate::env::{
+    self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Pursuit, Task, VecEnv, VecOptions,
+};
 use crate::replay::{Recorder, Thoughts};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
@@ -48,7 +50,8 @@ pub enum Policy<'a> {
 }
 
 /// Names of the policies that need no training, as on the command line.
-pub const POLICIES: [&str; 6] = ["throttle:<a>", "pursuit:<speed>", "fcfs:<speed>", "gaussian", "uniform", "sumo"];
+pub const POLICIES: [&str; 6] =
+    ["throttle:<a>", "pursuit:<speed>", "fcfs:<speed>", "gaussian", "uniform", "sumo"];
 
 impl Policy<'static> {
     /// A policy that needs no training, by its name on the command line.
@@ -60,12 +63,16 @@ impl Policy<'static> {
             _ => {
                 let (kind, value) = name.split_once(':')?;
                 let value: f64 = value.parse().ok()?;
-                let pursuit =
-                    |gives_way| (value > 0.0 && value.is_finite()).then_some(Pursuit { speed: value, gives_way });
+                let pursuit = |gives_way| {
+                    (value > 0.0 && value.is_finite())
+                        .then_some(Pursuit { speed: value, gives_way })
+                };
                 match kind {
                     "pursuit" => pursuit(false).map(Self::Pursuit),
                     "fcfs" => pursuit(true).map(Self::Pursuit),
-                    "throttle" => (-1.0..=1.0).contains(&value).then_some(Self::Throttle(value as f32)),
+                    "throttle" => {
+                        (-1.0..=1.0).contains(&value).then_some(Self::Throttle(value as f32))
+                    }
                     _ => None,
                 }
             }
@@ -174,7 +181,9 @@ impl OthersMetrics {
     fn of(episodes: &[EpisodeRecord]) -> Option<Self> {
         type Of = fn(&Others) -> f64;
         let all: Vec<Others> = episodes.iter().filter_map(|record| record.others).collect();
-        let column = |any: fn(&Others) -> bool, of: Of| all.iter().filter(|o| any(o)).map(of).collect::<Vec<_>>();
+        let column = |any: fn(&Others) -> bool, of: Of| {
+            all.iter().filter(|o| any(o)).map(of).collect::<Vec<_>>()
+        };
         let driven: fn(&Others) -> bool = |o| o.vehicles > 0;
         let walked: fn(&Others) -> bool = |o| o.pedestrians > 0;
         let either: fn(&Others) -> bool = |o| o.vehicles + o.pedestrians > 0;
@@ -197,7 +206,8 @@ impl OthersMetrics {
 impl Evaluation {
     /// Summary; `None` without episodes.
     pub fn metrics(&self) -> Option<Metrics> {
-        let column = |of: fn(&EpisodeRecord) -> f64| self.episodes.iter().map(of).collect::<Vec<_>>();
+        let column =
+            |of: fn(&EpisodeRecord) -> f64| self.episodes.iter().map(of).collect::<Vec<_>>();
         Some(Metrics {
             success: Estimate::rate(&column(|r| r.success))?,
             safety: Estimate::rate(&column(|r| r.safety))?,
@@ -215,7 +225,10 @@ impl Evaluation {
                 self.episodes.iter().map(|r| u64::from(r.crashes)).sum(),
             ),
             audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
-            failures: self.episodes.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
+            failures: self
+                .episodes
+                .iter()
+                .fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
             others: OthersMetrics::of(&self.episodes),
             reconstruction: self.reconstruction.clone(),
         })
@@ -255,11 +268,20 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
-            return Ok(Evaluation { episodes: records, windows, reconstruction: watch.knowledge.finish() });
+            return Ok(Evaluation {
+                episodes: records,
+                windows,
+                reconstruction: watch.knowledge.finish(),
+            });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
         let next = episodes + extra.len() as u64;
-        extra.extend(stage.play(next..next + missing.div_ceil(mean) as u64, RETRIES, &mut watch, &mut |_| {})?);
+        extra.extend(stage.play(
+            next..next + missing.div_ceil(mean) as u64,
+            RETRIES,
+            &mut watch,
+            &mut |_| {},
+        )?);
     }
 }
 
@@ -304,7 +326,8 @@ impl Stage<'_> {
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
-        let driver = if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+        let driver =
+            if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
         let options = VecOptions {
             replay: 0.0,
             worlds,
@@ -367,7 +390,9 @@ impl<'a> PolicyDriver<'a> {
     fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
         let (worlds, n) = (WORLDS, task.agents);
         let memory = match policy {
-            Policy::Learned(learner, channel) => learner.memory() + channel.memory(learner.message_width()),
+            Policy::Learned(learner, channel) => {
+                learner.memory() + channel.memory(learner.message_width())
+            }
             _ => 0,
         };
         Self {
@@ -381,14 +406,19 @@ impl<'a> PolicyDriver<'a> {
             state: vec![0.0; worlds * n * task.spec.state.len()],
             active: vec![0.0; worlds * n],
             decisions: 0,
-            memory: Tensor::zeros([worlds as i64, n as i64, memory as i64], (Kind::Float, Device::Cpu)),
+            memory: Tensor::zeros(
+                [worlds as i64, n as i64, memory as i64],
+                (Kind::Float, Device::Cpu),
+            ),
         }
     }
 
     fn act(&mut self, env: &VecEnv, watch: &mut Watch<'_>) {
         let worlds = env.worlds();
-        let watched =
-            env.worlds().enumerate().find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
+        let watched = env
+            .worlds()
+            .enumerate()
+            .find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
         let mut thoughts = Thoughts::default();
         let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
@@ -401,12 +431,15 @@ impl<'a> PolicyDriver<'a> {
                 }
             }
             Policy::Pursuit(pursuit) => {
-                worlds.zip(self.actions.chunks_mut(width)).for_each(|(world, acts)| world.pursue(*pursuit, acts));
+                worlds
+                    .zip(self.actions.chunks_mut(width))
+                    .for_each(|(world, acts)| world.pursue(*pursuit, acts));
             }
             Policy::Sumo => {}
             Policy::Gaussian | Policy::Uniform => {
                 for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
-                    let mut rng = self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
+                    let mut rng =
+                        self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
                     if matches!(self.policy, Policy::Gaussian) {
                         rng::fill_normal(&mut rng, actions);
                     } else {
@@ -423,7 +456,8 @@ impl<'a> PolicyDriver<'a> {
                 let mut episodes = [0; WORLDS];
                 for (e, world) in worlds.enumerate() {
                     episodes[e] = world.episode();
-                    sources[e] = self.seed.index(world.episode()).index(u64::from(world.step_count()));
+                    sources[e] =
+                        self.seed.index(world.episode()).index(u64::from(world.step_count()));
                     let frame: &Frame = world.frame();
                     copy(&frame.observation, &mut self.observation, e);
                     copy(&frame.comm, &mut self.comm, e);
@@ -441,7 +475,13 @@ impl<'a> PolicyDriver<'a> {
                 let decision = if channel.is_perfect() {
                     learner.act(&observation, &ActMode::Deterministic)
                 } else {
-                    let noise = channel_noise(channel, &sources, &self.comm, self.task.agents, learner.message_width());
+                    let noise = channel_noise(
+                        channel,
+                        &sources,
+                        &self.comm,
+                        self.task.agents,
+                        learner.message_width(),
+                    );
                     learner.act_through(&observation, channel, &noise)
                 };
                 // What a latent knows, and who listens to whom, is told of undisturbed messages alone.
@@ -462,8 +502,11 @@ impl<'a> PolicyDriver<'a> {
             }
         }
         if let (Some(recorder), Some((e, world))) = (&mut watch.recorder, watched) {
-            let actions =
-                if matches!(self.policy, Policy::Sumo) { &[][..] } else { &self.actions[e * width..][..width] };
+            let actions = if matches!(self.policy, Policy::Sumo) {
+                &[][..]
+            } else {
+                &self.actions[e * width..][..width]
+            };
             recorder.decide(world, actions, &thoughts);
         }
     }
@@ -479,7 +522,13 @@ fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
 
 /// Randomness of a channel that depends on each world's episode and step alone. False messages have a content where somebody is
 /// within range to hear them, `comm [E, N, N]`, and zeros elsewhere.
-fn channel_noise(channel: &Channel, sources: &[Seed], comm: &[f32], agents: usize, width: usize) -> ChannelNoise {
+fn channel_noise(
+    channel: &Channel,
+    sources: &[Seed],
+    comm: &[f32],
+    agents: usize,
+    width: usize,
+) -> ChannelNoise {
     let (e, n) = (sources.len() as i64, agents as i64);
     let uniform = |what: &str| -> Vec<f32> {
         let draws = sources.iter().flat_map(|seed| {
@@ -496,7 +545,10 @@ fn channel_noise(channel: &Channel, sources: &[Seed], comm: &[f32], agents: usiz
         let (world, pair) = (k / (agents * agents), k % (agents * agents));
         let told = pair / agents != pair % agents && comm[k] > 0.0;
         if told && f64::from(falsified[k]) < channel.falsified {
-            rng::fill_normal(&mut sources[world].child("content").index(pair as u64).rng(), content);
+            rng::fill_normal(
+                &mut sources[world].child("content").index(pair as u64).rng(),
+                content,
+            );
         }
     }
     let view = |values: &[f32]| Tensor::from_slice(values).view([e, n, n, -1]);
@@ -536,7 +588,12 @@ mod tests {
 
     #[test]
     fn windows_start_fresh_and_cut_the_last_episode() {
-        let records = [record(0, &[1.0; 600]), record(1, &[2.0; 600]), record(2, &[3.0; 999]), record(3, &[4.0; 500])];
+        let records = [
+            record(0, &[1.0; 600]),
+            record(1, &[2.0; 600]),
+            record(2, &[3.0; 999]),
+            record(3, &[4.0; 500]),
+        ];
         // 600 · 1 + 400 · 2, then a fresh start with the third episode: 999 · 3 + 1 · 4; the rest is no whole window.
         assert_eq!(windows(&records.iter().collect::<Vec<_>>()), vec![1400.0, 3001.0]);
     }
@@ -545,14 +602,18 @@ mod tests {
     fn kilometres_and_crashes_are_those_of_all_episodes() {
         let crashed = EpisodeRecord { crashes: 2, distance_km: 1.5, ..record(1, &[1.0; 1000]) };
         let of = |episodes: Vec<EpisodeRecord>| {
-            let evaluation = Evaluation { episodes, windows: vec![1.0], reconstruction: Vec::new() };
+            let evaluation =
+                Evaluation { episodes, windows: vec![1.0], reconstruction: Vec::new() };
             evaluation.metrics().expect("episodes").km_per_crash.expect("they moved")
         };
         let found = of(vec![record(0, &[1.0; 1000]), crashed]);
         assert_eq!((found.km, found.crashes, found.estimate.mean), (2.0, 2, 1.0));
         assert!(found.estimate.low < 1.0 && found.estimate.high > 1.0);
         let none = serde_json::to_value(of(vec![record(0, &[1.0; 1000])])).expect("JSON");
-        assert_eq!((&none["crashes"], &none["mean"], &none["high"]), (&0.into(), &Value::Null, &Value::Null));
+        assert_eq!(
+            (&none["crashes"], &none["mean"], &none["high"]),
+            (&0.into(), &Value::Null, &Value::Null)
+        );
         assert!((none["low"].as_f64().expect("a lower bound") - 0.5 / 3.688_879).abs() < 1e-6);
     }
 

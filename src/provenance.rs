@@ -38,7 +38,13 @@ fn unknown() -> String {
 impl Default for Program {
     /// A program of which nothing is known.
     fn default() -> Self {
-        Self { version: unknown(), commit: unknown(), dirty: None, sumo: unknown(), libtorch: unknown() }
+        Self {
+            version: unknown(),
+            commit: unknown(),
+            dirty: None,
+            sumo: unknown(),
+            libtorch: unknown(),
+        }
     }
 }
 
@@ -103,9 +109,11 @@ impl Host {
             let line = text.lines().find(|line| line.starts_with(key))?;
             Some(line.split_once(':')?.1.trim().to_owned())
         };
-        let kibibytes = value("/proc/meminfo", "MemTotal").and_then(|v| v.split_whitespace().next()?.parse().ok());
+        let kibibytes = value("/proc/meminfo", "MemTotal")
+            .and_then(|v| v.split_whitespace().next()?.parse().ok());
         let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
-        let system = format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, kernel.trim());
+        let system =
+            format!("{} {} {}", std::env::consts::OS, std::env::consts::ARCH, kernel.trim());
         Self {
             cores: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             processor: value("/proc/cpuinfo", "model name"),
@@ -143,7 +151,10 @@ mod tests {
     #[test]
     fn the_path_of_a_loaded_library_may_hold_spaces() {
         let line = "7f00-7f10 r-xp 00001000 08:01 42                 /home/a b/lib/libtorch_cpu.so";
-        assert_eq!(library_path(line, "libtorch_cpu.so"), Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so")));
+        assert_eq!(
+            library_path(line, "libtorch_cpu.so"),
+            Some(PathBuf::from("/home/a b/lib/libtorch_cpu.so"))
+        );
         assert_eq!(library_path(line, "libtorch_cuda.so"), None);
         assert_eq!(library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"), None);
     }
@@ -153,7 +164,10 @@ mod tests {
         assert_eq!(tch::Tensor::from_slice(&[1.0_f32]).size(), [1]);
         let path = loaded_library("libtorch_cpu.so").expect("libtorch is linked");
         assert!(path.is_file(), "{} is no file", path.display());
-        assert!(libtorch_version().is_some_and(|version| version.starts_with(|c: char| c.is_ascii_digit())));
+        assert!(
+            libtorch_version()
+                .is_some_and(|version| version.starts_with(|c: char| c.is_ascii_digit()))
+        );
     }
 
     #[test]
@@ -161,7 +175,10 @@ mod tests {
         let program = Program::current();
         let commit = program.commit.as_str();
         let is_hash = commit.len() >= 40 && commit.chars().all(|c| c.is_ascii_hexdigit());
-        assert!(commit == UNKNOWN && program.dirty.is_none() || is_hash && program.dirty.is_some(), "{program:?}");
+        assert!(
+            commit == UNKNOWN && program.dirty.is_none() || is_hash && program.dirty.is_some(),
+            "{program:?}"
+        );
         let of = |commit: &str, dirty| Program {
             version: "1.2.3".into(),
             commit: commit.into(),
@@ -175,8 +192,12 @@ mod tests {
 
     #[test]
     fn what_older_runs_noted_is_read() {
-        let older: Training = serde_json::from_str(r#"{"iwol": "0.1.0", "sumo": "1.15.0", "cores": 2}"#).unwrap();
-        assert_eq!((older.program.version.as_str(), older.program.sumo.as_str()), ("0.1.0", "1.15.0"));
+        let older: Training =
+            serde_json::from_str(r#"{"iwol": "0.1.0", "sumo": "1.15.0", "cores": 2}"#).unwrap();
+        assert_eq!(
+            (older.program.version.as_str(), older.program.sumo.as_str()),
+            ("0.1.0", "1.15.0")
+        );
         assert_eq!((older.program.commit.as_str(), older.earlier.len()), (UNKNOWN, 0));
         let resumed = Training { earlier: vec![older.program.clone()], ..older };
         let text = serde_json::to_string(&resumed).unwrap();

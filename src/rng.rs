@@ -25,8 +25,9 @@ impl Seed {
     #[must_use]
     pub fn child(&self, label: &str) -> Self {
         // FNV-1a; the low bit set keeps names apart from indices.
-        let hash =
-            label.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3));
+        let hash = label.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
+            (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3)
+        });
         self.derive(hash | 1)
     }
 
@@ -101,7 +102,8 @@ mod tests {
     fn streams_are_reproducible_and_apart() {
         let root = Seed::new(7);
         assert_eq!(root.child("a").index(3), Seed::new(7).child("a").index(3));
-        let nodes = [root, root.child("a"), root.child("b"), root.index(0), root.index(1), Seed::new(8)];
+        let nodes =
+            [root, root.child("a"), root.child("b"), root.index(0), root.index(1), Seed::new(8)];
         for (i, a) in nodes.iter().enumerate() {
             for b in &nodes[i + 1..] {
                 assert_ne!(a, b);
@@ -123,7 +125,10 @@ mod tests {
         assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
         fill_logistic(&mut rng, &mut xs);
         let (mean, variance) = moments(&xs);
-        assert!(mean.abs() < 0.02 && (variance - std::f64::consts::PI.powi(2) / 3.0).abs() < 0.1, "{mean} {variance}");
+        assert!(
+            mean.abs() < 0.02 && (variance - std::f64::consts::PI.powi(2) / 3.0).abs() < 0.1,
+            "{mean} {variance}"
+        );
     }
 
     #[test]

@@ -175,10 +175,14 @@ impl Rollout {
         for (row, advantage) in advantage.chunks_mut(n).enumerate() {
             own.copy_from_slice(advantage);
             let active = &self.active[row * n..(row + 1) * n];
-            let sharing = |i: usize, j: usize| self.sharing.get((row * n + i) * n + j).copied().unwrap_or(1.0);
+            let sharing = |i: usize, j: usize| {
+                self.sharing.get((row * n + i) * n + j).copied().unwrap_or(1.0)
+            };
             for i in (0..n).filter(|&i| active[i] > 0.0) {
-                let others: f64 =
-                    (0..n).filter(|&j| j != i && active[j] > 0.0).map(|j| f64::from(sharing(i, j) * own[j])).sum();
+                let others: f64 = (0..n)
+                    .filter(|&j| j != i && active[j] > 0.0)
+                    .map(|j| f64::from(sharing(i, j) * own[j]))
+                    .sum();
                 advantage[i] += (self.cooperation * others) as f32;
             }
         }
@@ -195,11 +199,13 @@ impl Rollout {
         if self.cooperation == 0.0 {
             return rewards;
         }
-        let penalty = |k: usize| if self.terminated[k] > 0.0 { self.reward[k].min(0.0) } else { 0.0 };
+        let penalty =
+            |k: usize| if self.terminated[k] > 0.0 { self.reward[k].min(0.0) } else { 0.0 };
         for (k, reward) in rewards.iter_mut().enumerate() {
             let (row, i) = (k / n, k % n);
             let sharing = |j: usize| self.sharing.get(k * n + j).copied().unwrap_or(1.0);
-            let others: f32 = (0..n).filter(|&j| j != i).map(|j| sharing(j) * penalty(row * n + j)).sum();
+            let others: f32 =
+                (0..n).filter(|&j| j != i).map(|j| sharing(j) * penalty(row * n + j)).sum();
             *reward += self.cooperation as f32 * others;
         }
         rewards
@@ -209,13 +215,24 @@ impl Rollout {
     /// for good, unless an agent is truncated then. It has no observations, actions or memory.
     #[must_use]
     pub fn team(&self) -> Self {
-        let mut team =
-            Self::new(Sizes { agents: 1, observation: 0, state: 0, actions: 0, memory: 0, graphs: 0, ..self.sizes });
+        let mut team = Self::new(Sizes {
+            agents: 1,
+            observation: 0,
+            state: 0,
+            actions: 0,
+            memory: 0,
+            graphs: 0,
+            ..self.sizes
+        });
         team.interrupted.clone_from(&self.interrupted);
         team.bootstrap_horizon = self.bootstrap_horizon;
         let rows = self.sizes.steps * self.sizes.envs;
         for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
-            let crew = || (0..self.sizes.agents).filter(|&i| active[i] > 0.0).map(|i| row * self.sizes.agents + i);
+            let crew = || {
+                (0..self.sizes.agents)
+                    .filter(|&i| active[i] > 0.0)
+                    .map(|i| row * self.sizes.agents + i)
+            };
             let any = crew().next().is_some();
             team.active[row] = f32::from(u8::from(any));
             if row < rows && any {
@@ -238,7 +255,9 @@ impl Rollout {
 
     /// Rows `t · E + e` of chunks, step-major: all first steps, then all second steps, …
     pub fn rows(&self, chunks: &[(usize, usize)], length: usize) -> Vec<i64> {
-        (0..length).flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64)).collect()
+        (0..length)
+            .flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64))
+            .collect()
     }
 }
 
@@ -294,14 +313,26 @@ mod tests {
         let team = rollout.team();
         assert_eq!(team.sizes.agents, 1);
         assert_eq!((&team.reward[..], &team.active[..]), (&[3.0, 3.0, 4.0][..], &[1.0; 4][..]));
-        assert_eq!((&team.terminated[..], &team.truncated[..]), (&[0.0; 3][..], &[0.0, 0.0, 1.0][..]));
+        assert_eq!(
+            (&team.terminated[..], &team.truncated[..]),
+            (&[0.0; 3][..], &[0.0, 0.0, 1.0][..])
+        );
     }
 
     /// An agent that stands and earns nothing has the less to expect the nearer the horizon is, as
     /// an episode does not go on beyond it; it does go on where a simulation broke off.
     #[test]
     fn the_horizon_is_a_deadline() {
-        let sizes = Sizes { steps: 4, envs: 1, agents: 1, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+        let sizes = Sizes {
+            steps: 4,
+            envs: 1,
+            agents: 1,
+            observation: 0,
+            state: 0,
+            actions: 1,
+            memory: 0,
+            graphs: 0,
+        };
         let standing = |truncated: f32, interrupted: f32, bootstrap_horizon: bool| {
             let mut rollout = Rollout { bootstrap_horizon, ..Rollout::new(sizes) };
             rollout.active.fill(1.0);
@@ -320,8 +351,23 @@ mod tests {
 
     /// A rollout of steps in which the first of several agents arrives at step `arrival` for a
     /// reward, and the others drive on and earn at every step.
-    fn arriving_at(arrival: usize, steps: usize, agents: usize, reward: f32, others: &[f32]) -> Rollout {
-        let sizes = Sizes { steps, envs: 1, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+    fn arriving_at(
+        arrival: usize,
+        steps: usize,
+        agents: usize,
+        reward: f32,
+        others: &[f32],
+    ) -> Rollout {
+        let sizes = Sizes {
+            steps,
+            envs: 1,
+            agents,
+            observation: 0,
+            state: 0,
+            actions: 1,
+            memory: 0,
+            graphs: 0,
+        };
         let mut rollout = Rollout::new(sizes);
         for t in 0..steps {
             for i in 0..agents {

@@ -24,7 +24,8 @@ pub fn mean(values: &[f64]) -> Option<f64> {
 pub fn sample_sd(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let n = values.len();
-    (n > 1).then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt())
+    (n > 1)
+        .then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt())
 }
 
 /// A mean with its 95 % confidence interval.
@@ -76,7 +77,11 @@ impl Estimate {
         let centre = (mean + z2 / (2.0 * n)) / (1.0 + z2 / n);
         let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();
         // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
-        Some(Self { mean, low: (centre - half).max(0.0).min(mean), high: (centre + half).min(1.0).max(mean) })
+        Some(Self {
+            mean,
+            low: (centre - half).max(0.0).min(mean),
+            high: (centre + half).min(1.0).max(mean),
+        })
     }
 
     /// How much exposure (kilometres, hours) there is for each event, with the exact interval of a
@@ -98,8 +103,9 @@ impl Estimate {
 
 /// The exact 95 % interval of the mean of a Poisson distribution from which `events` were counted.
 fn garwood(events: u64) -> [f64; 2] {
-    let half_quantile =
-        |p: f64, degrees: f64| ChiSquared::new(degrees).expect("degrees of freedom are above 0").inverse_cdf(p) / 2.0;
+    let half_quantile = |p: f64, degrees: f64| {
+        ChiSquared::new(degrees).expect("degrees of freedom are above 0").inverse_cdf(p) / 2.0
+    };
     let events = events as f64;
     let low = if events > 0.0 { half_quantile(0.025, 2.0 * events) } else { 0.0 };
     [low, half_quantile(0.975, 2.0 * events + 2.0)]
@@ -215,7 +221,9 @@ fn ln_gamma(mut x: f64) -> f64 {
         x += 1.0;
     }
     let inverse2 = 1.0 / (x * x);
-    let series = (1.0 / 12.0 + inverse2 * (-1.0 / 360.0 + inverse2 * (1.0 / 1260.0 + inverse2 * (-1.0 / 1680.0)))) / x;
+    let series = (1.0 / 12.0
+        + inverse2 * (-1.0 / 360.0 + inverse2 * (1.0 / 1260.0 + inverse2 * (-1.0 / 1680.0))))
+        / x;
     (x - 0.5) * x.ln() - x + 0.5 * (2.0 * std::f64::consts::PI).ln() + series - shift
 }
 
@@ -232,7 +240,11 @@ mod tests {
         assert_eq!(mean(&[]), None);
         assert_eq!(sample_sd(&[3.0]), None);
         close(mean(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(), 5.0, 1e-15);
-        close(sample_sd(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(), (32.0_f64 / 7.0).sqrt(), 1e-15);
+        close(
+            sample_sd(&[2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).unwrap(),
+            (32.0_f64 / 7.0).sqrt(),
+            1e-15,
+        );
     }
 
     #[test]
@@ -243,7 +255,9 @@ mod tests {
         let alpha = (4.0_f64 * 0.975 * 0.025).sqrt();
         let q = ((alpha.acos() / 3.0).cos() / alpha).mul_add(4.0, -4.0);
         close(student_t_quantile(0.975, 4.0), q.sqrt(), 1e-9);
-        for (df, expected) in [(1, 12.7062), (2, 4.3027), (3, 3.1824), (9, 2.2622), (30, 2.0423), (120, 1.9799)] {
+        for (df, expected) in
+            [(1, 12.7062), (2, 4.3027), (3, 3.1824), (9, 2.2622), (30, 2.0423), (120, 1.9799)]
+        {
             close(student_t_quantile(0.975, f64::from(df)), expected, 5e-5);
         }
         // Expansion around the normal quantile: z + (z³ + z)/(4 df).
@@ -279,7 +293,10 @@ mod tests {
     fn intervals_of_nothing_and_of_one_value() {
         assert_eq!(Estimate::t(&[]), None);
         assert_eq!(Estimate::rate(&[]), None);
-        assert_eq!(Estimate::t(&[2.0]), Some(Estimate { mean: 2.0, low: f64::NEG_INFINITY, high: f64::INFINITY }));
+        assert_eq!(
+            Estimate::t(&[2.0]),
+            Some(Estimate { mean: 2.0, low: f64::NEG_INFINITY, high: f64::INFINITY })
+        );
         let one = Estimate::rate(&[1.0]).unwrap();
         close(one.low, 1.0 / (1.0 + Z_975 * Z_975), 1e-12);
         assert_eq!((one.mean, one.high), (1.0, 1.0));
@@ -289,9 +306,12 @@ mod tests {
     fn wilson_interval_matches_published_values() {
         // Newcombe (1998), table I: 81/263 -> 0.2553..0.3662; 15/148 -> 0.0624..0.1605; 0/20 -> 0..0.1611; 1/29 ->
         // 0.0061..0.1718.
-        for (k, n, low, high) in
-            [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)]
-        {
+        for (k, n, low, high) in [
+            (81, 263, 0.2553, 0.3662),
+            (15, 148, 0.0624, 0.1605),
+            (0, 20, 0.0, 0.1611),
+            (1, 29, 0.0061, 0.1718),
+        ] {
             let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
             let e = Estimate::rate(&values).unwrap();
             close(e.low, low, 5e-5);
@@ -303,7 +323,9 @@ mod tests {
     fn garwood_intervals_match_published_values() {
         // Ulm (1990), "A simple method to calculate the confidence interval of a standardized
         // mortality ratio": exact limits of Poisson counts.
-        for (events, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390)] {
+        for (events, low, high) in
+            [(0, 0.0, 3.689), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390)]
+        {
             let [least, most] = garwood(events);
             close(least, low, 6e-4);
             close(most, high, 6e-4);
@@ -339,7 +361,10 @@ mod tests {
             for k in 0..=n {
                 let values: Vec<f64> = (0..n).map(|i| if i < k { 1.0 } else { 0.0 }).collect();
                 let e = Estimate::rate(&values).unwrap();
-                assert!(0.0 <= e.low && e.low <= e.mean && e.mean <= e.high && e.high <= 1.0, "{k}/{n}: {e:?}");
+                assert!(
+                    0.0 <= e.low && e.low <= e.mean && e.mean <= e.high && e.high <= 1.0,
+                    "{k}/{n}: {e:?}"
+                );
             }
         }
     }

@@ -38,7 +38,8 @@ fn likeness(a: &str, b: &str) -> f64 {
 
 /// The name with the differences removed that do not count; `None` if it is empty or too long to compare.
 fn plain(name: &str) -> Option<String> {
-    (!name.is_empty() && name.len() <= LONGEST).then(|| name.trim().to_lowercase().replace(['_', ' '], "-"))
+    (!name.is_empty() && name.len() <= LONGEST)
+        .then(|| name.trim().to_lowercase().replace(['_', ' '], "-"))
 }
 
 #[cfg(test)]

@@ -105,11 +105,19 @@ impl Trainer {
     ///
     /// # Errors
     /// When the checkpoint does not fit or the task cannot be set up.
-    pub fn resume(config: Config, scenario: Scenario, checkpoint: &Checkpoint) -> Result<Self, Error> {
+    pub fn resume(
+        config: Config,
+        scenario: Scenario,
+        checkpoint: &Checkpoint,
+    ) -> Result<Self, Error> {
         Self::build(config, scenario, Some(checkpoint))
     }
 
-    fn build(config: Config, scenario: Scenario, checkpoint: Option<&Checkpoint>) -> Result<Self, Error> {
+    fn build(
+        config: Config,
+        scenario: Scenario,
+        checkpoint: Option<&Checkpoint>,
+    ) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
         let mut task = Task::new(&scenario, config.agents)?;
         let fewest = config.train.fewest_agents;
@@ -121,8 +129,13 @@ impl Trainer {
         }
         let task = Arc::new(task);
         let device = config.device.find()?;
-        let mut learner =
-            algo::build(&config.algorithm, &task.spec, &config.settings(), seed.child("weights"), device)?;
+        let mut learner = algo::build(
+            &config.algorithm,
+            &task.spec,
+            &config.settings(),
+            seed.child("weights"),
+            device,
+        )?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,
@@ -156,7 +169,10 @@ impl Trainer {
                     let unfit = |source| Error::InitFrom { path: path.clone(), source };
                     learner.load_weights(&stored.learner).map_err(unfit)?;
                 }
-                let first = Progress { next_validation: config.train.validate_every, ..Progress::default() };
+                let first = Progress {
+                    next_validation: config.train.validate_every,
+                    ..Progress::default()
+                };
                 (VecEnv::new(&task, &options)?, vec![0.0; count], first)
             }
             Some(stored) => {
@@ -164,14 +180,17 @@ impl Trainer {
                 let width = task.agents * task.spec.actions.len();
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
-                let fits =
-                    carried.is_none_or(|(_, t)| t.size() == [(worlds * task.agents) as i64, config.network.hidden]);
-                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits {
+                let fits = carried.is_none_or(|(_, t)| {
+                    t.size() == [(worlds * task.agents) as i64, config.network.hidden]
+                });
+                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits
+                {
                     return Err(Error::OtherRun { key: other_shape(&config, stored) });
                 }
                 learner.load(&stored.learner)?;
-                let before =
-                    toml::from_str::<toml::Table>(&stored.config).ok().and_then(|t| t.get("steps")?.as_integer());
+                let before = toml::from_str::<toml::Table>(&stored.config)
+                    .ok()
+                    .and_then(|t| t.get("steps")?.as_integer());
                 let mut progress = stored.progress.clone();
                 schedule::extended(&config, &mut progress, before.map_or(0, i64::cast_unsigned));
                 (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
@@ -224,7 +243,9 @@ impl Trainer {
         let growth = self.rollout.sizes.steps / self.config.train.segment;
         let pace = Pace { growth, ..schedule::pace(&self.config, &self.progress) };
         let learner = &mut self.learner;
-        let losses = timed(&mut self.timers.update, || learner.update(&self.rollout, &pace, seed.child("update")))?;
+        let losses = timed(&mut self.timers.update, || {
+            learner.update(&self.rollout, &pace, seed.child("update"))
+        })?;
         self.progress.iteration += 1;
         self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
@@ -284,8 +305,14 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error`]; the last checkpoint stays usable, and is one from before the rollout if it was the simulation that failed.
-    pub fn run(&mut self, dir: &RunDir, stop: &AtomicBool, report: &mut dyn FnMut(&Report)) -> Result<Outcome, Error> {
-        let mut files = Files::open(dir, &self.config, self.progress.step, self.progress.validated)?;
+    pub fn run(
+        &mut self,
+        dir: &RunDir,
+        stop: &AtomicBool,
+        report: &mut dyn FnMut(&Report),
+    ) -> Result<Outcome, Error> {
+        let mut files =
+            Files::open(dir, &self.config, self.progress.step, self.progress.validated)?;
         let mut validation_success = None;
         let outcome = loop {
             if stop.load(Ordering::Relaxed) {
@@ -325,7 +352,12 @@ impl Trainer {
             let seconds = self.progress.seconds - before.1;
             let steps_per_second = (self.progress.step - before.0) as f64 / seconds.max(1e-9);
             let training_success = files.iteration(self, &losses, steps_per_second)?;
-            report(&Report { step: self.progress.step, steps_per_second, training_success, validation_success });
+            report(&Report {
+                step: self.progress.step,
+                steps_per_second,
+                training_success,
+                validation_success,
+            });
         };
         files.sync()?;
         dir.update_meta(&self.progress)?;
@@ -337,12 +369,19 @@ impl Trainer {
     }
 
     /// Takes a validation into account: records, best checkpoint, last checkpoint.
-    fn judge(&mut self, evaluation: &Evaluation, dir: &RunDir, files: &mut Files) -> Result<f64, Error> {
+    fn judge(
+        &mut self,
+        evaluation: &Evaluation,
+        dir: &RunDir,
+        files: &mut Files,
+    ) -> Result<f64, Error> {
         let mean = |of: fn(&EpisodeRecord) -> f64| {
-            evaluation.episodes.iter().map(of).sum::<f64>() / evaluation.episodes.len().max(1) as f64
+            evaluation.episodes.iter().map(of).sum::<f64>()
+                / evaluation.episodes.len().max(1) as f64
         };
         let success = mean(|r| r.success);
-        let window = evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
+        let window =
+            evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(&self.progress, evaluation, success, mean(|r| r.safety), window)?;
         files.sync()?;
         schedule::validated(&self.config, &mut self.progress, success);
@@ -354,22 +393,31 @@ impl Trainer {
         self.checkpoint().save(&dir.last())?;
         Ok(success)
     }
-
 }
 
 /// Refuses to resume a run whose worlds would not be brought back to where they stood.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
-    const ONCE: [&str; 6] = ["algorithm", "agents", "seed", "train.envs", "train.segment", "train.fewest_agents"];
+    const ONCE: [&str; 6] =
+        ["algorithm", "agents", "seed", "train.envs", "train.segment", "train.fewest_agents"];
     let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
     let changed = config::changes(&stored.config, &config.to_toml());
-    changed.into_iter().find(|c| other(&c.key)).map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
+    changed
+        .into_iter()
+        .find(|c| other(&c.key))
+        .map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
 }
 
 /// The setting by which a run has memories or worlds of another shape than the checkpoint.
 fn other_shape(config: &Config, stored: &Checkpoint) -> String {
-    let changed = config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
-    let of_networks = |key: &String| !["train.", "ppo.", "simulation."].iter().any(|group| key.starts_with(group));
-    changed.filter(|key| key.contains('.')).find(of_networks).unwrap_or_else(|| "train.envs".to_owned())
+    let changed =
+        config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
+    let of_networks = |key: &String| {
+        !["train.", "ppo.", "simulation."].iter().any(|group| key.starts_with(group))
+    };
+    changed
+        .filter(|key| key.contains('.'))
+        .find(of_networks)
+        .unwrap_or_else(|| "train.envs".to_owned())
 }
 
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
@@ -382,7 +430,11 @@ fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
 /// Seconds as people say them.
 pub fn human_duration(duration: Duration) -> String {
     let s = duration.as_secs();
-    if s < 60 { format!("{:.1} s", duration.as_secs_f64()) } else { format!("{} min {:02} s", s / 60, s % 60) }
+    if s < 60 {
+        format!("{:.1} s", duration.as_secs_f64())
+    } else {
+        format!("{} min {:02} s", s / 60, s % 60)
+    }
 }
 
 /// What can go wrong in training.
@@ -440,7 +492,9 @@ pub enum Error {
         path: PathBuf,
     },
     /// Episodes cannot have more agents than there are.
-    #[error("`train.fewest_agents` is {fewest}, but there are {agents} agents; it is the least number in an episode")]
+    #[error(
+        "`train.fewest_agents` is {fewest}, but there are {agents} agents; it is the least number in an episode"
+    )]
     TooFew {
         /// Of the settings.
         fewest: u32,
@@ -448,7 +502,9 @@ pub enum Error {
         agents: u32,
     },
     /// A checkpoint is of a run with other settings, which would not go on as it went.
-    #[error("the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml")]
+    #[error(
+        "the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml"
+    )]
     OtherRun {
         /// The setting.
         key: String,

@@ -17,7 +17,8 @@ use iwol_sumo::scenario::{self, Element, Finding, Scenario, Severity, SpawnRow};
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::{Hosting, Snapshot, VehicleState, find_program};
 
-const SIZES: Sizes = Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889, steering: false };
+const SIZES: Sizes =
+    Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889, steering: false };
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -31,7 +32,11 @@ fn folder() -> tempfile::TempDir {
 fn run(program: &str, arguments: &[&str], folder: &Path) -> Result<(), String> {
     let program = find_program(program).unwrap();
     let output = Command::new(program).args(arguments).current_dir(folder).output().unwrap();
-    if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
+    if output.status.success() {
+        Ok(())
+    } else {
+        Err(String::from_utf8_lossy(&output.stderr).into_owned())
+    }
 }
 
 /// A scenario of the template `cross`, with some text of it replaced.
@@ -54,7 +59,9 @@ fn errors(list: &[Finding]) -> Vec<&Finding> {
 fn findings(file: &Path) -> String {
     let list = Scenario::check(file).list;
     let lines: Vec<String> = list.iter().map(ToString::to_string).collect();
-    lines.join("\n").replace(&format!("{}/scenarios/", file.parent().unwrap().parent().unwrap().display()), "")
+    lines
+        .join("\n")
+        .replace(&format!("{}/scenarios/", file.parent().unwrap().parent().unwrap().display()), "")
 }
 
 #[test]
@@ -65,20 +72,24 @@ fn every_template_builds_checks_and_runs() {
             let lanes = lanes.filter(|_| template != Template::Parking);
             let folder = folder();
             let sizes = Sizes { lanes, agents, ..SIZES };
-            let file = create(folder.path(), "site", template, &sizes).unwrap_or_else(|e| panic!("{template:?}: {e}"));
+            let file = create(folder.path(), "site", template, &sizes)
+                .unwrap_or_else(|e| panic!("{template:?}: {e}"));
             let checked = Scenario::check(&file);
             assert!(checked.list.is_empty(), "{template:?} of {lanes:?} lanes: {:?}", checked.list);
             let scenario = checked.scenario.unwrap();
             assert_eq!(scenario.agents.default, agents);
             // Long enough for vehicles to overtake, where SUMO were to let them.
-            let trial = Trial::run(&scenario, agents, 400, Seed::new(1), &Hosting::default()).unwrap();
+            let trial =
+                Trial::run(&scenario, agents, 400, Seed::new(1), &Hosting::default()).unwrap();
             let found = trial.findings(&scenario);
             assert!(errors(&found).is_empty(), "{template:?} of {lanes:?} lanes: {found:?}");
             let range = trial.observation.iter().find(|range| range.name == "ego.speed").unwrap();
             assert!(range.least == 0.0 && range.most > 0.2, "vehicles drive: {range:?}");
             // SUMO alone takes the files as they are.
-            let sumo = ["-c", "site.sumocfg", "--end", "5", "--xml-validation", "never", "--no-step-log"];
-            run("sumo", &sumo, &folder.path().join("sumo_nets/site")).unwrap_or_else(|e| panic!("{template:?}: {e}"));
+            let sumo =
+                ["-c", "site.sumocfg", "--end", "5", "--xml-validation", "never", "--no-step-log"];
+            run("sumo", &sumo, &folder.path().join("sumo_nets/site"))
+                .unwrap_or_else(|e| panic!("{template:?}: {e}"));
         }
     }
 }
@@ -88,23 +99,30 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
     let stop = AtomicBool::new(false);
     for template in Template::ALL {
         let folder = folder();
-        let scenario = Scenario::load(&create(folder.path(), "site", template, &SIZES).unwrap()).unwrap();
+        let scenario =
+            Scenario::load(&create(folder.path(), "site", template, &SIZES).unwrap()).unwrap();
         let task = Arc::new(Task::new(&scenario, 8).unwrap());
         let success = |task: &Arc<Task>, policy| {
             let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
-            let played = evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+            let played =
+                evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
             played.metrics().unwrap().success.mean
         };
         // The check would say so.
         let trial = Trial::run(&scenario, 8, 600, Seed::new(0), &Hosting::default()).unwrap();
         let [played, unharmed] = trial.flat_out;
-        assert!(played > unharmed, "{template:?}: {unharmed} of {played} episodes at full throttle go well");
+        assert!(
+            played > unharmed,
+            "{template:?}: {unharmed} of {played} episodes at full throttle go well"
+        );
         let flat_out = success(&task, Policy::Throttle(1.0));
         assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
         if template == Template::Parking {
             // SUMO's own driver does not see who leaves a space on the edge into it: one alone shows that all can be driven.
-            let alone =
-                success(&Arc::new(Task::new(&scenario, 1).unwrap()), Policy::by_name("pursuit:3").expect("a policy"));
+            let alone = success(
+                &Arc::new(Task::new(&scenario, 1).unwrap()),
+                Policy::by_name("pursuit:3").expect("a policy"),
+            );
             let blind = success(&task, Policy::Sumo);
             assert!(alone == 1.0, "{template:?}: pursuit of one vehicle succeeds at {alone}");
             assert!(blind > 0.3, "{template:?}: SUMO's own driver succeeds at {blind}");
@@ -120,17 +138,24 @@ fn a_parking_lot_has_room_for_any_mix_of_vehicles() {
     for agents in [1, 5, 6, 60] {
         let folder = folder();
         let sizes = Sizes { agents, ..SIZES };
-        let scenario = Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap()).unwrap();
+        let scenario =
+            Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap())
+                .unwrap();
         let (outside, spaces): (Vec<&SpawnRow>, Vec<&SpawnRow>) =
             scenario.nets[0].spawns.iter().partition(|row| scenario.routes[row.routes[0]].reserved);
         assert_eq!(spaces.len(), agents.next_multiple_of(2).max(4) as usize);
         assert!(spaces.iter().all(|row| row.count == 1 && row.routes.len() == 2), "{spaces:?}");
         let from_outside: u32 = outside.iter().map(|row| row.count).sum();
-        assert!(agents <= from_outside && from_outside as usize <= spaces.len(), "{agents}: {from_outside}");
+        assert!(
+            agents <= from_outside && from_outside as usize <= spaces.len(),
+            "{agents}: {from_outside}"
+        );
         assert!(outside.len() == 2 && outside.iter().all(|row| row.routes.len() == spaces.len()));
         assert_eq!((scenario.agents.min, scenario.agents.default), (1, agents));
         // SUMO alone shows each space as a parking area.
-        let shown = |ending: &str| fs::read_to_string(folder.path().join("sumo_nets/lot/lot").with_extension(ending));
+        let shown = |ending: &str| {
+            fs::read_to_string(folder.path().join("sumo_nets/lot/lot").with_extension(ending))
+        };
         assert_eq!(shown("add.xml").unwrap().matches("<parkingArea ").count(), spaces.len());
         assert!(shown("sumocfg").unwrap().contains("<additional-files value=\"lot.add.xml\"/>"));
     }
@@ -141,7 +166,9 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
     for (agents, arm_length) in [(1, None), (9, Some(60.0))] {
         let folder = folder();
         let sizes = Sizes { agents, arm_length, ..SIZES };
-        let whole = Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap()).unwrap();
+        let whole =
+            Scenario::load(&create(folder.path(), "lot", Template::Parking, &sizes).unwrap())
+                .unwrap();
         for place in whole.nets[0].places() {
             for &route in &*place.routes {
                 let mut scenario = whole.clone();
@@ -152,7 +179,11 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
                 for speed in [2.0, 3.0, 4.0] {
                     let arrived = alone(&task, speed, 3);
                     let from = (place.pos, &whole.routes[route].id);
-                    assert_eq!(arrived, [1.0; 3], "{agents} agents, from {} m on {} at {speed} m/s", from.0, from.1);
+                    assert_eq!(
+                        arrived, [1.0; 3],
+                        "{agents} agents, from {} m on {} at {speed} m/s",
+                        from.0, from.1
+                    );
                 }
             }
         }
@@ -161,7 +192,10 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
 
 /// Success of a vehicle that pursues its route at `speed` \[m/s\], in each of some episodes: no simulator moves a vehicle that steers.
 fn alone(task: &Arc<Task>, speed: f64, episodes: u64) -> Vec<f64> {
-    let there = Snapshot { vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })], ..Snapshot::default() };
+    let there = Snapshot {
+        vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })],
+        ..Snapshot::default()
+    };
     let mut world = World::new(Arc::clone(task), Driver::Agents, Seed::new(0), 0, 1, episodes);
     let mut success = Vec::new();
     world.reset(0);
@@ -178,7 +212,8 @@ fn alone(task: &Arc<Task>, speed: f64, episodes: u64) -> Vec<f64> {
 fn where_vehicles_steer_pursuit_leads_along_every_route_of_every_template() {
     for template in Template::ALL.into_iter().filter(|template| *template != Template::Parking) {
         let folder = folder();
-        let file = create(folder.path(), "site", template, &Sizes { steering: true, ..SIZES }).unwrap();
+        let file =
+            create(folder.path(), "site", template, &Sizes { steering: true, ..SIZES }).unwrap();
         let checked = Scenario::check(&file);
         assert!(checked.list.is_empty(), "{template:?}: {:?}", checked.list);
         let task = Arc::new(Task::new(&checked.scenario.unwrap(), 1).unwrap());
@@ -190,8 +225,12 @@ fn where_vehicles_steer_pursuit_leads_along_every_route_of_every_template() {
 #[test]
 fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
     let folder = folder();
-    let refused = |template, sizes| create(folder.path(), "site", template, &sizes).unwrap_err().to_string();
-    assert_eq!(refused(Template::Cross, Sizes { lanes: Some(5), ..SIZES }), "--lanes 5: allowed: 1 to 4 for `cross`");
+    let refused =
+        |template, sizes| create(folder.path(), "site", template, &sizes).unwrap_err().to_string();
+    assert_eq!(
+        refused(Template::Cross, Sizes { lanes: Some(5), ..SIZES }),
+        "--lanes 5: allowed: 1 to 4 for `cross`"
+    );
     assert_eq!(
         refused(Template::Bottleneck, Sizes { lanes: Some(1), ..SIZES }),
         "--lanes 1: allowed: 2 to 4 for `bottleneck`"
@@ -200,8 +239,14 @@ fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
         refused(Template::Tee, Sizes { agents: 30, arm_length: Some(40.0), ..SIZES }),
         "--arm-length 40: allowed: 90 to 5000 m for 30 agents on 3 lanes"
     );
-    assert_eq!(refused(Template::Cross, Sizes { agents: 0, ..SIZES }), "--agents 0: allowed: 1 to 200");
-    assert_eq!(refused(Template::Parking, Sizes { lanes: Some(2), ..SIZES }), "--lanes 2: allowed: 1 for `parking`");
+    assert_eq!(
+        refused(Template::Cross, Sizes { agents: 0, ..SIZES }),
+        "--agents 0: allowed: 1 to 200"
+    );
+    assert_eq!(
+        refused(Template::Parking, Sizes { lanes: Some(2), ..SIZES }),
+        "--lanes 2: allowed: 1 for `parking`"
+    );
     assert_eq!(
         refused(Template::Parking, Sizes { agents: 61, ..SIZES }),
         "--agents 61: allowed: 1 to 60 for `parking`"
@@ -214,9 +259,14 @@ fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
         refused(Template::Parking, Sizes { arm_length: Some(41.0), ..SIZES }),
         "--arm-length 41: allowed: 42 to 5000 m for 8 agents on 2 lanes"
     );
-    assert!(refused(Template::Cross, Sizes { speed: f64::NAN, ..SIZES }).starts_with("--speed NaN"));
+    assert!(
+        refused(Template::Cross, Sizes { speed: f64::NAN, ..SIZES }).starts_with("--speed NaN")
+    );
     for name in ["", "../x", "a b"] {
-        assert!(matches!(create(folder.path(), name, Template::Cross, &SIZES), Err(Error::Name { .. })), "{name}");
+        assert!(
+            matches!(create(folder.path(), name, Template::Cross, &SIZES), Err(Error::Name { .. })),
+            "{name}"
+        );
     }
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     create(folder.path(), "fast", Template::Cross, &Sizes { speed: 70.0, ..SIZES }).unwrap();
@@ -243,7 +293,10 @@ fn a_changed_source_is_built_and_a_wrong_one_leaves_the_net_alone() {
     let net = build(&file, false).unwrap().remove(0);
     assert_eq!(net.before, State::UpToDate);
     let shown = fs::read_to_string(folder.path().join("sumo_nets/site/site.rou.xml")).unwrap();
-    assert!(shown.contains("departPos=\"7.2575\""), "what SUMO shows follows the scenario: {shown}");
+    assert!(
+        shown.contains("departPos=\"7.2575\""),
+        "what SUMO shows follows the scenario: {shown}"
+    );
     let before = fs::read(&net.net).unwrap();
     assert_eq!(build(&file, true).unwrap()[0].before, State::UpToDate);
     assert_eq!(fs::read(&net.net).unwrap(), before, "the same sources give the same bytes");
@@ -267,7 +320,8 @@ fn a_changed_source_is_built_and_a_wrong_one_leaves_the_net_alone() {
 fn the_shipped_nets_are_what_their_sources_give() {
     let folder = folder();
     for name in ["intersection", "intersection_turns"] {
-        let (from, to) = (root().join("sumo_nets").join(name), folder.path().join("sumo_nets").join(name));
+        let (from, to) =
+            (root().join("sumo_nets").join(name), folder.path().join("sumo_nets").join(name));
         fs::create_dir_all(&to).unwrap();
         for entry in fs::read_dir(&from).unwrap().map(|entry| entry.unwrap().path()) {
             fs::copy(&entry, to.join(entry.file_name().unwrap())).unwrap();
@@ -279,7 +333,9 @@ fn the_shipped_nets_are_what_their_sources_give() {
         fs::copy(root().join("scenarios").join(name), scenarios.join(name)).unwrap();
         for net in build(&scenarios.join(name), true).unwrap() {
             assert_ne!(net.before, State::NoSources, "{}", net.net.display());
-            let path = root().join("sumo_nets").join(net.net.strip_prefix(scenarios.join("../sumo_nets")).unwrap());
+            let path = root()
+                .join("sumo_nets")
+                .join(net.net.strip_prefix(scenarios.join("../sumo_nets")).unwrap());
             assert!(fs::read(&net.net).unwrap() == fs::read(&path).unwrap(), "{}", path.display());
         }
     }
@@ -288,7 +344,10 @@ fn the_shipped_nets_are_what_their_sources_give() {
 #[test]
 fn a_check_names_every_mistake_with_its_place() {
     let folder = folder();
-    let wrong = [("\"west_in east_out\"", "\"west_in east_ou\""), ("\"south_in north_out\"", "\"south_in south_out\"")];
+    let wrong = [
+        ("\"west_in east_out\"", "\"west_in east_ou\""),
+        ("\"south_in north_out\"", "\"south_in south_out\""),
+    ];
     let file = changed(folder.path(), &wrong);
     insta::assert_snapshot!(findings(&file), @r#"
     site.xml:22:35: error: edges: the route `west_straight` cannot be driven: ../sumo_nets/site/site.net.xml: the net has no edge `east_ou`; did you mean `east_out`?
@@ -348,7 +407,11 @@ fn a_check_looks_at_the_net() {
     let text = fs::read_to_string(&nodes).unwrap();
     fs::write(&nodes, text.replace("\"right_before_left\"", "\"unregulated\"")).unwrap();
     build(&file, true).unwrap();
-    assert!(findings(&file).contains("junction `centre` is of type `unregulated`"), "{}", findings(&file));
+    assert!(
+        findings(&file).contains("junction `centre` is of type `unregulated`"),
+        "{}",
+        findings(&file)
+    );
     fs::write(&nodes, text.replace("\"right_before_left\"", "\"traffic_light\"")).unwrap();
     build(&file, true).unwrap();
     assert!(findings(&file).contains("junction `centre` has signals"), "{}", findings(&file));
@@ -357,7 +420,11 @@ fn a_check_looks_at_the_net() {
     let bare = "<no-turnarounds value=\"true\"/>\n        <no-internal-links value=\"true\"/>";
     fs::write(&config, options.replace("<no-turnarounds value=\"true\"/>", bare)).unwrap();
     build(&file, true).unwrap();
-    assert!(findings(&file).contains("the net has no lanes over its junctions"), "{}", findings(&file));
+    assert!(
+        findings(&file).contains("the net has no lanes over its junctions"),
+        "{}",
+        findings(&file)
+    );
     fs::write(&config, "<configuration").unwrap();
     assert!(findings(&file).contains("is no configuration of netconvert"), "{}", findings(&file));
 }
@@ -370,8 +437,10 @@ fn a_trial_finds_vehicles_that_begin_in_each_other() {
     let edges = r#"<edges><edge id="ac" from="a" to="c"/><edge id="bc" from="b" to="c"/><edge id="cd" from="c" to="d"/></edges>"#;
     fs::write(folder.path().join("x.nod.xml"), nodes).unwrap();
     fs::write(folder.path().join("x.edg.xml"), edges).unwrap();
-    run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path()).unwrap();
-    import(folder.path(), "twins", Map::Net(&folder.path().join("x.net.xml")), None, 4, false).unwrap();
+    run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path())
+        .unwrap();
+    import(folder.path(), "twins", Map::Net(&folder.path().join("x.net.xml")), None, 4, false)
+        .unwrap();
     let file = folder.path().join("scenarios/twins.xml");
     let scenario = Scenario::load(&file).unwrap();
     let most = scenario.agents.max;
@@ -383,13 +452,16 @@ fn a_trial_finds_vehicles_that_begin_in_each_other() {
 #[test]
 fn pictures_show_net_places_and_meeting_points() {
     let folder = folder();
-    let scenario = Scenario::load(&create(folder.path(), "site", Template::Tee, &SIZES).unwrap()).unwrap();
+    let scenario =
+        Scenario::load(&create(folder.path(), "site", Template::Tee, &SIZES).unwrap()).unwrap();
     let task = Task::new(&scenario, 6).unwrap();
     let net = Net::load(task.net_file()).unwrap();
     let drawn = picture(&task, &net);
     let svg = drawn.svg();
     let document = roxmltree::Document::parse(&svg).unwrap();
-    let count = |color: &str| document.descendants().filter(|node| node.attribute("fill") == Some(color)).count();
+    let count = |color: &str| {
+        document.descendants().filter(|node| node.attribute("fill") == Some(color)).count()
+    };
     assert_eq!(count("#3c3c3c"), task.places.len(), "places");
     // Left and straight cross and merge: three streams of a tee cross in three points and merge in three.
     assert!((3..=9).contains(&count("#d55e00")), "{} meeting points", count("#d55e00"));
@@ -397,7 +469,10 @@ fn pictures_show_net_places_and_meeting_points() {
     drawn.png(&folder.path().join("site.png")).unwrap();
     assert!(fs::metadata(folder.path().join("site.png")).unwrap().len() > 5000);
     let html = page(&task, &net);
-    assert!(html.contains("<svg") && html.contains("west_straight") && html.contains("at "), "{html}");
+    assert!(
+        html.contains("<svg") && html.contains("west_straight") && html.contains("at "),
+        "{html}"
+    );
 }
 
 /// A crossing of two streets in OpenStreetMap's XML, with a footway.
@@ -415,7 +490,12 @@ fn a_map_becomes_a_scenario_that_runs() {
     let map = folder.path().join("map.osm");
     let imported = import(folder.path(), "town", Map::Osm(&map), None, 8, false).unwrap();
     let first = &imported.candidates[0];
-    assert_eq!((first.junction.as_str(), first.arms, first.routes), ("2", 4, 12), "{:?}", imported.candidates);
+    assert_eq!(
+        (first.junction.as_str(), first.arms, first.routes),
+        ("2", 4, 12),
+        "{:?}",
+        imported.candidates
+    );
     let checked = Scenario::check(&imported.scenario);
     assert!(errors(&checked.list).is_empty(), "{:?}", checked.list);
     let scenario = checked.scenario.unwrap();
@@ -435,11 +515,14 @@ fn generated_nets_are_imported() {
     for (name, arguments) in kinds {
         let file = format!("{name}.net.xml");
         run("netgenerate", &[arguments, &["-o", &file]].concat(), folder.path()).unwrap();
-        let imported = import(folder.path(), name, Map::Net(&folder.path().join(&file)), None, 8, false).unwrap();
+        let imported =
+            import(folder.path(), name, Map::Net(&folder.path().join(&file)), None, 8, false)
+                .unwrap();
         let checked = Scenario::check(&imported.scenario);
         assert!(errors(&checked.list).is_empty(), "{name}: {:?}", checked.list);
         let scenario = checked.scenario.unwrap();
-        Trial::run(&scenario, scenario.agents.default, 50, Seed::new(0), &Hosting::default()).unwrap();
+        Trial::run(&scenario, scenario.agents.default, 50, Seed::new(0), &Hosting::default())
+            .unwrap();
     }
     // Another junction than the first, and one that is none.
     let net = folder.path().join("grid.net.xml");
@@ -460,19 +543,30 @@ fn maps_without_a_site_are_refused() {
     };
     // Two roads end to end, on which vehicles only pass each other.
     let nodes = r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/></nodes>"#;
-    let edge = |from: char, to: char| format!("<edge id=\"{from}{to}\" from=\"{from}\" to=\"{to}\"/>");
-    let edges = format!("<edges>{}{}{}{}</edges>", edge('a', 'b'), edge('b', 'c'), edge('c', 'b'), edge('b', 'a'));
+    let edge =
+        |from: char, to: char| format!("<edge id=\"{from}{to}\" from=\"{from}\" to=\"{to}\"/>");
+    let edges = format!(
+        "<edges>{}{}{}{}</edges>",
+        edge('a', 'b'),
+        edge('b', 'c'),
+        edge('c', 'b'),
+        edge('b', 'a')
+    );
     file("x.nod.xml", nodes);
     file("x.edg.xml", &edges);
-    run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path()).unwrap();
-    let error = import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8, false).unwrap_err();
+    run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path())
+        .unwrap();
+    let error =
+        import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8, false)
+            .unwrap_err();
     assert!(error.to_string().contains("there is no junction"), "{error}");
     let paths = file("paths.osm", &no_road);
     let error = import(folder.path(), "paths", Map::Osm(&paths), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("No edges loaded"), "{error}");
     let single = file(
         "single.osm",
-        &OSM.replace("way id=\"11\"><nd ref=\"4\"/>", "way id=\"11\">").replace("<nd ref=\"2\"/><nd ref=\"5\"/>", ""),
+        &OSM.replace("way id=\"11\"><nd ref=\"4\"/>", "way id=\"11\">")
+            .replace("<nd ref=\"2\"/><nd ref=\"5\"/>", ""),
     );
     let error = import(folder.path(), "single", Map::Osm(&single), None, 8, false).unwrap_err();
     assert!(error.to_string().contains("no roads for cars that lead to others"), "{error}");
@@ -481,19 +575,32 @@ fn maps_without_a_site_are_refused() {
     assert!(matches!(error, Error::Netconvert { .. }), "{error}");
     let error = import(folder.path(), "net", Map::Net(&broken), None, 8, false).unwrap_err();
     assert!(matches!(error, Error::Net(_)), "{error}");
-    let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8, false).unwrap_err();
+    let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8, false)
+        .unwrap_err();
     assert!(error.to_string().contains("/nowhere.osm"), "{error}");
-    assert_eq!(fs::read_dir(folder.path().join("sumo_nets")).unwrap().count(), 0, "nothing is left behind");
+    assert_eq!(
+        fs::read_dir(folder.path().join("sumo_nets")).unwrap().count(),
+        0,
+        "nothing is left behind"
+    );
 }
 
 #[test]
 fn the_page_on_scenario_files_is_what_the_schema_says() {
     let page = fs::read_to_string(root().join("docs/scenario.md")).unwrap();
-    assert!(page == scenario::markdown(), "out of date: run `iwol scenario reference > docs/scenario.md`");
+    assert!(
+        page == scenario::markdown(),
+        "out of date: run `iwol scenario reference > docs/scenario.md`"
+    );
     for element in scenario::describe().all() {
         assert!(!element.text.is_empty(), "<{}> is not explained", element.name);
         for attribute in &element.attributes {
-            assert!(!attribute.text.is_empty(), "{} of <{}> is not explained", attribute.name, element.name);
+            assert!(
+                !attribute.text.is_empty(),
+                "{} of <{}> is not explained",
+                attribute.name,
+                element.name
+            );
         }
     }
 }
@@ -517,9 +624,14 @@ fn accepted(text: &str) -> BTreeMap<String, BTreeSet<String>> {
                 }
             };
             let error = Scenario::parse(&damaged, Path::new("x.xml")).unwrap_err();
-            let iwol_sumo::scenario::Error::Unknown { valid, key, .. } = error else { panic!("{name}: {error}") };
+            let iwol_sumo::scenario::Error::Unknown { valid, key, .. } = error else {
+                panic!("{name}: {error}")
+            };
             assert_eq!(key, "zzz");
-            accepted.entry(name.to_owned()).or_default().extend(valid.iter().map(ToString::to_string));
+            accepted
+                .entry(name.to_owned())
+                .or_default()
+                .extend(valid.iter().map(ToString::to_string));
         }
     }
     accepted
@@ -528,24 +640,37 @@ fn accepted(text: &str) -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn all_that_the_reader_accepts_is_documented_and_nothing_else() {
     let text = fs::read_to_string(root().join("scenarios/intersection_turns_small.xml")).unwrap();
-    let accepted = accepted(&text.replace("</scenario>", "<traffic penetration=\"0.5\"/></scenario>"));
+    let accepted =
+        accepted(&text.replace("</scenario>", "<traffic penetration=\"0.5\"/></scenario>"));
     let describe = |element: &Element| {
         let attributes = element.attributes.iter().map(|attribute| attribute.name.clone());
-        (element.name.clone(), attributes.chain(element.children.iter().map(|child| child.name.clone())).collect())
+        (
+            element.name.clone(),
+            attributes.chain(element.children.iter().map(|child| child.name.clone())).collect(),
+        )
     };
-    let documented: BTreeMap<String, BTreeSet<String>> = scenario::describe().all().into_iter().map(describe).collect();
+    let documented: BTreeMap<String, BTreeSet<String>> =
+        scenario::describe().all().into_iter().map(describe).collect();
     assert_eq!(accepted, documented);
 }
 
 #[test]
 fn a_trial_says_when_there_is_little_to_coordinate() {
     let folder = folder();
-    let mut scenario = Scenario::load(&create(folder.path(), "site", Template::Cross, &SIZES).unwrap()).unwrap();
+    let mut scenario =
+        Scenario::load(&create(folder.path(), "site", Template::Cross, &SIZES).unwrap()).unwrap();
     // Vehicles of one row, straight on, at one speed.
     scenario.nets[0].spawns.truncate(1);
     scenario.nets[0].spawns[0].routes = [0].into();
     let trial = Trial::run(&scenario, 2, 600, Seed::new(0), &Hosting::default()).unwrap();
-    assert!(trial.flat_out[0] > 0 && trial.flat_out[0] == trial.flat_out[1], "{:?}", trial.flat_out);
+    assert!(
+        trial.flat_out[0] > 0 && trial.flat_out[0] == trial.flat_out[1],
+        "{:?}",
+        trial.flat_out
+    );
     let found = trial.findings(&scenario);
-    assert!(found.iter().any(|finding| finding.message.contains("there is little to coordinate")), "{found:?}");
+    assert!(
+        found.iter().any(|finding| finding.message.contains("there is little to coordinate")),
+        "{found:?}"
+    );
 }

@@ -35,7 +35,11 @@ fn play_on(path: &Path, policy: &Policy<'_>, agents: u32, episodes: u64) -> (Eva
 }
 
 fn within(what: &str, value: f64, expected: f64, share: f64) {
-    assert!((value - expected).abs() <= share * expected, "{what}: {value}, expected {expected} ± {} %", 100.0 * share);
+    assert!(
+        (value - expected).abs() <= share * expected,
+        "{what}: {value}, expected {expected} ± {} %",
+        100.0 * share
+    );
 }
 
 #[test]
@@ -65,18 +69,29 @@ fn the_audit_says_that_sumo_does_not_look_into_unregulated_junctions() {
     let path = |name: &str| folder.path().join(name);
     std::fs::create_dir_all(path("sumo_nets/intersection")).expect("a folder");
     std::fs::create_dir(path("scenarios")).expect("a folder");
-    std::fs::copy(root.join("scenarios/intersection.xml"), path("scenarios/intersection.xml")).expect("a copy");
+    std::fs::copy(root.join("scenarios/intersection.xml"), path("scenarios/intersection.xml"))
+        .expect("a copy");
     for size in ["arm30", "arm42", "arm74", "arm106"] {
         let name = format!("sumo_nets/intersection/{size}.net.xml");
         let net = std::fs::read_to_string(root.join(&name)).expect("a net");
         assert!(net.contains("right_before_left"));
-        std::fs::write(path(&name), net.replace("right_before_left", "unregulated")).expect("a net");
+        std::fs::write(path(&name), net.replace("right_before_left", "unregulated"))
+            .expect("a net");
     }
-    let (evaluation, metrics) = play_on(&path("scenarios/intersection.xml"), &Policy::Throttle(1.0), 8, 40);
+    let (evaluation, metrics) =
+        play_on(&path("scenarios/intersection.xml"), &Policy::Throttle(1.0), 8, 40);
     let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
     // What is left are queues that run into each other on a lane.
-    assert!(f64::from(metrics.audit.ours_unregulated) > 0.5 * f64::from(own), "{:?} of {own}", metrics.audit);
-    assert_eq!(metrics.crash, play(&Policy::Throttle(1.0), 8, 40).1.crash, "ours does not depend on the type");
+    assert!(
+        f64::from(metrics.audit.ours_unregulated) > 0.5 * f64::from(own),
+        "{:?} of {own}",
+        metrics.audit
+    );
+    assert_eq!(
+        metrics.crash,
+        play(&Policy::Throttle(1.0), 8, 40).1.crash,
+        "ours does not depend on the type"
+    );
 }
 
 #[test]
@@ -92,7 +107,11 @@ fn standing_still() {
 fn gaussian_actions() {
     let (_, metrics) = play(&Policy::Gaussian, 8, 100);
     assert_eq!(metrics.success.mean, 0.0);
-    assert!((10.0..=17.0).contains(&metrics.window_reward.mean), "window reward {}", metrics.window_reward.mean);
+    assert!(
+        (10.0..=17.0).contains(&metrics.window_reward.mean),
+        "window reward {}",
+        metrics.window_reward.mean
+    );
 }
 
 #[test]
@@ -113,7 +132,10 @@ fn sumos_own_driver_brings_every_episode_on_the_parking_lot_to_an_end() {
     let (evaluation, metrics) = play_on(&path, &Policy::Sumo, 5, 60);
     assert_eq!(evaluation.episodes.len(), 60);
     assert!(evaluation.episodes.iter().all(|episode| !episode.interrupted));
-    assert!(metrics.success.mean > 0.3 && metrics.crash.mean > 0.0, "it is blind where a space is left");
+    assert!(
+        metrics.success.mean > 0.3 && metrics.crash.mean > 0.0,
+        "it is blind where a space is left"
+    );
 }
 
 #[test]
@@ -132,10 +154,18 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
     within("episode length", pursuit.episode_length.mean, 93.2, 0.1);
     // Where the arc out of space 5 ends beside the line between the directions, some touch that.
-    assert!(pursuit.out_of_road.mean < 0.015, "pure pursuit leaves the road: {}", pursuit.out_of_road.mean);
+    assert!(
+        pursuit.out_of_road.mean < 0.015,
+        "pure pursuit leaves the road: {}",
+        pursuit.out_of_road.mean
+    );
     let (_, straight) = play_on(&path, &Policy::Throttle(1.0), 5, 400);
     assert_eq!(straight.success.mean, 0.0);
-    assert!((straight.window_reward.mean + 8.2).abs() <= 3.0, "window reward {}", straight.window_reward.mean);
+    assert!(
+        (straight.window_reward.mean + 8.2).abs() <= 3.0,
+        "window reward {}",
+        straight.window_reward.mean
+    );
     within("episode length", straight.episode_length.mean, 51.6, 0.1);
 }
 
@@ -154,8 +184,14 @@ fn pure_pursuit_through_turns_is_as_in_the_reference() {
         let (_, metrics) = play_on(&path, &policy, 4, 200);
         let found = [metrics.success.mean, metrics.out_of_road.mean];
         // The seeds are others: half the 95 % interval of 100 episodes.
-        assert!((found[0] - success).abs() < 0.08, "{name} at {speed} m/s: {found:?}, success {success}");
-        assert!((found[1] - out_of_road).abs() < 0.04, "{name} at {speed} m/s: {found:?}, out {out_of_road}");
+        assert!(
+            (found[0] - success).abs() < 0.08,
+            "{name} at {speed} m/s: {found:?}, success {success}"
+        );
+        assert!(
+            (found[1] - out_of_road).abs() < 0.04,
+            "{name} at {speed} m/s: {found:?}, out {out_of_road}"
+        );
     }
 }
 
@@ -236,7 +272,8 @@ fn random_walks(walks: u64, deviations: [f64; 2]) -> Vec<Vec<Motion>> {
 
 /// Root mean square.
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
+    let (sum, count) =
+        values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
     (sum / f64::from(count)).sqrt()
 }
 
@@ -254,25 +291,55 @@ fn random_actions_move_a_vehicle_as_measured() {
     within("rms speed", stationary, 0.413, 0.06);
     for (lag, expected) in [(1, 0.877), (2, 0.768), (5, 0.514), (10, 0.268), (20, 0.091)] {
         let product = |pair: &[Motion]| pair[0].velocity.x * pair[lag].velocity.x;
-        let products: Vec<f64> = both.iter().flat_map(|walk| walk[30..].windows(lag + 1)).map(product).collect();
+        let products: Vec<f64> =
+            both.iter().flat_map(|walk| walk[30..].windows(lag + 1)).map(product).collect();
         let found = products.iter().sum::<f64>() / products.len() as f64 / stationary.powi(2);
-        assert!((found - expected).abs() < 0.04, "autocorrelation after {lag} steps: {found}, expected {expected}");
+        assert!(
+            (found - expected).abs() < 0.04,
+            "autocorrelation after {lag} steps: {found}, expected {expected}"
+        );
     }
-    for (steps, speed, ways, turn) in
-        [(10, 0.43, 0.24, 0.02), (100, 0.35, 1.4, 0.08), (300, 0.39, 3.0, 0.14), (1000, 0.38, 5.6, 0.26)]
-    {
+    for (steps, speed, ways, turn) in [
+        (10, 0.43, 0.24, 0.02),
+        (100, 0.35, 1.4, 0.08),
+        (300, 0.39, 3.0, 0.14),
+        (1000, 0.38, 5.6, 0.26),
+    ] {
         let at = || both.iter().map(|walk| walk[steps - 1]);
-        within(&format!("rms speed after {steps} steps"), rms(at().map(|m| m.velocity.x)), speed, 0.25);
+        within(
+            &format!("rms speed after {steps} steps"),
+            rms(at().map(|m| m.velocity.x)),
+            speed,
+            0.25,
+        );
         within(&format!("rms way after {steps} steps"), rms(at().map(|m| way(&m))), ways, 0.25);
-        within(&format!("rms turn after {steps} steps"), rms(at().map(|m| m.pose.heading)), turn, 0.3);
+        within(
+            &format!("rms turn after {steps} steps"),
+            rms(at().map(|m| m.pose.heading)),
+            turn,
+            0.3,
+        );
     }
     // Without steering nothing brakes, with little steering only a little does.
-    for (deviation, steps, speed, ways) in
-        [(0.0, 100, 2.35, 14.4), (0.0, 300, 4.04, 67.0), (0.3, 100, 1.13, 7.4), (0.3, 1000, 1.09, 31.6)]
-    {
+    for (deviation, steps, speed, ways) in [
+        (0.0, 100, 2.35, 14.4),
+        (0.0, 300, 4.04, 67.0),
+        (0.3, 100, 1.13, 7.4),
+        (0.3, 1000, 1.09, 31.6),
+    ] {
         let walks = random_walks(100, [deviation, 1.0]);
         let at = || walks.iter().map(|walk| walk[steps - 1]);
-        within(&format!("{deviation}: rms speed after {steps} steps"), rms(at().map(|m| m.velocity.x)), speed, 0.3);
-        within(&format!("{deviation}: rms way after {steps} steps"), rms(at().map(|m| way(&m))), ways, 0.3);
+        within(
+            &format!("{deviation}: rms speed after {steps} steps"),
+            rms(at().map(|m| m.velocity.x)),
+            speed,
+            0.3,
+        );
+        within(
+            &format!("{deviation}: rms way after {steps} steps"),
+            rms(at().map(|m| way(&m))),
+            ways,
+            0.3,
+        );
     }
 }

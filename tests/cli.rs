@@ -63,7 +63,8 @@ fn too_many_agents() {
 #[test]
 fn a_mistake_in_a_scenario_is_located() {
     let dir = folder();
-    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SCENARIO)).expect("a scenario");
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SCENARIO))
+        .expect("a scenario");
     let nets = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets");
     let text = text.replace("../sumo_nets", &nets.display().to_string());
     let file = dir.path().join("mine.xml");
@@ -107,7 +108,8 @@ fn damaged_checkpoints_are_refused() {
         "iwol.rounds=1",
         "env.horizon=40",
     ];
-    let mut train = iwol(&["train", "--scenario", SCENARIO, "--agents", "4", "--steps", "64", "--out"]);
+    let mut train =
+        iwol(&["train", "--scenario", SCENARIO, "--agents", "4", "--steps", "64", "--out"]);
     train.arg(&run);
     for set in tiny {
         train.args(["--set", set]);
@@ -140,7 +142,10 @@ fn damaged_checkpoints_are_refused() {
         .expect("it ran");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
-    assert_eq!((json["scenario"].as_str(), json["policy"].as_str()), (Some("intersection"), Some("im-iwol")));
+    assert_eq!(
+        (json["scenario"].as_str(), json["policy"].as_str()),
+        (Some("intersection"), Some("im-iwol"))
+    );
     assert_eq!(
         (json["agents"].as_u64(), json["episodes"].as_u64(), json["seed"].as_u64()),
         (Some(6), Some(2), Some(3))
@@ -159,20 +164,28 @@ fn damaged_checkpoints_are_refused() {
     for name in names {
         assert!(json["metrics"][name]["mean"].is_number(), "{name}");
     }
-    assert!(json["metrics"]["loitering"]["mean"].is_number() && json["metrics"]["km_per_crash"]["km"].is_number());
+    assert!(
+        json["metrics"]["loitering"]["mean"].is_number()
+            && json["metrics"]["km_per_crash"]["km"].is_number()
+    );
     // Results say what they come from, and so does the run.
     let meta: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(run.join("meta.json")).expect("it is there")).expect("JSON");
+        serde_json::from_slice(&std::fs::read(run.join("meta.json")).expect("it is there"))
+            .expect("JSON");
     for key in ["version", "commit", "sumo", "libtorch"] {
         assert!(meta[key].is_string(), "{key}: {meta}");
         assert_eq!((&json["run"][key], &json["program"][key]), (&meta[key], &meta[key]), "{key}");
     }
     assert_eq!(meta["steps"], 64);
-    assert!(meta["seconds"].as_f64() > Some(0.0) && meta["host"]["cores"].as_u64() > Some(0), "{meta}");
+    assert!(
+        meta["seconds"].as_f64() > Some(0.0) && meta["host"]["cores"].as_u64() > Some(0),
+        "{meta}"
+    );
     assert!(json["metrics"]["failures"]["crossing"].is_u64());
     let success = &json["metrics"]["success"];
     assert!(
-        success["low"].as_f64() <= success["mean"].as_f64() && success["mean"].as_f64() <= success["high"].as_f64()
+        success["low"].as_f64() <= success["mean"].as_f64()
+            && success["mean"].as_f64() <= success["high"].as_f64()
     );
 
     // A second run into the same folder must be asked for.
@@ -194,7 +207,8 @@ fn damaged_checkpoints_are_refused() {
     error: the checkpoint was made with another `agents`; resume with the settings in its run folder's config.toml
     "#);
     // Another scenario.
-    let mut elsewhere = iwol(&["train", "--resume", "--scenario", "scenarios/parking_lot.xml", "--out"]);
+    let mut elsewhere =
+        iwol(&["train", "--resume", "--scenario", "scenarios/parking_lot.xml", "--out"]);
     assert_snapshot!(tidy(failure(elsewhere.arg(&run))), @r#"
     2
     error: `DIR/run` was begun on another scenario, or `scenarios/parking_lot.xml` has changed since, or a net or route file that it names; go on with that, or start a new run from this one's policy with --init-from
@@ -209,7 +223,10 @@ fn damaged_checkpoints_are_refused() {
     let mut discounted = iwol(&["train", "--resume", "--set", "ppo.gamma=0.5", "--out"]);
     let output = discounted.arg(&run).output().expect("it ran");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("another setting: ppo.gamma = 0.5 (was 0.99)"), "{said}");
+    assert!(
+        output.status.success() && said.contains("another setting: ppo.gamma = 0.5 (was 0.99)"),
+        "{said}"
+    );
     // Truncated.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");
@@ -230,7 +247,8 @@ fn damaged_checkpoints_are_refused() {
 
 /// A new scenario in a folder of its own, with some text of it replaced.
 fn scenario(dir: &Path, from: &str, to: &str) -> std::path::PathBuf {
-    let mut new = iwol(&["scenario", "new", "site", "--template", "tee", "--agents", "6", "--root"]);
+    let mut new =
+        iwol(&["scenario", "new", "site", "--template", "tee", "--agents", "6", "--root"]);
     let output = new.arg(dir).output().expect("it ran");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let file = dir.join("scenarios/site.xml");
@@ -249,27 +267,40 @@ fn a_check_tells_good_from_bad_by_its_exit_code() {
     let file = scenario(dir.path(), "range=\"50\"", "range=\"500\"");
     let check = |file: &Path, more: &[&str]| {
         let output = iwol(&["scenario", "check"]).arg(file).args(more).output().expect("it ran");
-        let text = String::from_utf8_lossy(&output.stdout).replace(&dir.path().display().to_string(), "DIR");
+        let text = String::from_utf8_lossy(&output.stdout)
+            .replace(&dir.path().display().to_string(), "DIR");
         (output.status.code(), text)
     };
     // Warnings are no errors.
     let (code, text) = check(&file, &["--steps", "40"]);
     assert_eq!(code, Some(0), "{text}");
-    assert!(text.contains("warning: with a range of 500 m") && text.contains("trial: 6 agents, 40 steps"), "{text}");
+    assert!(
+        text.contains("warning: with a range of 500 m")
+            && text.contains("trial: 6 agents, 40 steps"),
+        "{text}"
+    );
     let (code, text) = check(&file, &["--steps", "40", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&text).expect("one JSON object");
     assert_eq!((code, json["errors"].as_u64()), (Some(0), Some(0)));
     let first = &json["findings"][0];
     assert_eq!(first["severity"], "warning");
-    assert!(first["line"].as_u64() > Some(1) && first["column"].is_u64() && first["hint"].is_string(), "{first}");
+    assert!(
+        first["line"].as_u64() > Some(1) && first["column"].is_u64() && first["hint"].is_string(),
+        "{first}"
+    );
     assert!(json["trial"]["steps_per_second"].as_f64() > Some(1.0));
     assert!(json["trial"]["observation"][0]["most"].is_number());
 
-    let text = std::fs::read_to_string(&file).expect("a scenario").replace("west_in east_out", "west_in east_ou");
+    let text = std::fs::read_to_string(&file)
+        .expect("a scenario")
+        .replace("west_in east_out", "west_in east_ou");
     std::fs::write(&file, text).expect("written");
     let (code, text) = check(&file, &[]);
     assert_eq!(code, Some(1));
-    assert!(text.contains("DIR/scenarios/site.xml:") && text.contains("did you mean `east_out`?"), "{text}");
+    assert!(
+        text.contains("DIR/scenarios/site.xml:") && text.contains("did you mean `east_out`?"),
+        "{text}"
+    );
     let (code, text) = check(&file, &["--json"]);
     let json: serde_json::Value = serde_json::from_str(&text).expect("one JSON object");
     assert_eq!((code, json["trial"].is_null()), (Some(1), true));
@@ -277,7 +308,12 @@ fn a_check_tells_good_from_bad_by_its_exit_code() {
     assert_eq!(check(Path::new("nowhere.xml"), &[]).0, Some(2));
     assert_eq!(check(dir.path(), &[]).0, Some(2), "a folder is no scenario");
     let mut without = iwol(&["scenario", "check"]);
-    let without = without.arg(SCENARIO).env("PATH", "/nowhere").env_remove("SUMO_HOME").output().expect("it ran");
+    let without = without
+        .arg(SCENARIO)
+        .env("PATH", "/nowhere")
+        .env_remove("SUMO_HOME")
+        .output()
+        .expect("it ran");
     assert_eq!(without.status.code(), Some(2), "{}", String::from_utf8_lossy(&without.stderr));
 }
 
@@ -337,10 +373,17 @@ fn work_goes_on_where_nobody_hears_it() {
     let status = train.arg("--out").arg(&run).stderr(full()).status().expect("it ran");
     assert!(status.success() && run.join("checkpoints/last.safetensors").exists(), "{status}");
     let mut evaluate = std::process::Command::new(&program);
-    evaluate.current_dir(env!("CARGO_MANIFEST_DIR")).args(["evaluate", "--episodes", "1"]).arg(&run).stdout(full());
+    evaluate
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(["evaluate", "--episodes", "1"])
+        .arg(&run)
+        .stdout(full());
     let output = evaluate.output().expect("it ran");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.code() == Some(2) && said.contains("error: cannot write to stdout"), "{said}");
+    assert!(
+        output.status.code() == Some(2) && said.contains("error: cannot write to stdout"),
+        "{said}"
+    );
 }
 
 /// Files of a run's names that are of no run stay as they are.
@@ -351,8 +394,16 @@ fn strange_files_are_left_alone() {
     let said = failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(dir.path()));
     assert!(said.contains("config.toml` is there already, and of no run"), "{said}");
     let nowhere = dir.path().join("no/such/file.json");
-    let mut evaluate =
-        iwol(&["evaluate", "--policy", "throttle:1", "--scenario", SCENARIO, "--episodes", "100000", "--out"]);
+    let mut evaluate = iwol(&[
+        "evaluate",
+        "--policy",
+        "throttle:1",
+        "--scenario",
+        SCENARIO,
+        "--episodes",
+        "100000",
+        "--out",
+    ]);
     let said = failure(evaluate.arg(nowhere));
     assert!(said.contains("cannot create"), "{said}");
 }

@@ -9,8 +9,9 @@ use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, ppo};
 use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
-    Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init, MaskMode, Mixer, Mlp,
-    Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, ValueNorm, gaussian_entropy, gaussian_log_prob,
+    Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init,
+    MaskMode, Mixer, Mlp, Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup,
+    ValueNorm, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -28,7 +29,9 @@ impl Case {
     fn new(name: &'static str) -> Self {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/golden.safetensors");
         let all = Tensor::read_safetensors(file).expect("the committed arrays can be read");
-        let own = |(key, array): (String, Tensor)| key.strip_prefix(&format!("{name}/")).map(|k| (k.to_owned(), array));
+        let own = |(key, array): (String, Tensor)| {
+            key.strip_prefix(&format!("{name}/")).map(|k| (k.to_owned(), array))
+        };
         let arrays: Vec<_> = all.into_iter().filter_map(own).collect();
         assert!(!arrays.is_empty(), "no arrays of the case {name}");
         Case { name, arrays }
@@ -36,7 +39,10 @@ impl Case {
 
     fn get(&self, key: &str) -> Tensor {
         let found = self.arrays.iter().find(|(k, _)| k == key);
-        found.unwrap_or_else(|| panic!("{}/{key} is not among the arrays", self.name)).1.shallow_clone()
+        found
+            .unwrap_or_else(|| panic!("{}/{key} is not among the arrays", self.name))
+            .1
+            .shallow_clone()
     }
 
     /// An input whose gradient is compared.
@@ -48,16 +54,24 @@ impl Case {
     fn network<T>(&self, build: impl FnOnce(Path<'_>) -> T) -> (Params, T) {
         let mut params = Params::new(Device::Cpu);
         let network = build(params.root(&mut Seed::new(0).rng()));
-        let weight =
-            |(key, array): &(String, Tensor)| key.strip_prefix("param/").map(|k| (k.to_owned(), array.shallow_clone()));
+        let weight = |(key, array): &(String, Tensor)| {
+            key.strip_prefix("param/").map(|k| (k.to_owned(), array.shallow_clone()))
+        };
         let weights: Vec<_> = self.arrays.iter().filter_map(weight).collect();
         params.copy_from(&weights).expect("the weights have our names and shapes");
         (params, network)
     }
 
     /// A learner with the reference's weights, each of which it has `times` times, and with returns seen.
-    fn learner(&self, method: &str, spec: &EnvSpec, settings: &Settings, times: usize) -> Box<dyn Algorithm> {
-        let mut learner = algo::build(method, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
+    fn learner(
+        &self,
+        method: &str,
+        spec: &EnvSpec,
+        settings: &Settings,
+        times: usize,
+    ) -> Box<dyn Algorithm> {
+        let mut learner =
+            algo::build(method, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
         let (mut state, mut given) = (learner.state(), 0);
         for (name, tensor) in &mut state {
             let key = format!("param/{}", name.replace("_target/", "/"));
@@ -87,7 +101,8 @@ impl Case {
 
     /// Compares gradients of a scalar in which each element of `out` has another weight, as in the generator.
     fn check_gradients(&self, out: &Tensor, of: &[(&str, &Tensor)]) {
-        let weights = (Tensor::arange(out.numel() as i64, (Kind::Float, Device::Cpu)) * 0.37 + 0.5).sin();
+        let weights =
+            (Tensor::arange(out.numel() as i64, (Kind::Float, Device::Cpu)) * 0.37 + 0.5).sin();
         let inputs: Vec<&Tensor> = of.iter().map(|(_, t)| *t).collect();
         let scalar = (out.reshape([-1]) * weights).sum(Kind::Float);
         let gradients = Tensor::run_backward(&[scalar], &inputs, true, false);
@@ -98,7 +113,8 @@ impl Case {
 }
 
 fn features(count: usize) -> Features {
-    let feature = |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
+    let feature =
+        |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
     Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
 }
 
@@ -122,7 +138,8 @@ fn mlp() {
     let x = case.input("x");
     let out = mlp.forward(&x);
     case.check("out", &out);
-    let (weight, norm) = (parameter(&params, "layers.0.linear.weight"), parameter(&params, "norm.weight"));
+    let (weight, norm) =
+        (parameter(&params, "layers.0.linear.weight"), parameter(&params, "norm.weight"));
     case.check_gradients(&out, &[("grad_x", &x), ("grad_weight", &weight), ("grad_norm", &norm)]);
 }
 
@@ -134,7 +151,8 @@ fn gru_with_resets() {
     let out = gru.sequence(&x, &h0, &mask);
     case.check("out", &out);
     let (weight, bias) = (parameter(&params, "weight_hh"), parameter(&params, "bias_hh"));
-    let of = [("grad_x", &x), ("grad_h0", &h0), ("grad_weight_hh", &weight), ("grad_bias_hh", &bias)];
+    let of =
+        [("grad_x", &x), ("grad_h0", &h0), ("grad_weight_hh", &weight), ("grad_bias_hh", &bias)];
     case.check_gradients(&out, &of);
 }
 
@@ -150,7 +168,8 @@ fn entity_encoder_with_absent_tokens() {
     let obs = case.input("obs");
     let out = entity.forward(&obs);
     case.check("out", &out);
-    let (qkv, embed) = (parameter(&params, "attention.qkv.weight"), parameter(&params, "embed.2.weight"));
+    let (qkv, embed) =
+        (parameter(&params, "attention.qkv.weight"), parameter(&params, "embed.2.weight"));
     case.check_gradients(&out, &[("grad_obs", &obs), ("grad_qkv", &qkv), ("grad_embed", &embed)]);
 }
 
@@ -178,7 +197,8 @@ fn graph_is_a_straight_through_gumbel_softmax() {
 fn transformer_in_both_mask_modes() {
     let case = Case::new("transformer");
     for (mode, name) in [(MaskMode::Hard, "hard"), (MaskMode::LogitMul, "logit_mul")] {
-        let (params, transformer) = case.network(|path| GraphTransformer::new(path, 8, 8, 2, 2, mode));
+        let (params, transformer) =
+            case.network(|path| GraphTransformer::new(path, 8, 8, 2, 2, mode));
         let (f, graph) = (case.input("f"), case.input("graph"));
         let (flat, packing) = all_places(&f);
         let out = packing.unpack(&transformer.forward(&flat, &packing, &graph));
@@ -199,7 +219,10 @@ fn decoder_of_mat() {
     let out = decoder.forward(&previous, &rep, &reach, &mut Decoded::default());
     case.check("out", &out);
     let embed = parameter(&params, "embed.weight");
-    case.check_gradients(&out, &[("grad_previous", &previous), ("grad_rep", &rep), ("grad_embed", &embed)]);
+    case.check_gradients(
+        &out,
+        &[("grad_previous", &previous), ("grad_rep", &rep), ("grad_embed", &embed)],
+    );
 }
 
 /// Graph, encoder block and decoder in one, so that the gradient of the graph's scores is that through all of them.
@@ -222,9 +245,13 @@ fn commformer() {
     let known = block.forward(&x, &reach, &relations, None);
     case.check("block", &known);
     case.check_gradients(&known, &[("grad_block_edges", &edges)]);
-    let out = decoder.forward(&case.get("previous"), &known, &reach.causal(), &mut Decoded::default());
+    let out =
+        decoder.forward(&case.get("previous"), &known, &reach.causal(), &mut Decoded::default());
     case.check("out", &out);
-    case.check_gradients(&out, &[("grad_x", &x), ("grad_edges", &edges), ("grad_relations", &relations)]);
+    case.check_gradients(
+        &out,
+        &[("grad_x", &x), ("grad_edges", &edges), ("grad_relations", &relations)],
+    );
 }
 
 #[test]
@@ -233,7 +260,10 @@ fn magic() {
     let (_, (scheduler, layers)) = case.network(|mut path| {
         let scheduler = Scheduler::new(path.sub("scheduler"), 16);
         let joined = GraphAttention::new(path.sub("joined"), 16, 2, 3, true);
-        (scheduler, [("joined", joined), ("mean", GraphAttention::new(path.sub("mean"), 16, 2, 3, false))])
+        (
+            scheduler,
+            [("joined", joined), ("mean", GraphAttention::new(path.sub("mean"), 16, 2, 3, false))],
+        )
     });
     let (f, graph) = (case.input("f"), case.input("graph"));
     let (flat, packing) = all_places(&f);
@@ -243,7 +273,10 @@ fn magic() {
     for (name, layer) in layers {
         let out = packing.unpack(&layer.forward(&flat, &packing, &graph));
         case.check(&format!("out_{name}"), &out);
-        case.check_gradients(&out, &[(&format!("grad_f_{name}"), &f), (&format!("grad_graph_{name}"), &graph)]);
+        case.check_gradients(
+            &out,
+            &[(&format!("grad_f_{name}"), &f), (&format!("grad_graph_{name}"), &graph)],
+        );
     }
 }
 
@@ -266,19 +299,24 @@ fn dimensions(count: usize) -> Vec<ActionDimension> {
 #[test]
 fn maddpg() {
     let case = Case::new("maddpg");
-    let spec = EnvSpec { agents: 3, actions: dimensions(1), observation: features(4), state: features(3) };
+    let spec =
+        EnvSpec { agents: 3, actions: dimensions(1), observation: features(4), state: features(3) };
     let mut settings = small();
-    (settings.ppo.max_grad_norm, settings.ppo.value_norm_beta, settings.ppo.average) = (0.5, 0.9, 0.0);
-    (settings.maddpg.updates, settings.maddpg.target_rate, settings.maddpg.action_penalty) = (1, 0.1, 0.05);
+    (settings.ppo.max_grad_norm, settings.ppo.value_norm_beta, settings.ppo.average) =
+        (0.5, 0.9, 0.0);
+    (settings.maddpg.updates, settings.maddpg.target_rate, settings.maddpg.action_penalty) =
+        (1, 0.1, 0.05);
     let mut learner = case.learner("maddpg", &spec, &settings, 2);
 
     // Of one step, all that are drawn are the same.
     let (steps, envs, agents) = (1, 1, 3);
-    let sizes = Sizes { steps, envs, agents, observation: 4, state: 3, actions: 1, memory: 0, graphs: 0 };
+    let sizes =
+        Sizes { steps, envs, agents, observation: 4, state: 3, actions: 1, memory: 0, graphs: 0 };
     let numbers = |key: &str| Vec::<f32>::try_from(case.get(key).reshape([-1])).expect("numbers");
     let mut rollout = Rollout::new(sizes);
     (rollout.observation, rollout.state) = (numbers("observation"), numbers("state"));
-    (rollout.action, rollout.reward, rollout.terminated) = (numbers("action"), numbers("reward"), numbers("ended"));
+    (rollout.action, rollout.reward, rollout.terminated) =
+        (numbers("action"), numbers("reward"), numbers("ended"));
     rollout.active[..agents].copy_from_slice(&numbers("active"));
     for (place, there) in numbers("there").into_iter().enumerate() {
         rollout.comm[place * agents + place % agents] = there;
@@ -286,18 +324,22 @@ fn maddpg() {
     let pace = Pace { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, imitation: 0.0, growth: 1 };
     let losses = learner.update(&rollout, &pace, Seed::new(2)).expect("finite");
     let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
-    let found = names.map(|name| losses.iter().find(|(n, _)| *n == name).expect("reported").1 as f32);
+    let found =
+        names.map(|name| losses.iter().find(|(n, _)| *n == name).expect("reported").1 as f32);
     case.check("losses", &Tensor::from_slice(&found));
     let state = learner.state();
     for (key, _) in &case.arrays {
         let name = key.strip_prefix("after/").map(str::to_owned);
-        let followed = || key.strip_prefix("following/").map(|name| name.replacen('/', "_target/", 1));
+        let followed =
+            || key.strip_prefix("following/").map(|name| name.replacen('/', "_target/", 1));
         if let Some(name) = name.or_else(followed) {
-            let (_, found) = state.iter().find(|(n, _)| *n == name).unwrap_or_else(|| panic!("no {name}"));
+            let (_, found) =
+                state.iter().find(|(n, _)| *n == name).unwrap_or_else(|| panic!("no {name}"));
             case.check(key, found);
         }
     }
-    let (_, statistics) = state.iter().find(|(name, _)| name == "value_norm/statistics").expect("kept");
+    let (_, statistics) =
+        state.iter().find(|(name, _)| name == "value_norm/statistics").expect("kept");
     case.check("statistics", statistics);
 }
 
@@ -305,13 +347,21 @@ fn maddpg() {
 /// what they think it worth.
 #[test]
 fn decisions_and_values() {
-    let of_icp = ["dec", "sum", "monotonic"].map(|kind| ("icp", format!("icp-{kind}"), format!("value_{kind}")));
-    let others = ["mappo", "mat_crew", "magic_crew", "commformer_crew", "im_iwol", "ex_iwol", "maddpg_iwol"];
-    let others = others.map(|case| (case, case.trim_end_matches("_crew").replace('_', "-"), "value".to_owned()));
+    let of_icp = ["dec", "sum", "monotonic"]
+        .map(|kind| ("icp", format!("icp-{kind}"), format!("value_{kind}")));
+    let others =
+        ["mappo", "mat_crew", "magic_crew", "commformer_crew", "im_iwol", "ex_iwol", "maddpg_iwol"];
+    let others = others
+        .map(|case| (case, case.trim_end_matches("_crew").replace('_', "-"), "value".to_owned()));
     for (name, method, value) in of_icp.into_iter().chain(others) {
         let mut case = Case::new(name);
         let actions = case.get("action").size()[2] as usize;
-        let spec = EnvSpec { agents: 3, actions: dimensions(actions), observation: features(4), state: features(3) };
+        let spec = EnvSpec {
+            agents: 3,
+            actions: dimensions(actions),
+            observation: features(4),
+            state: features(3),
+        };
         let mut settings = small();
         (settings.network.hidden, settings.iwol.message) = (16, 8);
         // Two links of three.
@@ -319,7 +369,8 @@ fn decisions_and_values() {
         if method != "icp-monotonic" {
             case.arrays.retain(|(key, _)| !key.starts_with("param/critic/mixer."));
         }
-        let learner = case.learner(&method, &spec, &settings, if method == "maddpg-iwol" { 2 } else { 1 });
+        let learner =
+            case.learner(&method, &spec, &settings, if method == "maddpg-iwol" { 2 } else { 1 });
         let nothing = || Tensor::zeros([3, 3, 0], (Kind::Float, Device::Cpu));
         let remembers = learner.memory() > 0;
         let input = Observation {
@@ -330,7 +381,8 @@ fn decisions_and_values() {
         };
         let present = case.get("present");
         let check = |key: &str, found: &Tensor| {
-            let there = if found.dim() == 3 { present.unsqueeze(-1) } else { present.shallow_clone() };
+            let there =
+                if found.dim() == 3 { present.unsqueeze(-1) } else { present.shallow_clone() };
             let expected = case.get(key);
             assert_eq!(found.size(), expected.size(), "{method}: {key}");
             let difference = (found - expected) * there;
@@ -342,7 +394,13 @@ fn decisions_and_values() {
         if remembers {
             check("memory_after", &decision.memory);
         }
-        check(&value, &learner.inspect(&input, &case.get("state")).value.expect("without a memory of its own"));
+        check(
+            &value,
+            &learner
+                .inspect(&input, &case.get("state"))
+                .value
+                .expect("without a memory of its own"),
+        );
     }
 }
 
@@ -355,7 +413,10 @@ fn gaussian() {
     let entropy = gaussian_entropy(&log_std);
     case.check("log_prob", &log_prob);
     case.check("entropy", &entropy.expand([6], false));
-    case.check_gradients(&(log_prob + entropy), &[("grad_mean", &mean), ("grad_log_std", &log_std)]);
+    case.check_gradients(
+        &(log_prob + entropy),
+        &[("grad_mean", &mean), ("grad_log_std", &log_std)],
+    );
 }
 
 /// The state is `f64`; it agrees to 1e-12.
@@ -389,19 +450,27 @@ fn adam_with_clipping() {
     let mut adam = Adam::new(&mut params);
     let (x, y, norms) = (case.get("x"), case.get("y"), case.get("norms"));
     // The reference has the order of its modules, which is ours: input norm, then linear and norm of each layer.
-    let flat =
-        |tensors: Vec<Tensor>| Tensor::cat(&tensors.iter().map(|t| t.detach().reshape([-1])).collect::<Vec<_>>(), 0);
+    let flat = |tensors: Vec<Tensor>| {
+        Tensor::cat(&tensors.iter().map(|t| t.detach().reshape([-1])).collect::<Vec<_>>(), 0)
+    };
     for step in 0..5 {
         (mlp.forward(&x) - &y).square().mean(Kind::Float).backward();
         let norm = adam.clip_grad_norm(1.2);
-        assert!((norm - norms.double_value(&[step])).abs() < 1e-5, "norm before clipping at step {step}: {norm}");
+        assert!(
+            (norm - norms.double_value(&[step])).abs() < 1e-5,
+            "norm before clipping at step {step}: {norm}"
+        );
         adam.step(0.02 / (step + 1) as f64);
         let weights = flat(params.named().iter().map(|(_, t)| t.shallow_clone()).collect());
         case.check(&format!("flat_{step}"), &weights);
     }
     let state = adam.state();
     for (suffix, key) in [(".m", "first"), (".v", "second")] {
-        let moments = state.iter().filter(|(name, _)| name.ends_with(suffix)).map(|(_, t)| t.shallow_clone()).collect();
+        let moments = state
+            .iter()
+            .filter(|(name, _)| name.ends_with(suffix))
+            .map(|(_, t)| t.shallow_clone())
+            .collect();
         case.check_within(key, &flat(moments), 1e-6);
     }
 }
@@ -417,7 +486,8 @@ fn ppo_losses() {
     case.check("grad_log_prob", &Tensor::run_backward(&[policy], &[&log_prob], false, false)[0]);
 
     let value = case.input("value");
-    let loss = ppo::value_loss(&value, &case.get("old_value"), &case.get("target"), &active, 0.2, 10.0);
+    let loss =
+        ppo::value_loss(&value, &case.get("old_value"), &case.get("target"), &active, 0.2, 10.0);
     case.check("value_loss", &loss);
     case.check("grad_value", &Tensor::run_backward(&[loss], &[&value], false, false)[0]);
 }

@@ -18,7 +18,9 @@ fn task(agents: u32) -> Arc<Task> {
 
 fn task_of(scenario: &str, agents: u32) -> Arc<Task> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
-    Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), agents).expect("a task"))
+    Arc::new(
+        Task::new(&Scenario::load(&path).expect("the shipped scenario"), agents).expect("a task"),
+    )
 }
 
 fn hosting(backend: Backend, processes: usize) -> Hosting {
@@ -33,7 +35,14 @@ fn play(
     steps: u64,
     hosting: Hosting,
 ) -> (Vec<u64>, Vec<EpisodeRecord>) {
-    let options = VecOptions { replay: 0.0, worlds, driver, seed: Seed::new(11), episodes: 0..u64::MAX, hosting };
+    let options = VecOptions {
+        replay: 0.0,
+        worlds,
+        driver,
+        seed: Seed::new(11),
+        episodes: 0..u64::MAX,
+        hosting,
+    };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
     let mut actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
     let (mut bits, mut records) = (Vec::new(), Vec::new());
@@ -48,10 +57,20 @@ fn play(
         env.step(&actions).expect("a step");
         for world in env.worlds() {
             let frame = world.frame();
-            let all = [&frame.observation, &frame.state, &frame.comm, &frame.active, &frame.reward, &frame.terminated];
+            let all = [
+                &frame.observation,
+                &frame.state,
+                &frame.comm,
+                &frame.active,
+                &frame.reward,
+                &frame.terminated,
+            ];
             // FNV-1a, so that a long run needs little room.
-            let hash =
-                all.into_iter().flatten().chain(&frame.truncated).fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
+            let hash = all
+                .into_iter()
+                .flatten()
+                .chain(&frame.truncated)
+                .fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| {
                     (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0100_0000_01b3)
                 });
             bits.push(hash);
@@ -64,7 +83,8 @@ fn play(
 }
 
 fn hostings() -> Vec<Hosting> {
-    let mut all = vec![hosting(Backend::Traci, 6), hosting(Backend::Traci, 1), hosting(Backend::Traci, 4)];
+    let mut all =
+        vec![hosting(Backend::Traci, 6), hosting(Backend::Traci, 1), hosting(Backend::Traci, 4)];
     if cfg!(feature = "libsumo") {
         all.push(hosting(Backend::Libsumo, 1));
     }
@@ -73,12 +93,17 @@ fn hostings() -> Vec<Hosting> {
 
 fn agree(task: &Arc<Task>, driver: Driver, steps: u64, least_episodes: usize) {
     let _alone = ALONE.lock();
-    let mut runs = hostings().into_iter().map(|hosting| (hosting, play(task, driver, 6, steps, hosting)));
+    let mut runs =
+        hostings().into_iter().map(|hosting| (hosting, play(task, driver, 6, steps, hosting)));
     let (_, (bits, records)) = runs.next().expect("a first hosting");
     assert!(records.len() >= least_episodes, "only {} episodes", records.len());
     for (hosting, (other_bits, other_records)) in runs {
         let first = bits.iter().zip(&other_bits).position(|(a, b)| a != b);
-        assert_eq!(first.map(|i| (i / 6, i % 6)), None, "(step, world) that differs first with {hosting:?}");
+        assert_eq!(
+            first.map(|i| (i / 6, i % 6)),
+            None,
+            "(step, world) that differs first with {hosting:?}"
+        );
         // Episodes are long to print.
         assert!(records == other_records, "the records differ with {hosting:?}");
     }
@@ -108,7 +133,8 @@ fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
 
 /// What is reported of vehicles that are placed by their poses, in `worlds` worlds that do the same.
 fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleState>>> {
-    let mut simulation = start(backend, task.simulation_config(1, worlds, &Hosting::default())).expect("SUMO runs");
+    let mut simulation =
+        start(backend, task.simulation_config(1, worlds, &Hosting::default())).expect("SUMO runs");
     let (half, interval) = (task.scenario.vehicle.length / 2.0, task.scenario.control.interval);
     let mut reports = Vec::new();
     for step in 0..60_u32 {
@@ -130,7 +156,8 @@ fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleSt
                 commands.push(Command::KeepLane { world, slot });
             } else {
                 let way = f64::from(step) * (5.0 + 0.37 * f64::from(slot)) * interval;
-                let ([x, y], heading, _) = task.routes[place.routes[0]].path.body(front + way, 2.0 * half);
+                let ([x, y], heading, _) =
+                    task.routes[place.routes[0]].path.body(front + way, 2.0 * half);
                 commands.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
             }
         }
@@ -149,7 +176,10 @@ fn steered_vehicles_are_where_they_were_put_wherever_their_world_runs() {
             let way = step as f64 * (5.0 + 0.37 * slot as f64) * task.scenario.control.interval;
             let expected = task.places[slot].pos + task.scenario.vehicle.length / 2.0 + way;
             let found = vehicle.expect("on the road").distance;
-            assert!((found - expected).abs() < 1e-6, "slot {slot}, step {step}: {found} m, not {expected} m");
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "slot {slot}, step {step}: {found} m, not {expected} m"
+            );
         }
     }
     // SUMO finds the place on the lane from coordinates, which are rounded otherwise in a tile.
@@ -157,11 +187,17 @@ fn steered_vehicles_are_where_they_were_put_wherever_their_world_runs() {
     for (one, three) in alone.iter().zip(&tiled) {
         for (a, b) in three.iter().zip(one.iter().cycle()) {
             let (a, b) = (a.expect("on the road"), b.expect("on the road"));
-            assert!((a.distance - b.distance).abs() < 1e-9 && (a.speed - b.speed).abs() < 1e-7, "{a:?} {b:?}");
+            assert!(
+                (a.distance - b.distance).abs() < 1e-9 && (a.speed - b.speed).abs() < 1e-7,
+                "{a:?} {b:?}"
+            );
         }
     }
     if cfg!(feature = "libsumo") {
-        assert!(steer(&task, Backend::Libsumo, 3) == tiled && steer(&task, Backend::Libsumo, 1) == alone);
+        assert!(
+            steer(&task, Backend::Libsumo, 3) == tiled
+                && steer(&task, Backend::Libsumo, 1) == alone
+        );
     }
 }
 
@@ -173,7 +209,11 @@ fn libsumo_takes_one_simulation_at_a_time_and_says_so() {
     let config = task(8).simulation_config(1, 2, &Hosting::default());
     let first = start(Backend::Libsumo, config.clone()).expect("libsumo runs");
     let second = start(Backend::Libsumo, config.clone());
-    assert!(matches!(&second, Err(e @ Error::Occupied) if e.hint().is_some()), "{:?}", second.err());
+    assert!(
+        matches!(&second, Err(e @ Error::Occupied) if e.hint().is_some()),
+        "{:?}",
+        second.err()
+    );
     drop(first);
     start(Backend::Libsumo, config).expect("the place is free again");
 }
@@ -184,7 +224,10 @@ fn a_backend_that_is_not_built_in_is_refused_with_advice() {
     use iwol_sumo::sumo::Error;
     let config = task(8).simulation_config(1, 2, &Hosting::default());
     let error = start(Backend::Libsumo, config).err();
-    assert!(matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()), "{error:?}");
+    assert!(
+        matches!(&error, Some(e @ Error::NotBuiltIn { .. }) if e.hint().is_some()),
+        "{error:?}"
+    );
 }
 
 #[test]
@@ -210,7 +253,12 @@ fn an_episode_of_sumos_own_driver_does_not_depend_on_the_one_before() {
     };
     let (alone, after_another) = (second(1), second(0));
     assert_eq!((alone.episode, after_another.episode), (1, 1));
-    assert!(alone == after_another, "{} and {} steps", alone.episode_length, after_another.episode_length);
+    assert!(
+        alone == after_another,
+        "{} and {} steps",
+        alone.episode_length,
+        after_another.episode_length
+    );
 }
 
 #[cfg(feature = "libsumo")]
@@ -222,9 +270,31 @@ fn training_is_the_same_with_either_backend_validations_included() {
         let run = folder.path().join(backend);
         let output = Command::new(env!("CARGO_BIN_EXE_iwol"))
             .current_dir(env!("CARGO_MANIFEST_DIR"))
-            .args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--algorithm", "im-iwol"])
-            .args(["--set", "train.envs=4", "--set", "train.segment=32", "--set", "train.validate_every=256"])
-            .args(["--set", "train.validation_episodes=2", "--set", "network.hidden=8", "--set", "env.horizon=40"])
+            .args([
+                "train",
+                "--scenario",
+                "scenarios/intersection.xml",
+                "--agents",
+                "4",
+                "--algorithm",
+                "im-iwol",
+            ])
+            .args([
+                "--set",
+                "train.envs=4",
+                "--set",
+                "train.segment=32",
+                "--set",
+                "train.validate_every=256",
+            ])
+            .args([
+                "--set",
+                "train.validation_episodes=2",
+                "--set",
+                "network.hidden=8",
+                "--set",
+                "env.horizon=40",
+            ])
             .args(["--steps", "512", "--backend", backend, "--out"])
             .arg(&run)
             .output()
@@ -239,6 +309,9 @@ fn training_is_the_same_with_either_backend_validations_included() {
         lines.collect()
     };
     let traci = train("traci");
-    assert!(traci.iter().filter(|line| line.contains("validation/success")).count() == 2, "{traci:?}");
+    assert!(
+        traci.iter().filter(|line| line.contains("validation/success")).count() == 2,
+        "{traci:?}"
+    );
     assert_eq!(traci, train("libsumo"));
 }

@@ -38,7 +38,10 @@ fn sumo_children(parent: u32) -> Vec<u32> {
 }
 
 fn signal(pid: u32, name: &str) {
-    let status = Command::new("kill").args([&format!("-{name}"), &pid.to_string()]).status().expect("kill runs");
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &pid.to_string()])
+        .status()
+        .expect("kill runs");
     assert!(status.success());
 }
 
@@ -87,9 +90,14 @@ fn a_killed_sumo_costs_its_episode_only() {
     let task = task();
     let hit = if env.resets().restarts == 1 { &env } else { &undisturbed };
     let restored = VecEnv::restore(&task, &options, &hit.states()).expect("SUMO runs");
-    assert_eq!(restored.states(), hit.states(), "a world that waits for its next episode goes on waiting for it");
+    assert_eq!(
+        restored.states(),
+        hit.states(),
+        "a world that waits for its next episode goes on waiting for it"
+    );
     drop(restored);
-    let (hit, spared) = if env.resets().restarts == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
+    let (hit, spared) =
+        if env.resets().restarts == 1 { (&env, &undisturbed) } else { (&undisturbed, &env) };
     assert_eq!(spared.resets().restarts, 0);
     let mut fresh = 0;
     for (world, reference) in hit.worlds().zip(spared.worlds()) {
@@ -112,7 +120,15 @@ fn train(run: &Path) -> std::process::Child {
 fn train_with(run: &Path, settings: &[&str]) -> std::process::Child {
     Command::new(env!("CARGO_BIN_EXE_iwol"))
         .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--steps", "1000000"])
+        .args([
+            "train",
+            "--scenario",
+            "scenarios/intersection.xml",
+            "--agents",
+            "4",
+            "--steps",
+            "1000000",
+        ])
         .args([
             "--set",
             "train.envs=2",
@@ -142,7 +158,8 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
         let run = folder.path().join(name);
         let mut child = train(&run);
         wait_until("the first iterations", 60, || {
-            fs::read_to_string(run.join("metrics.jsonl")).is_ok_and(|text| text.lines().count() >= 2)
+            fs::read_to_string(run.join("metrics.jsonl"))
+                .is_ok_and(|text| text.lines().count() >= 2)
         });
         let workers = sumo_children(child.id());
         assert_eq!(workers.len(), 2);
@@ -154,7 +171,10 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
             wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
         }
         let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
-        assert!(lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "whole lines");
+        assert!(
+            lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
+            "whole lines"
+        );
     }
 }
 
@@ -165,14 +185,20 @@ fn a_second_interrupt_ends_it_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run");
     let mut child = train_with(&run, &["ppo.epochs=400", "ppo.minibatch=8"]);
-    wait_until("the first iteration", 120, || fs::read(run.join("metrics.jsonl")).is_ok_and(|text| !text.is_empty()));
+    wait_until("the first iteration", 120, || {
+        fs::read(run.join("metrics.jsonl")).is_ok_and(|text| !text.is_empty())
+    });
     let workers = sumo_children(child.id());
     assert_eq!(workers.len(), 2);
     // The next rollout, of 16 steps, is soon over.
     std::thread::sleep(Duration::from_secs(1));
     signal(child.id(), "INT");
     std::thread::sleep(Duration::from_secs(1));
-    assert_eq!(child.try_wait().expect("its state"), None, "it did not wait for an update of 6,400 steps");
+    assert_eq!(
+        child.try_wait().expect("its state"),
+        None,
+        "it did not wait for an update of 6,400 steps"
+    );
     signal(child.id(), "INT");
     let mut code = None;
     wait_until("the program ends", 5, || {
@@ -191,7 +217,9 @@ fn even_a_killed_program_leaves_no_process() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run");
     let mut child = train(&run);
-    wait_until("SUMO runs", 60, || run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2);
+    wait_until("SUMO runs", 60, || {
+        run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2
+    });
     let workers = sumo_children(child.id());
     signal(child.id(), "KILL");
     child.wait().expect("it ends");

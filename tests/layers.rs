@@ -69,12 +69,17 @@ fn sources() -> Vec<(String, PathBuf, String)> {
     files
         .into_iter()
         .map(|path| {
-            let first = path.strip_prefix(&root).expect("inside").components().next().expect("a name");
+            let first =
+                path.strip_prefix(&root).expect("inside").components().next().expect("a name");
             let module = first.as_os_str().to_string_lossy().trim_end_matches(".rs").to_owned();
             let text = fs::read_to_string(&path).expect("text");
             // Tests may look over the fence, and comments may speak of anything.
             let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-            let code = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
+            let code = code
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"))
+                .collect::<Vec<_>>()
+                .join("\n");
             (module, path, code)
         })
         .collect()
@@ -85,8 +90,9 @@ fn names_after(code: &str, prefix: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for (at, _) in code.match_indices(prefix) {
         let rest = &code[at + prefix.len()..];
-        let word =
-            |text: &str| text.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>();
+        let word = |text: &str| {
+            text.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>()
+        };
         if let Some(list) = rest.strip_prefix('{') {
             let mut depth = 0;
             let mut item = String::new();
@@ -145,13 +151,15 @@ fn crates_stay_in_their_modules() {
     let mut wrong = Vec::new();
     for (module, path, code) in sources() {
         for (name, allowed) in CRATES {
-            let starts_word = |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            let starts_word =
+                |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
             let used = code.match_indices(&format!("{name}::")).any(|(at, _)| starts_word(at));
             if used && !allowed.contains(&module.as_str()) {
                 wrong.push(format!("{}: `{module}` may not use `{name}`", path.display()));
             }
         }
-        let prints = ["println!(", "print!(", "eprintln!(", "eprint!("].iter().any(|p| code.contains(p));
+        let prints =
+            ["println!(", "print!(", "eprintln!(", "eprint!("].iter().any(|p| code.contains(p));
         if prints && module != "cli" {
             wrong.push(format!("{}: only `cli` prints", path.display()));
         }

@@ -9,18 +9,35 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, imitation: 0.0, growth: 1 };
-const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, imitation: 0.0, growth: 1 };
+const PACE: Pace =
+    Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, imitation: 0.0, growth: 1 };
+const STILL: Pace =
+    Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, imitation: 0.0, growth: 1 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
-    let feature = |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
-    let group = |offset, width, count| Group { name: format!("g{offset}"), offset, width, count, presence: None };
-    Features { list: (0..count).map(feature).collect(), groups: vec![group(0, 1, 1), group(1, count - 1, 1)] }
+    let feature =
+        |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
+    let group = |offset, width, count| Group {
+        name: format!("g{offset}"),
+        offset,
+        width,
+        count,
+        presence: None,
+    };
+    Features {
+        list: (0..count).map(feature).collect(),
+        groups: vec![group(0, 1, 1), group(1, count - 1, 1)],
+    }
 }
 
 fn spec(agents: usize) -> EnvSpec {
-    EnvSpec { agents, actions: vec![ActionDimension::named("throttle")], observation: features(4), state: features(3) }
+    EnvSpec {
+        agents,
+        actions: vec![ActionDimension::named("throttle")],
+        observation: features(4),
+        state: features(3),
+    }
 }
 
 fn small(encoder: EncoderKind) -> Settings {
@@ -56,7 +73,12 @@ fn nothing() -> Tensor {
 fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation {
     let (e, n, _) = x.size3().expect("[E, N, O]");
     let memory = noise(5, &[e, n, learner.memory() as i64]);
-    Observation { observation: x, comm, start: Tensor::zeros([e], (Kind::Float, Device::Cpu)), memory }
+    Observation {
+        observation: x,
+        comm,
+        start: Tensor::zeros([e], (Kind::Float, Device::Cpu)),
+        memory,
+    }
 }
 
 /// Actions with every edge of the learned graph switched on.
@@ -74,7 +96,8 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
 /// A learner whose weights are disturbed: fresh ones are close to the identity in the message path (gain 0.01), so that
 /// effects through it would drown in rounding.
 fn loud(name: &str, spec: &EnvSpec, settings: &Settings) -> Box<dyn Algorithm> {
-    let mut learner = algo::build(name, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
+    let mut learner =
+        algo::build(name, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
     let mut state = learner.state();
     for (i, (name, tensor)) in state.iter_mut().enumerate() {
         if name.starts_with("actor/") || name.starts_with("critic/") {
@@ -113,11 +136,19 @@ fn observations_reach_whom_they_may_and_nobody_else() {
                     Hears::Everyone => j != 4,
                 };
                 let own = i as i64 == j;
-                assert_eq!(before[i] != after[i], reached || own, "{name} {encoder:?}: {j} against {i}");
+                assert_eq!(
+                    before[i] != after[i],
+                    reached || own,
+                    "{name} {encoder:?}: {j} against {i}"
+                );
             }
         }
         let alone = act(&*learner, &x, &Tensor::eye(5, (Kind::Float, Device::Cpu)).unsqueeze(0));
-        assert_eq!(hears == Hears::Nobody, before[..4] == alone[..4], "{name}: the range matters to who hears");
+        assert_eq!(
+            hears == Hears::Nobody,
+            before[..4] == alone[..4],
+            "{name}: the range matters to who hears"
+        );
     });
 }
 
@@ -128,7 +159,8 @@ fn symbols_are_seen_a_step_later_and_within_range() {
         if algo::capabilities(name).expect("known").hears != Hears::InRangeLater {
             return;
         }
-        let learner = algo::build(name, &spec(5), &small(encoder), Seed::new(1), Device::Cpu).expect("a learner");
+        let learner = algo::build(name, &spec(5), &small(encoder), Seed::new(1), Device::Cpu)
+            .expect("a learner");
         let decide = |x: Tensor, memory: Option<Tensor>| {
             let input = observation(&*learner, x, pairs());
             let memory = memory.unwrap_or_else(|| input.memory.zeros_like());
@@ -136,7 +168,8 @@ fn symbols_are_seen_a_step_later_and_within_range() {
         };
         let second = |first: Tensor| -> Vec<f32> {
             let memory = decide(first, None).memory;
-            Vec::try_from(decide(noise(1, &[1, 5, 4]), Some(memory)).action.view([5])).expect("actions")
+            Vec::try_from(decide(noise(1, &[1, 5, 4]), Some(memory)).action.view([5]))
+                .expect("actions")
         };
         let before = second(noise(2, &[1, 5, 4]));
         let mut seen = 0;
@@ -145,7 +178,10 @@ fn symbols_are_seen_a_step_later_and_within_range() {
             changed.get(0).get(j).copy_(&(noise(50 + k, &[4]) * 2.0));
             let after = second(changed);
             for i in (0..4).filter(|&i| i as i64 != j && before[i] != after[i]) {
-                assert!(pairs().double_value(&[0, i as i64, j]) > 0.0, "{name} {encoder:?}: {j} against {i}");
+                assert!(
+                    pairs().double_value(&[0, i as i64, j]) > 0.0,
+                    "{name} {encoder:?}: {j} against {i}"
+                );
                 seen += 1;
             }
         }
@@ -211,14 +247,21 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
 }
 
 fn bits(learner: &dyn Algorithm) -> Vec<(String, Vec<u64>)> {
-    let value = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
-    learner.state().iter().map(|(n, t)| (n.clone(), value(t).iter().map(|v| v.to_bits()).collect())).collect()
+    let value =
+        |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
+    learner
+        .state()
+        .iter()
+        .map(|(n, t)| (n.clone(), value(t).iter().map(|v| v.to_bits()).collect()))
+        .collect()
 }
 
 fn each(mut check: impl FnMut(&str, EncoderKind)) {
     for name in algo::NAMES {
         let recurrent = algo::capabilities(name).expect("known").recurrent;
-        for encoder in ENCODERS.into_iter().filter(|encoder| recurrent || *encoder != EncoderKind::Gru) {
+        for encoder in
+            ENCODERS.into_iter().filter(|encoder| recurrent || *encoder != EncoderKind::Gru)
+        {
             check(name, encoder);
         }
     }
@@ -238,7 +281,9 @@ fn updates_are_deterministic_and_move_every_network() {
         let (first, last) = run(4);
         assert_eq!(last, run(4).1, "{name} {encoder:?}: same seed, same bits");
         assert_ne!(last, run(5).1, "{name} {encoder:?}: the seed matters");
-        let trained = |name: &str| (name.ends_with("weight") || name.starts_with("graph/")) && !name.contains("adam");
+        let trained = |name: &str| {
+            (name.ends_with("weight") || name.starts_with("graph/")) && !name.contains("adam")
+        };
         for (before, after) in first.iter().zip(&last).filter(|(b, _)| trained(&b.0)) {
             assert_ne!(before.1, after.1, "{name} {encoder:?}: {} was not trained", before.0);
         }
@@ -248,7 +293,8 @@ fn updates_are_deterministic_and_move_every_network() {
 #[test]
 fn without_a_learning_rate_nothing_moves() {
     each(|name, encoder| {
-        let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+        let mut learner = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu)
+            .expect("a learner");
         let on_policy = algo::capabilities(name).expect("known").on_policy;
         let weights = |learner: &dyn Algorithm| {
             bits(learner)
@@ -268,26 +314,36 @@ fn without_a_learning_rate_nothing_moves() {
 #[test]
 fn a_policy_that_moves_too_far_ends_its_update() {
     const PASSES: usize = 4;
-    for name in algo::NAMES.iter().filter(|name| algo::capabilities(name).expect("known").on_policy) {
+    for name in algo::NAMES.iter().filter(|name| algo::capabilities(name).expect("known").on_policy)
+    {
         let update_at = |epochs: usize, target_kl: f64, imitation: f64| {
             let mut settings = small(EncoderKind::Mlp);
             (settings.ppo.epochs, settings.ppo.target_kl) = (epochs, target_kl);
             let mut learner = loud(name, &spec(4), &settings);
             let mut rollout = random_rollout(&*learner, 4, 3);
             rollout.pursuit = vec![0.5; rollout.action.len()];
-            let losses = learner.update(&rollout, &Pace { imitation, ..PACE }, Seed::new(4)).expect("finite");
-            let of = |what: &str| losses.iter().find(|(found, _)| *found == what).expect("is reported").1;
+            let losses = learner
+                .update(&rollout, &Pace { imitation, ..PACE }, Seed::new(4))
+                .expect("finite");
+            let of = |what: &str| {
+                losses.iter().find(|(found, _)| *found == what).expect("is reported").1
+            };
             (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
         };
         let update = |epochs, target_kl| update_at(epochs, target_kl, 0.0);
         // By default all passes are made; how far each moves follows from the means over all of them.
         let whole: Vec<_> = (1..=PASSES).map(|passes| update(passes, 0.0)).collect();
-        let total = |passes: usize| if passes == 0 { 0.0 } else { passes as f64 * whole[passes - 1].1 };
+        let total =
+            |passes: usize| if passes == 0 { 0.0 } else { passes as f64 * whole[passes - 1].1 };
         let moved: Vec<f64> = (1..=PASSES).map(|pass| total(pass) - total(pass - 1)).collect();
-        let (least, most) = (moved.iter().copied().fold(f64::MAX, f64::min), moved.iter().copied().fold(0.0, f64::max));
+        let (least, most) = (
+            moved.iter().copied().fold(f64::MAX, f64::min),
+            moved.iter().copied().fold(0.0, f64::max),
+        );
         assert!(least > 0.0 && most > 1.01 * least, "{name}: {moved:?}");
         for target in [0.99 * least, f64::midpoint(least, most), 1.01 * most] {
-            let passes = moved.iter().position(|&moved| moved > target).map_or(PASSES, |last| last + 1);
+            let passes =
+                moved.iter().position(|&moved| moved > target).map_or(PASSES, |last| last + 1);
             assert_eq!(whole[passes - 1].0, passes as f64, "{name}");
             assert_eq!(update(PASSES, target), whole[passes - 1], "{name}: {moved:?}, {target}");
         }
@@ -301,7 +357,8 @@ fn the_dead_do_not_teach() {
     each(|name, encoder| {
         let run = |rubbish: f32| {
             let mut learner =
-                algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+                algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu)
+                    .expect("a learner");
             let mut rollout = random_rollout(&*learner, 4, 3);
             let s = rollout.sizes;
             for at in 0..(s.steps + 1) * s.envs * s.agents {
@@ -324,8 +381,9 @@ fn the_dead_do_not_teach() {
         assert_eq!(losses, same, "{name} {encoder:?}");
         // The memory that a recurrent critic carries for a dead slot is cleared before anyone reads it, and what is replayed of
         // one is read by nobody.
-        let weights =
-            |bits: Vec<(String, Vec<u64>)>| bits.into_iter().filter(|b| !b.0.contains("_memory/")).collect::<Vec<_>>();
+        let weights = |bits: Vec<(String, Vec<u64>)>| {
+            bits.into_iter().filter(|b| !b.0.contains("_memory/")).collect::<Vec<_>>()
+        };
         assert_eq!(weights(calm), weights(loud), "{name} {encoder:?}");
     });
 }
@@ -369,14 +427,19 @@ fn an_update_sees_the_policy_that_acted() {
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
         // Noise that is correlated from step to step is as probable as the process says.
-        rollout.carried = Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
-        rollout.log_fresh = (0..rollout.sizes.steps).map(|t| if t == 0 { 0.0 } else { -0.5 }).collect();
+        rollout.carried =
+            Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
+        rollout.log_fresh =
+            (0..rollout.sizes.steps).map(|t| if t == 0 { 0.0 } else { -0.5 }).collect();
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
         let changed = Rollout { carried: Vec::new(), log_fresh: Vec::new(), ..rollout };
         let losses = learner.update(&changed, &STILL, Seed::new(4)).expect("finite");
         let kl = losses.iter().find(|loss| loss.0 == "ppo/approx_kl").expect("reported").1;
-        assert!(kl > 1e-3, "{name} {encoder:?}: scored as independent, it would be another policy: {kl}");
+        assert!(
+            kl > 1e-3,
+            "{name} {encoder:?}: scored as independent, it would be another policy: {kl}"
+        );
     });
 }
 
@@ -404,7 +467,9 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let (e, n) = (s.envs as i64, s.agents as i64);
     let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
     for t in 0..s.steps {
-        let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
+        let part = |array: &[f32], width: usize| {
+            Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
+        };
         let input = Observation {
             observation: part(&rollout.observation, s.observation),
             comm: part(&rollout.comm, s.agents),
@@ -420,7 +485,8 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let correlated = !rollout.carried.is_empty();
         let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
         let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
-        let (action, graph, carried, log_fresh) = (&eps, &graph, &carried, &Tensor::from(fresh).to_kind(Kind::Float).view([1]));
+        let (action, graph, carried, log_fresh) =
+            (&eps, &graph, &carried, &Tensor::from(fresh).to_kind(Kind::Float).view([1]));
         let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
@@ -432,7 +498,13 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
 }
 
 /// An update without a learning rate finds the policy where it was.
-fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, rollout: &Rollout, pace: Pace) {
+fn nothing_moved(
+    name: &str,
+    encoder: EncoderKind,
+    learner: &mut dyn Algorithm,
+    rollout: &Rollout,
+    pace: Pace,
+) {
     let losses = learner.update(rollout, &pace, Seed::new(4)).expect("finite");
     let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
     assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
@@ -447,15 +519,27 @@ fn where_nobody_is_left_nothing_breaks() {
         let nobody = Tensor::zeros([2, 4, 4], (Kind::Float, Device::Cpu));
         let input = observation(&*learner, noise(1, &[2, 4, 4]), nobody);
         let state = noise(2, &[2, 4, 3]);
-        assert_eq!(learner.act(&input, &ActMode::Deterministic).action.size(), [2, 4, 1], "{name} {encoder:?}");
+        assert_eq!(
+            learner.act(&input, &ActMode::Deterministic).action.size(),
+            [2, 4, 1],
+            "{name} {encoder:?}"
+        );
         let seen = learner.inspect(&input, &state);
         assert!(seen.value.is_none_or(|value| value.size() == [2, 4]), "{name} {encoder:?}");
-        assert!(learner.reconstruct(&input, &state).iter().all(|told| told.found.size() == told.truth.size()));
+        assert!(
+            learner
+                .reconstruct(&input, &state)
+                .iter()
+                .all(|told| told.found.size() == told.truth.size())
+        );
         let mut rollout = random_rollout(&*learner, 4, 3);
         rollout.active.fill(0.0);
         rollout.comm.fill(0.0);
         let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
-        assert!(losses.iter().all(|(_, value)| value.is_finite()), "{name} {encoder:?}: {losses:?}");
+        assert!(
+            losses.iter().all(|(_, value)| value.is_finite()),
+            "{name} {encoder:?}: {losses:?}"
+        );
     });
 }
 
@@ -468,12 +552,20 @@ fn only_decoders_that_learn_tell_something() {
             let mut settings = small(EncoderKind::Mlp);
             (settings.iwol.lambda_world, settings.iwol.lambda_interaction) = (world, interaction);
             (settings.magic.lambda_world, settings.commformer.lambda_world) = (0.0, 0.0);
-            let learner = algo::build(name, &spec(4), &settings, Seed::new(1), Device::Cpu).expect("a learner");
-            let input =
-                observation(&*learner, noise(1, &[2, 4, 4]), Tensor::ones([2, 4, 4], (Kind::Float, Device::Cpu)));
-            let told: Vec<_> =
-                learner.reconstruct(&input, &noise(2, &[2, 4, 3])).iter().map(|told| told.name).collect();
-            let learns = |what: &&str| if *what == "world" { world > 0.0 } else { interaction > 0.0 };
+            let learner = algo::build(name, &spec(4), &settings, Seed::new(1), Device::Cpu)
+                .expect("a learner");
+            let input = observation(
+                &*learner,
+                noise(1, &[2, 4, 4]),
+                Tensor::ones([2, 4, 4], (Kind::Float, Device::Cpu)),
+            );
+            let told: Vec<_> = learner
+                .reconstruct(&input, &noise(2, &[2, 4, 3]))
+                .iter()
+                .map(|told| told.name)
+                .collect();
+            let learns =
+                |what: &&str| if *what == "world" { world > 0.0 } else { interaction > 0.0 };
             assert_eq!(told, latent.iter().copied().filter(learns).collect::<Vec<_>>(), "{name}");
         }
     }
@@ -507,7 +599,11 @@ fn symbols_tell_of_actions_within_their_bounds() {
             let losses = learner.update(&rollout, &STILL, Seed::new(4)).expect("finite");
             losses.iter().find(|l| l.0 == "loss/message").expect("reported").1
         };
-        assert_eq!(told(|action| action), told(|action| action.clamp(-1.0, 1.0)), "{name} {encoder:?}");
+        assert_eq!(
+            told(|action| action),
+            told(|action| action.clamp(-1.0, 1.0)),
+            "{name} {encoder:?}"
+        );
         assert_ne!(
             told(|action| action),
             told(|action| action.clamp(-0.9, 0.9)),
@@ -525,20 +621,28 @@ fn pursuit_is_imitated() {
             continue;
         }
         let taught = |reward: f32| {
-            let mut learner = algo::build(name, &spec(4), &small(EncoderKind::Mlp), Seed::new(1), Device::Cpu).unwrap();
+            let mut learner =
+                algo::build(name, &spec(4), &small(EncoderKind::Mlp), Seed::new(1), Device::Cpu)
+                    .unwrap();
             let mut rollout = random_rollout(&*learner, 4, 3);
             rollout.pursuit = vec![-0.4; rollout.action.len()];
             rollout.reward.iter_mut().for_each(|earned| *earned *= reward);
-            let pace = Pace { learning_rate: 1e-2, log_std: 0.0, gamma: 0.99, imitation: 1.0, growth: 1 };
+            let pace =
+                Pace { learning_rate: 1e-2, log_std: 0.0, gamma: 0.99, imitation: 1.0, growth: 1 };
             for update in 0..12 {
                 learner.update(&rollout, &pace, Seed::new(update)).expect("finite");
             }
-            act(&*learner, &noise(1, &[1, 4, 4]), &Tensor::ones([1, 4, 4], (Kind::Float, Device::Cpu)))
+            act(
+                &*learner,
+                &noise(1, &[1, 4, 4]),
+                &Tensor::ones([1, 4, 4], (Kind::Float, Device::Cpu)),
+            )
         };
         let actions = taught(1.0);
         assert!(actions.iter().all(|action| (action[0] + 0.4).abs() < 0.15), "{name}: {actions:?}");
-        let far =
-            |a: &[Vec<f32>], b: &[Vec<f32>]| a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).abs()).fold(0.0, f32::max);
+        let far = |a: &[Vec<f32>], b: &[Vec<f32>]| {
+            a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).abs()).fold(0.0, f32::max)
+        };
         assert!(far(&actions, &taught(-3.0)) < 0.1, "{name}: rewards matter");
     }
 }
@@ -553,16 +657,24 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let mut settings = small(encoder);
             settings.iwol.rounds = rounds;
             let learner = loud(name, &spec(5), &settings);
-            let (x, comm) = (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
+            let (x, comm) =
+                (noise(1, &[2, 5, 4]), Tensor::ones([2, 5, 5], (Kind::Float, Device::Cpu)));
             let chance = || Tensor::full([2, 5, 5], 0.5, (Kind::Float, Device::Cpu));
             let width = learner.message_width() as i64;
             assert_eq!(algo::capabilities(name).expect("known").messages, width > 0, "{name}");
             let through = |channel: &Channel| {
                 let mut input = observation(&*learner, x.copy(), comm.copy());
-                let past = Tensor::zeros([2, 5, channel.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
+                let past = Tensor::zeros(
+                    [2, 5, channel.memory(width as usize) as i64],
+                    (Kind::Float, Device::Cpu),
+                );
                 input.memory = Tensor::cat(&[&input.memory, &past], -1);
                 let content = noise(9, &[2, 5, 5, width.max(1)]);
-                let noise = ChannelNoise { lost: noise(8, &[2, 5, 5]).sigmoid(), falsified: chance(), content };
+                let noise = ChannelNoise {
+                    lost: noise(8, &[2, 5, 5]).sigmoid(),
+                    falsified: chance(),
+                    content,
+                };
                 learner.act_through(&input, channel, &noise).action
             };
             let plain = |comm: &Tensor| {
@@ -577,19 +689,27 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let expected = if width > 0 { plain(&alone) } else { together.shallow_clone() };
             assert!(apart(&silence, &expected) < 1e-4, "{name} {encoder:?}");
             // Who is out of reach stays so.
-            let (pairs, bits) = (pairs().repeat([2, 1, 1]), Channel { bits: 31, ..Channel::default() });
+            let (pairs, bits) =
+                (pairs().repeat([2, 1, 1]), Channel { bits: 31, ..Channel::default() });
             let reached = |comm: &Tensor| {
                 let mut input = observation(&*learner, x.copy(), comm.copy());
-                let past = Tensor::zeros([2, 5, bits.memory(width as usize) as i64], (Kind::Float, Device::Cpu));
+                let past = Tensor::zeros(
+                    [2, 5, bits.memory(width as usize) as i64],
+                    (Kind::Float, Device::Cpu),
+                );
                 input.memory = Tensor::cat(&[&input.memory, &past], -1);
                 let content = noise(9, &[2, 5, 5, width.max(1)]);
                 let noise = ChannelNoise { lost: chance(), falsified: chance(), content };
                 learner.act_through(&input, &bits, &noise).action
             };
             let those_there = |actions: &Tensor| actions.narrow(1, 0, 4);
-            assert!(apart(&those_there(&reached(&pairs)), &those_there(&plain(&pairs))) < 1e-4, "{name} {encoder:?}");
+            assert!(
+                apart(&those_there(&reached(&pairs)), &those_there(&plain(&pairs))) < 1e-4,
+                "{name} {encoder:?}"
+            );
             // With so many bits as good as with all of them, but each receiver works out by itself what it heard.
-            let [some, each] = [32, 31].map(|bits| through(&Channel { loss: 0.6, bits, ..Channel::default() }));
+            let [some, each] =
+                [32, 31].map(|bits| through(&Channel { loss: 0.6, bits, ..Channel::default() }));
             assert!(apart(&some, &each) < 1e-4, "{name} {encoder:?}");
             assert_eq!(apart(&some, &together) > 1e-4, width > 0, "{name} {encoder:?}");
             let bad = [
@@ -598,7 +718,11 @@ fn channels_stand_between_agents_and_nowhere_else() {
                 Channel { delay: 3, ..Channel::default() },
             ];
             for channel in bad {
-                assert_eq!(apart(&through(&channel), &together) > 1e-4, width > 0, "{name} {encoder:?} {channel:?}");
+                assert_eq!(
+                    apart(&through(&channel), &together) > 1e-4,
+                    width > 0,
+                    "{name} {encoder:?} {channel:?}"
+                );
             }
         }
     });
@@ -629,7 +753,8 @@ fn averaged_weights_follow_and_can_be_exchanged() {
     each(|name, encoder| {
         let mut settings = small(encoder);
         settings.ppo.average = 0.75;
-        let mut learner = algo::build(name, &spec(4), &settings, Seed::new(2), Device::Cpu).expect("a learner");
+        let mut learner =
+            algo::build(name, &spec(4), &settings, Seed::new(2), Device::Cpu).expect("a learner");
         let of = |state: &[(String, Tensor)], prefix: &str| -> Vec<Tensor> {
             let named = state.iter().filter(|(n, _)| n.starts_with(prefix));
             named.map(|(_, t)| t.shallow_clone()).collect()
@@ -639,26 +764,40 @@ fn averaged_weights_follow_and_can_be_exchanged() {
         let end = learner.state();
         let average = of(&end, "actor_average/");
         assert_eq!(average.len(), of(&start, "actor/").len());
-        for ((first, last), average) in of(&start, "actor/").iter().zip(of(&end, "actor/")).zip(&average) {
+        for ((first, last), average) in
+            of(&start, "actor/").iter().zip(of(&end, "actor/")).zip(&average)
+        {
             let expected = first * 0.75 + last * 0.25;
-            assert!((expected - average).abs().max().double_value(&[]) < 1e-6, "{name} {encoder:?}");
+            assert!(
+                (expected - average).abs().max().double_value(&[]) < 1e-6,
+                "{name} {encoder:?}"
+            );
         }
         learner.swap_average();
         let swapped = learner.state();
-        assert!(of(&swapped, "actor/").iter().zip(&average).all(|(a, b)| a.equal(b)), "{name}: acts with the average");
+        assert!(
+            of(&swapped, "actor/").iter().zip(&average).all(|(a, b)| a.equal(b)),
+            "{name}: acts with the average"
+        );
         learner.swap_average();
         let again = bits(&*learner);
         assert!(end.iter().map(|(n, _)| n).eq(again.iter().map(|(n, _)| n)));
-        assert!(learner.state().iter().zip(&end).all(|(a, b)| a.1.equal(&b.1)), "{name}: nothing is lost");
+        assert!(
+            learner.state().iter().zip(&end).all(|(a, b)| a.1.equal(&b.1)),
+            "{name}: nothing is lost"
+        );
 
         // Starting from a state takes the averaged policy over, and the value; the noise stays the new run's.
         let any_number = algo::capabilities(name).expect("known").any_number;
         let agents = if any_number { 9 } else { 4 };
-        let mut next = algo::build(name, &spec(agents), &settings, Seed::new(8), Device::Cpu).expect("a learner");
+        let mut next = algo::build(name, &spec(agents), &settings, Seed::new(8), Device::Cpu)
+            .expect("a learner");
         next.load_weights(&end).expect("weights fit");
         if !any_number {
-            let mut more = algo::build(name, &spec(9), &settings, Seed::new(8), Device::Cpu).expect("a learner");
-            let refused = more.load_weights(&end).expect_err("of another number of agents").to_string();
+            let mut more = algo::build(name, &spec(9), &settings, Seed::new(8), Device::Cpu)
+                .expect("a learner");
+            let refused =
+                more.load_weights(&end).expect_err("of another number of agents").to_string();
             assert!(refused.contains("each of 4 agents and cannot be used among 9"), "{refused}");
         }
         let begun = next.state();
@@ -672,9 +811,11 @@ fn averaged_weights_follow_and_can_be_exchanged() {
 #[test]
 fn a_state_is_taken_over_whole_or_not_at_all() {
     each(|name, encoder| {
-        let mut trained = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu).expect("a learner");
+        let mut trained = algo::build(name, &spec(4), &small(encoder), Seed::new(2), Device::Cpu)
+            .expect("a learner");
         trained.update(&random_rollout(&*trained, 4, 3), &PACE, Seed::new(4)).expect("finite");
-        let mut fresh = algo::build(name, &spec(4), &small(encoder), Seed::new(9), Device::Cpu).expect("a learner");
+        let mut fresh = algo::build(name, &spec(4), &small(encoder), Seed::new(9), Device::Cpu)
+            .expect("a learner");
         fresh.load(&trained.state()).expect("the same network");
         assert_eq!(bits(&*fresh), bits(&*trained), "{name} {encoder:?}");
         let next = random_rollout(&*trained, 4, 6);
@@ -724,7 +865,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
     let mut settings = small(EncoderKind::Mlp);
     settings.exploration.log_std_start = -0.5;
     settings.ppo.minibatch = 256;
-    let mut learner = algo::build(name, &spec(n), &settings, Seed::new(1), Device::Cpu).expect("a learner");
+    let mut learner =
+        algo::build(name, &spec(n), &settings, Seed::new(1), Device::Cpu).expect("a learner");
     let sizes = Sizes {
         steps: 16,
         envs: e,
@@ -745,7 +887,9 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         let cell = rollout.at(t, 1);
         rollout.terminated[cell].fill(1.0);
     }
-    let shaped = |values: &[f32], width: usize| Tensor::from_slice(values).view([e as i64, n as i64, width as i64]);
+    let shaped = |values: &[f32], width: usize| {
+        Tensor::from_slice(values).view([e as i64, n as i64, width as i64])
+    };
     let mut mean = 0.0;
     for update in 0..updates {
         let mut rng = Seed::new(2).index(update).rng();
@@ -784,9 +928,12 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
             let offset = Tensor::zeros([e as i64, 1, 1], (Kind::Float, Device::Cpu));
-            let (action, carried, graph, log_fresh) = (&shaped(&eps, 1), &nothing(), &graph, &offset);
-            let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
-            let numbers = |tensor: &Tensor| Vec::<f32>::try_from(tensor.reshape([-1])).expect("numbers");
+            let (action, carried, graph, log_fresh) =
+                (&shaped(&eps, 1), &nothing(), &graph, &offset);
+            let decision =
+                learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
+            let numbers =
+                |tensor: &Tensor| Vec::<f32>::try_from(tensor.reshape([-1])).expect("numbers");
             let (actions, log_probs) = (numbers(&decision.action), numbers(&decision.log_prob));
             let seen: Vec<f32> = x.iter().step_by(o).copied().collect();
             let rewards = game.rewards(&seen, &before, &actions);
@@ -853,12 +1000,24 @@ fn an_empty_slot_changes_nothing() {
 #[test]
 fn several_action_dimensions_are_learned_from() {
     for name in algo::NAMES {
-        let spec = EnvSpec { actions: ["steer", "throttle"].map(ActionDimension::named).to_vec(), ..spec(3) };
+        let spec = EnvSpec {
+            actions: ["steer", "throttle"].map(ActionDimension::named).to_vec(),
+            ..spec(3)
+        };
         let mut learner =
-            algo::build(name, &spec, &small(EncoderKind::Mlp), Seed::new(2), Device::Cpu).expect("a learner");
-        let input = observation(&*learner, noise(1, &[2, 3, 4]), Tensor::ones([2, 3, 3], (Kind::Float, Device::Cpu)));
+            algo::build(name, &spec, &small(EncoderKind::Mlp), Seed::new(2), Device::Cpu)
+                .expect("a learner");
+        let input = observation(
+            &*learner,
+            noise(1, &[2, 3, 4]),
+            Tensor::ones([2, 3, 3], (Kind::Float, Device::Cpu)),
+        );
         let decision = learner.act(&input, &ActMode::Deterministic);
-        assert_eq!((decision.action.size(), decision.log_prob.size()), (vec![2, 3, 2], vec![2, 3, 2]), "{name}");
+        assert_eq!(
+            (decision.action.size(), decision.log_prob.size()),
+            (vec![2, 3, 2], vec![2, 3, 2]),
+            "{name}"
+        );
         let mut rollout = random_rollout(&*learner, 3, 3);
         rollout = Rollout {
             action: [&rollout.action[..]; 2].concat(),
@@ -877,7 +1036,10 @@ fn messages_help_where_they_are_needed() {
     // One that hears nobody stands for all; that none hears whom it must not is tested for each above.
     let without = play("mappo", Game::Other, 60);
     assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
-    for name in algo::NAMES.into_iter().filter(|name| !matches!(hears(name), Hears::Nobody | Hears::InRangeLater)) {
+    for name in algo::NAMES
+        .into_iter()
+        .filter(|name| !matches!(hears(name), Hears::Nobody | Hears::InRangeLater))
+    {
         // On another processor sums are rounded otherwise, and a run takes another course.
         let with = play(name, Game::Other, 120);
         assert!(with > -0.25, "{name}: but it can be told: {with}");
@@ -902,20 +1064,29 @@ fn values_do_not_feed_on_their_own_normalisation() {
     for name in ["maddpg", "maddpg-iwol"] {
         let mut settings = small(EncoderKind::Mlp);
         settings.ppo.average = 0.0;
-        (settings.maddpg.updates, settings.maddpg.n_step, settings.maddpg.target_rate) = (100, 1, 0.1);
-        let mut learner = algo::build(name, &spec(2), &settings, Seed::new(1), Device::Cpu).expect("a learner");
+        (settings.maddpg.updates, settings.maddpg.n_step, settings.maddpg.target_rate) =
+            (100, 1, 0.1);
+        let mut learner =
+            algo::build(name, &spec(2), &settings, Seed::new(1), Device::Cpu).expect("a learner");
         let mut rollout = random_rollout(&*learner, 2, 3);
         rollout.reward.fill(1.0);
         rollout.active.fill(1.0);
         rollout.comm.fill(1.0);
         rollout.terminated.fill(0.0);
-        let pace = Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, imitation: 0.0, growth: 1 };
-        let input = observation(&*learner, noise(4, &[1, 2, 4]), Tensor::ones([1, 2, 2], (Kind::Float, Device::Cpu)));
+        let pace =
+            Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, imitation: 0.0, growth: 1 };
+        let input = observation(
+            &*learner,
+            noise(4, &[1, 2, 4]),
+            Tensor::ones([1, 2, 2], (Kind::Float, Device::Cpu)),
+        );
         let state = noise(5, &[1, 2, 3]);
         let mut values = Vec::new();
         for round in 0..20 {
             learner.update(&rollout, &pace, Seed::new(round)).expect("finite");
-            values.push(learner.inspect(&input, &state).value.expect("a value").double_value(&[0, 0]));
+            values.push(
+                learner.inspect(&input, &state).value.expect("a value").double_value(&[0, 0]),
+            );
         }
         let truth = 1.0 / (1.0 - GAMMA);
         assert!(values.iter().all(|value| *value < 1.1 * truth), "{name}: {values:?}");

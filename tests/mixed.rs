@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
-use iwol_sumo::env::{Driver, EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap};
+use iwol_sumo::env::{
+    Driver, EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap,
+};
 use iwol_sumo::evaluate::{Evaluation, Onlooker, Policy, evaluate};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
@@ -23,7 +25,8 @@ fn root() -> PathBuf {
 }
 
 fn task_of(name: &str, change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
-    let mut scenario = Scenario::load(&root().join("scenarios").join(name)).expect("the shipped scenario");
+    let mut scenario =
+        Scenario::load(&root().join("scenarios").join(name)).expect("the shipped scenario");
     change(&mut scenario);
     Arc::new(Task::new(&scenario, 8).expect("a task"))
 }
@@ -63,7 +66,12 @@ fn step(env: &mut VecEnv, agents: usize) -> Vec<EpisodeRecord> {
 }
 
 /// What learners and onlookers see, step by step, of a single world.
-fn watch(task: &Arc<Task>, seed: u64, steps: usize, backend: Backend) -> Vec<(Vec<f32>, Vec<OtherView>)> {
+fn watch(
+    task: &Arc<Task>,
+    seed: u64,
+    steps: usize,
+    backend: Backend,
+) -> Vec<(Vec<f32>, Vec<OtherView>)> {
     let mut env = VecEnv::new(task, &options(1, seed, backend)).expect("SUMO runs");
     let mut seen = Vec::new();
     for _ in 0..steps {
@@ -113,11 +121,13 @@ fn who_walks_the_same_way_is_one_stream() {
         )
     };
     let south = (0..4).map(|id| person(id, "south_in south_out"));
-    let all: String = south.chain([person(4, "south_out south_in"), person(5, "north_in north_out")]).collect();
+    let all: String =
+        south.chain([person(4, "south_out south_in"), person(5, "north_in north_out")]).collect();
     let file = folder.path().join("people.rou.xml");
     fs::write(&file, format!("<routes>{all}</routes>")).expect("written");
     let task = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files = vec![file]);
-    let own = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear()).routes.len();
+    let own =
+        task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear()).routes.len();
     assert_eq!(task.routes.len(), own + 3);
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     let mut most = 0;
@@ -140,7 +150,10 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
     let others = rude.iter().map(|metrics| metrics.others.as_ref().expect("others"));
     let hit = others.clone().map(|others| others.pedestrian_crash.expect("some walk").mean);
     assert!(hit.sum::<f64>() > 0.0, "{rude:?}");
-    assert!(others.clone().all(|o| o.vehicles.mean == 0.0 && o.crash.is_none() && o.delay.is_none()), "nobody drives");
+    assert!(
+        others.clone().all(|o| o.vehicles.mean == 0.0 && o.crash.is_none() && o.delay.is_none()),
+        "nobody drives"
+    );
     // SUMO's driver waits for them, but for a few that it brushes.
     let polite = of(Policy::Sumo);
     assert!(polite.success.mean > 0.8 && rude[1].success.mean < 0.2, "{polite:?}");
@@ -156,7 +169,9 @@ fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
     let mut throttle = 0.0;
     for k in 0..5000 {
         // Who goes north drives, a little faster each time; the others stand.
-        let northbound = |world: &World| world.agents().map(|a| if a.route == 2 { throttle } else { -1.0 }).collect();
+        let northbound = |world: &World| {
+            world.agents().map(|a| if a.route == 2 { throttle } else { -1.0 }).collect()
+        };
         let actions: Vec<f32> = northbound(env.worlds().next().expect("one world"));
         env.step(&actions).expect("a step");
         if k % 250 == 0 {
@@ -166,7 +181,10 @@ fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
         let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
         for old in &lying {
             let stays = wrecks.iter().find(|new| new.route == old.route);
-            assert!(stays.is_none_or(|new| new.pose.distance(&old.pose) < 0.2), "{old:?} {stays:?}");
+            assert!(
+                stays.is_none_or(|new| new.pose.distance(&old.pose) < 0.2),
+                "{old:?} {stays:?}"
+            );
         }
         hit += usize::from(wrecks.len() > lying.len());
         lying = wrecks;
@@ -195,7 +213,10 @@ fn the_same_seed_gives_the_same_traffic_on_both_backends() {
     let _alone = ALONE.lock();
     let task = task(|_| {});
     let first = watch(&task, 3, 500, Backend::Traci);
-    assert!(first.iter().any(|(_, others)| others.len() > 4), "some arrive beside the four at places");
+    assert!(
+        first.iter().any(|(_, others)| others.len() > 4),
+        "some arrive beside the four at places"
+    );
     assert!(first == watch(&task, 3, 500, Backend::Traci), "the same again");
     if cfg!(feature = "libsumo") {
         assert!(first == watch(&task, 3, 500, Backend::Libsumo), "the same in process");
@@ -211,7 +232,8 @@ fn records(task: &Arc<Task>, worlds: usize, episodes: u64) -> BTreeMap<u64, Epis
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
     let mut records = BTreeMap::new();
     while !env.is_finished() {
-        records.extend(step(&mut env, task.agents).into_iter().map(|record| (record.episode, record)));
+        records
+            .extend(step(&mut env, task.agents).into_iter().map(|record| (record.episode, record)));
     }
     records
 }
@@ -224,10 +246,14 @@ fn an_episode_does_not_depend_on_those_before_it() {
     for worlds in [2, 5] {
         assert!(one == records(&task, worlds, 9), "{worlds} worlds");
     }
-    let others: Vec<_> = one.values().map(|record| record.others.expect("there are others")).collect();
+    let others: Vec<_> =
+        one.values().map(|record| record.others.expect("there are others")).collect();
     assert!(others.iter().all(|o| o.vehicles >= 4), "four at places in each: {others:?}");
     assert!(others.windows(2).any(|w| w[0] != w[1]));
-    assert!(one.values().any(|r| r.crash > 0.0) && one.values().any(|r| r.success > 0.0), "both happen");
+    assert!(
+        one.values().any(|r| r.crash > 0.0) && one.values().any(|r| r.success > 0.0),
+        "both happen"
+    );
 }
 
 #[test]
@@ -286,7 +312,9 @@ fn tokens<'a>(task: &Task, world: &'a World, group: &str) -> Vec<&'a [f32]> {
 
 #[test]
 fn others_are_seen_as_the_nearest_vehicles() {
-    let nearest = |s: &mut Scenario| (s.observation.groups, s.observation.neighbours) = (ObservationGroups::Nearest, 5);
+    let nearest = |s: &mut Scenario| {
+        (s.observation.groups, s.observation.neighbours) = (ObservationGroups::Nearest, 5)
+    };
     let (task, world) = stand(nearest, 12);
     let own = world.agents().next().expect("an agent").pose;
     let mut expected: Vec<OtherView> = world.others().collect();
@@ -294,8 +322,12 @@ fn others_are_seen_as_the_nearest_vehicles() {
     let (sin, cos) = own.heading.sin_cos();
     for (token, other) in tokens(&task, &world, "neighbour").iter().zip(&expected) {
         let (dx, dy) = (other.pose.x - own.x, other.pose.y - own.y);
-        let place = [(dx * cos + dy * sin) / 50.0, (dy * cos - dx * sin) / 50.0].map(|v| v.clamp(-1.0, 1.0) as f32);
-        assert!((token[0] - place[0]).abs() < 1e-5 && (token[1] - place[1]).abs() < 1e-5, "{token:?} {other:?}");
+        let place = [(dx * cos + dy * sin) / 50.0, (dy * cos - dx * sin) / 50.0]
+            .map(|v| v.clamp(-1.0, 1.0) as f32);
+        assert!(
+            (token[0] - place[0]).abs() < 1e-5 && (token[1] - place[1]).abs() < 1e-5,
+            "{token:?} {other:?}"
+        );
         assert_eq!(token[4..], [1.0, 1.0], "it moves, and is there");
     }
     assert_eq!(world.frame().comm, [1.0], "nobody else is there to hear");
@@ -307,14 +339,22 @@ fn others_are_seen_on_streams_and_as_encounters() {
     let own = world.agents().next().expect("an agent");
     let others: Vec<OtherView> = world.others().collect();
     for (stream, conflict) in task.routes[own.route].conflicts.iter().take(2).enumerate() {
-        let mut ways: Vec<f64> =
-            others.iter().filter(|o| o.route == conflict.route).map(|o| conflict.other - o.position).collect();
+        let mut ways: Vec<f64> = others
+            .iter()
+            .filter(|o| o.route == conflict.route)
+            .map(|o| conflict.other - o.position)
+            .collect();
         ways.sort_by(f64::total_cmp);
         let count = tokens(&task, &world, &format!("stream{stream}"))[0][2];
         assert!((f64::from(count) - ways.len() as f64 / 12.0).abs() < 1e-6, "stream {stream}");
         assert!(!ways.is_empty());
-        for (token, way) in tokens(&task, &world, &format!("stream{stream}_vehicle")).iter().zip(&ways) {
-            assert!((f64::from(token[0]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {way}");
+        for (token, way) in
+            tokens(&task, &world, &format!("stream{stream}_vehicle")).iter().zip(&ways)
+        {
+            assert!(
+                (f64::from(token[0]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5,
+                "{token:?} {way}"
+            );
             assert_eq!(token[4], 1.0);
         }
     }
@@ -323,14 +363,17 @@ fn others_are_seen_on_streams_and_as_encounters() {
 
 #[test]
 fn beams_end_at_others() {
-    let (task, world) = stand(|s| (s.observation.lidar.beams, s.observation.lidar.range) = (72, 60.0), 12);
+    let (task, world) =
+        stand(|s| (s.observation.lidar.beams, s.observation.lidar.range) = (72, 60.0), 12);
     let own = world.agents().next().expect("an agent").pose;
     let seen: Vec<f32> = tokens(&task, &world, "lidar").iter().map(|token| token[0]).collect();
     let mut hits = 0;
     for other in world.others() {
         let (dx, dy) = (other.pose.x - own.x, other.pose.y - own.y);
-        let beam =
-            ((dy.atan2(dx) - own.heading).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU * 72.0).round();
+        let beam = ((dy.atan2(dx) - own.heading).rem_euclid(std::f64::consts::TAU)
+            / std::f64::consts::TAU
+            * 72.0)
+            .round();
         let distance = f64::from(seen[beam as usize % 72]) * 60.0;
         // No beam goes through a vehicle.
         assert!(distance <= dx.hypot(dy) + other.size[0] / 2.0, "{distance} {other:?}");
@@ -342,7 +385,8 @@ fn beams_end_at_others() {
 /// Agents that steer stand where they begin: those of SUMO behind them stop and do not touch them.
 #[test]
 fn others_wait_behind_agents_that_steer() {
-    let task = task_of("intersection_turns_small.xml", |scenario| scenario.traffic.penetration = 0.5);
+    let task =
+        task_of("intersection_turns_small.xml", |scenario| scenario.traffic.penetration = 0.5);
     assert_eq!((task.agents, task.others), (4, 4));
     let mut waiting = 0;
     for seed in 0..8 {
@@ -376,7 +420,8 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
         env.step(&[1.0]).expect("a step");
         let finished = env.take_finished();
         let world = env.worlds().next().expect("one world");
-        let (agent, wrecks) = (world.agents().next().expect("an agent"), world.others().filter(|o| o.wreck));
+        let (agent, wrecks) =
+            (world.agents().next().expect("an agent"), world.others().filter(|o| o.wreck));
         let wrecks: Vec<OtherView> = wrecks.collect();
         if let Some(record) = finished.first() {
             let others = record.others.expect("there are others");
@@ -385,7 +430,8 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
             if record.crash > 0.0 {
                 assert!(agent.fate.crashed && record.own_collisions > 0);
                 let hit = |other: &OtherView| {
-                    let size = [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
+                    let size =
+                        [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
                     boxes_overlap((&agent.pose, size), (&other.pose, other.size))
                 };
                 assert!(wrecks.iter().any(hit), "{agent:?} {wrecks:?}");
@@ -402,7 +448,8 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
 fn a_wreck_of_theirs_is_cleared_away() {
     // Two agents, of which one stands still to keep the episode going.
     let task = task(|scenario| scenario.traffic.penetration = 0.25);
-    let wreck_steps = (task.scenario.termination.wreck_time / task.scenario.control.interval).round() as usize;
+    let wreck_steps =
+        (task.scenario.termination.wreck_time / task.scenario.control.interval).round() as usize;
     let mut env = VecEnv::new(&task, &options(1, 2, Backend::Traci)).expect("SUMO runs");
     let (mut lives, mut last) = (Vec::new(), Vec::<(OtherView, usize)>::new());
     for _ in 0..2000 {
@@ -411,11 +458,15 @@ fn a_wreck_of_theirs_is_cleared_away() {
         let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
         let mut next = Vec::new();
         for wreck in &wrecks {
-            let before = last.iter().find(|(old, _)| old.pose.distance(&wreck.pose) < 0.01 && old.route == wreck.route);
+            let before = last
+                .iter()
+                .find(|(old, _)| old.pose.distance(&wreck.pose) < 0.01 && old.route == wreck.route);
             assert_eq!(wreck.speed, 0.0);
             next.push((*wreck, before.map_or(1, |(_, steps)| steps + 1)));
         }
-        let gone = last.iter().filter(|(old, _)| !wrecks.iter().any(|w| w.pose.distance(&old.pose) < 0.01));
+        let gone = last
+            .iter()
+            .filter(|(old, _)| !wrecks.iter().any(|w| w.pose.distance(&old.pose) < 0.01));
         if world.is_running() && world.step_count() > 1 {
             lives.extend(gone.map(|(_, steps)| *steps));
         }
@@ -426,18 +477,24 @@ fn a_wreck_of_theirs_is_cleared_away() {
     }
     assert!(lives.len() >= 3, "{lives:?}");
     // One step in which it comes to a stop, and one in which it is taken away.
-    assert!(lives.iter().all(|steps| (wreck_steps..=wreck_steps + 2).contains(steps)), "{lives:?} {wreck_steps}");
+    assert!(
+        lives.iter().all(|steps| (wreck_steps..=wreck_steps + 2).contains(steps)),
+        "{lives:?} {wreck_steps}"
+    );
 }
 
 fn play(task: &Arc<Task>, policy: &Policy<'_>, episodes: u64) -> Evaluation {
     let onlooker = Onlooker { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None };
-    evaluate(task, policy, episodes, Seed::new(0), &Hosting::default(), onlooker).expect("SUMO runs")
+    evaluate(task, policy, episodes, Seed::new(0), &Hosting::default(), onlooker)
+        .expect("SUMO runs")
 }
 
 #[test]
 fn metrics_of_others_tell_who_gives_way() {
     let task = task(|scenario| scenario.traffic.penetration = 0.25);
-    let of = |policy: Policy<'_>| play(&task, &policy, 40).metrics().expect("episodes").others.expect("others");
+    let of = |policy: Policy<'_>| {
+        play(&task, &policy, 40).metrics().expect("episodes").others.expect("others")
+    };
     let (rude, polite) = (of(Policy::Throttle(1.0)), of(Policy::Sumo));
     let met = |of: Option<Estimate>| of.expect("others drive");
     assert!(met(rude.crash).low > 0.0 && met(polite.crash).mean == 0.0, "{rude:?} {polite:?}");
@@ -446,11 +503,15 @@ fn metrics_of_others_tell_who_gives_way() {
     assert!(rude.pedestrians.mean == 0.0 && rude.pedestrian_crash.is_none(), "nobody walks");
     // Who waits loses time; wrecks and those who were let through lose less.
     assert!(
-        met(polite.delay).low > met(rude.delay).high && met(rude.delay).low > 0.0 && met(polite.braking).low > 0.0,
+        met(polite.delay).low > met(rude.delay).high
+            && met(rude.delay).low > 0.0
+            && met(polite.braking).low > 0.0,
         "{rude:?} {polite:?}"
     );
     // Nothing of it where SUMO drives nobody.
-    let alone = self::task(|scenario| (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new()));
+    let alone = self::task(|scenario| {
+        (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new())
+    });
     assert_eq!((alone.agents, alone.others), (8, 0));
     assert!(play(&alone, &Policy::Throttle(1.0), 4).metrics().expect("episodes").others.is_none());
 }
@@ -487,17 +548,26 @@ fn vehicles_are_as_large_as_sumo_has_them() {
         "bicycle",
         "pedestrian",
     ];
-    let types = classes.map(|class| format!("<vType id=\"a_{class}\" vClass=\"{class}\"/>")).concat();
+    let types =
+        classes.map(|class| format!("<vType id=\"a_{class}\" vClass=\"{class}\"/>")).concat();
     fs::write(&file, format!("<routes>{types}</routes>")).expect("a file");
     let demand = Demand::load(&[&file]).expect("types");
     let net = root().join("sumo_nets/intersection/arm30.net.xml");
-    let arguments = ["--net-file".into(), net.into(), "--additional-files".into(), file.into(), "--no-step-log".into()];
+    let arguments = [
+        "--net-file".into(),
+        net.into(),
+        "--additional-files".into(),
+        file.into(),
+        "--no-step-log".into(),
+    ];
     let options = Options { arguments: arguments.to_vec(), ..Options::default() };
     let (_process, mut sumo, _) = Process::start(&options).expect("SUMO runs");
     assert_eq!(demand.types.len(), classes.len() + 2);
     for kind in &demand.types {
-        let size =
-            (sumo.vehicle_type().get_length(&kind.id).unwrap(), sumo.vehicle_type().get_width(&kind.id).unwrap());
+        let size = (
+            sumo.vehicle_type().get_length(&kind.id).unwrap(),
+            sumo.vehicle_type().get_width(&kind.id).unwrap(),
+        );
         assert_eq!(size, (kind.length, kind.width), "{}", kind.id);
     }
 }
@@ -509,13 +579,20 @@ fn trips_take_the_routes_that_lead_there() {
     let trips = "<trip id=\"a\" depart=\"0\" from=\"west_in\" to=\"east_out\"/>\
                  <flow id=\"b\" period=\"9\" from=\"south_in\" to=\"north_out\"/>";
     fs::write(&file, format!("<routes>{trips}</routes>")).expect("a file");
-    let task = task(|scenario| (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None));
+    let task = task(|scenario| {
+        (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None)
+    });
     assert_eq!(task.routes.len(), 4, "they are those of the scenario");
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     env.step(&vec![-1.0; task.agents]).expect("a step");
-    let routes = |world: &World| world.others().map(|other| task.route_id(other.route).to_owned()).collect::<Vec<_>>();
+    let routes = |world: &World| {
+        world.others().map(|other| task.route_id(other.route).to_owned()).collect::<Vec<_>>()
+    };
     let seen = routes(env.worlds().next().expect("one world"));
-    assert!(seen.iter().any(|id| id == "eastbound") && seen.iter().any(|id| id == "northbound"), "{seen:?}");
+    assert!(
+        seen.iter().any(|id| id == "eastbound") && seen.iter().any(|id| id == "northbound"),
+        "{seen:?}"
+    );
 }
 
 /// The message that the shipped scenario's check gives when its `<traffic>` and the route file are changed.
@@ -527,7 +604,8 @@ fn mistake(traffic: &str, file: Option<(&str, &str)>) -> String {
     let nets = root().join("sumo_nets");
     let text = format!("{head}<traffic {traffic}/>{tail}")
         .replace("../sumo_nets/intersection", &nets.join("intersection").display().to_string());
-    let demand = fs::read_to_string(nets.join("mixed_cross/humans.rou.xml")).expect("the route file");
+    let demand =
+        fs::read_to_string(nets.join("mixed_cross/humans.rou.xml")).expect("the route file");
     let demand = file.map_or(demand.clone(), |(from, to)| {
         assert!(demand.contains(from));
         demand.replacen(from, to, 1)
@@ -536,8 +614,11 @@ fn mistake(traffic: &str, file: Option<(&str, &str)>) -> String {
     let path = folder.path().join("a.xml");
     fs::write(&path, text).expect("a file");
     let found = Scenario::check(&path);
-    let first =
-        found.list.iter().find(|finding| finding.severity == iwol_sumo::scenario::Severity::Error).expect("a mistake");
+    let first = found
+        .list
+        .iter()
+        .find(|finding| finding.severity == iwol_sumo::scenario::Severity::Error)
+        .expect("a mistake");
     let text = format!(
         "{}:{} {}",
         Path::new(&first.file).file_name().unwrap().to_string_lossy(),
@@ -556,8 +637,16 @@ fn mistakes_in_traffic_are_pointed_at() {
         (format!("type=\"humn\" {files}"), None, "a.xml:40 `humn` is not a valid type"),
         ("type=\"human\"".into(), None, "a.xml:40 <traffic> lacks the attribute `files`"),
         ("files=\"none.rou.xml\"".into(), None, "a.xml:40 `"),
-        (files.into(), Some(("edges=\"west_in east_out\"", "edges=\"west_in north_out\"")), "humans.rou.xml:12 "),
-        (files.into(), Some(("exp(0.025)", "exp(x)")), "humans.rou.xml:18 `exp(x)` is not a valid period"),
+        (
+            files.into(),
+            Some(("edges=\"west_in east_out\"", "edges=\"west_in north_out\"")),
+            "humans.rou.xml:12 ",
+        ),
+        (
+            files.into(),
+            Some(("exp(0.025)", "exp(x)")),
+            "humans.rou.xml:18 `exp(x)` is not a valid period",
+        ),
     ];
     for (traffic, file, expected) in cases {
         let found = mistake(&traffic, file);

@@ -5,15 +5,21 @@ use std::process::Command;
 
 fn iwol(arguments: &[&str]) -> std::process::Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
-    let output = command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).output().expect("it ran");
+    let output =
+        command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).output().expect("it ran");
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     output
 }
 
 fn check(html: &Path) -> serde_json::Value {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/check-player.mjs");
-    let output = Command::new("node").arg(script).arg(html).output().expect("node runs; scripts/bootstrap --tests");
-    let (stdout, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let output = Command::new("node")
+        .arg(script)
+        .arg(html)
+        .output()
+        .expect("node runs; scripts/bootstrap --tests");
+    let (stdout, stderr) =
+        (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{stdout}{stderr}");
     serde_json::from_str(&stdout).expect("a line of JSON")
 }
@@ -23,7 +29,8 @@ fn check(html: &Path) -> serde_json::Value {
 fn a_recorded_episode_plays_in_a_browser() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let (recording, html, svg, json) = (path("r.json"), path("r.html"), path("r.svg"), path("e.json"));
+    let (recording, html, svg, json) =
+        (path("r.json"), path("r.html"), path("r.svg"), path("e.json"));
     iwol(&[
         "evaluate",
         "--policy",
@@ -60,7 +67,18 @@ fn a_recording_says_what_the_evaluation_says() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (recording, run) = (path("r.json"), path("run"));
     let (mut train, scenario) = (vec!["train"], "scenarios/intersection.xml");
-    train.extend(["--scenario", scenario, "--algorithm", "ex-iwol", "--agents", "8", "--steps", "128", "--out", &run]);
+    train.extend([
+        "--scenario",
+        scenario,
+        "--algorithm",
+        "ex-iwol",
+        "--agents",
+        "8",
+        "--steps",
+        "128",
+        "--out",
+        &run,
+    ]);
     // Small, and with nearly all edges of the learned graph.
     for set in [
         "train.envs=2",
@@ -79,7 +97,9 @@ fn a_recording_says_what_the_evaluation_says() {
     let recorded: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
     let bytes = |text: &serde_json::Value| {
-        base64::engine::general_purpose::STANDARD.decode(text.as_str().expect("text")).expect("base64")
+        base64::engine::general_purpose::STANDARD
+            .decode(text.as_str().expect("text"))
+            .expect("base64")
     };
     let column = |name: &str| -> Vec<f64> {
         let column = &recorded["columns"][name];
@@ -97,10 +117,15 @@ fn a_recording_says_what_the_evaluation_says() {
     assert!((reward - expected).abs() < 0.05, "{reward} {expected}");
     // Vehicles begin at rest and drive at no more than 80 km/h.
     let (speed, value) = (column("speed"), column("value"));
-    assert!(speed[..8].iter().all(|v| v.abs() < 1e-3) && speed.iter().all(|v| *v <= 22.3), "{speed:?}");
+    assert!(
+        speed[..8].iter().all(|v| v.abs() < 1e-3) && speed.iter().all(|v| *v <= 22.3),
+        "{speed:?}"
+    );
     assert!(value[..8].iter().any(|v| *v != 0.0), "{:?}", &value[..8]);
     // It communicates, within the range of the mask, and nobody is drawn as hearing himself.
     let (edges, n) = (bytes(&recorded["edges"]), agents as usize);
-    assert!(recorded["communicates"].as_bool().expect("a flag") && edges.iter().any(|byte| *byte != 0));
+    assert!(
+        recorded["communicates"].as_bool().expect("a flag") && edges.iter().any(|byte| *byte != 0)
+    );
     assert!(edges.chunks_exact(n).all(|rows| (0..n).all(|i| rows[i] >> i & 1 == 0)));
 }

@@ -27,7 +27,8 @@ fn iwol(args: &[&str]) -> Command {
 
 fn train(out: &Path, more: &[&str]) -> Command {
     let out = out.display().to_string();
-    let mut args = vec!["train", "--scenario", "scenarios/intersection.xml", "--steps", "128", "--out", &out];
+    let mut args =
+        vec!["train", "--scenario", "scenarios/intersection.xml", "--steps", "128", "--out", &out];
     args.extend(SMALL.iter().flat_map(|set| ["--set", set]));
     args.extend(more);
     iwol(&args)
@@ -77,11 +78,17 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         let wide = evaluate(&small, more);
         let reconstruction = wide["metrics"]["reconstruction"].as_array().expect("a list");
         assert_eq!(reconstruction.len(), latent.len(), "{algorithm}");
-        assert!(reconstruction.iter().all(|k| k["error"].as_f64().is_some_and(|e| e > 0.0)), "{wide}");
+        assert!(
+            reconstruction.iter().all(|k| k["error"].as_f64().is_some_and(|e| e > 0.0)),
+            "{wide}"
+        );
 
         // Training starts from it with more vehicles; its metrics say what the latent knows.
         let next = format!("{algorithm}_next");
-        text(&mut train(&at(&next), &["--algorithm", algorithm, "--agents", next_agents, "--init-from", &small]));
+        text(&mut train(
+            &at(&next),
+            &["--algorithm", algorithm, "--agents", next_agents, "--init-from", &small],
+        ));
         let metrics = fs::read_to_string(at(&next).join("metrics.jsonl")).expect("metrics");
         for name in ["world", "interaction"] {
             assert_eq!(
@@ -96,16 +103,36 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             continue;
         }
         let refusals = [
-            (refused(&mut train(Path::new(&small), &["--algorithm", algorithm])), "holds a policy; start from it"),
-            (refused(&mut iwol(&["export", &name(&run), "--out", &small])), "already holds a checkpoint"),
             (
-                refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--init-from", &small])),
+                refused(&mut train(Path::new(&small), &["--algorithm", algorithm])),
+                "holds a policy; start from it",
+            ),
+            (
+                refused(&mut iwol(&["export", &name(&run), "--out", &small])),
+                "already holds a checkpoint",
+            ),
+            (
+                refused(&mut iwol(&[
+                    "train",
+                    "--resume",
+                    "--out",
+                    &name(&run),
+                    "--init-from",
+                    &small,
+                ])),
                 "leave --init-from out",
             ),
             (
                 refused(&mut train(
                     &at("x"),
-                    &["--algorithm", algorithm, "--init-from", &small, "--set", "env.observation=nearest"],
+                    &[
+                        "--algorithm",
+                        algorithm,
+                        "--init-from",
+                        &small,
+                        "--set",
+                        "env.observation=nearest",
+                    ],
                 )),
                 "do not fit this run's networks and observations",
             ),
@@ -113,10 +140,23 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                 refused(&mut train(&at("x"), &["--algorithm", "icp-dec", "--init-from", &small])),
                 "holds a policy of mappo, and this run trains icp-dec",
             ),
-            (refused(&mut iwol(&["evaluate", &small, "--set", "seed=5"])), "episodes follow from --seed"),
-            (refused(&mut iwol(&["evaluate", &small, "--out", "x.safetensors"])), "that is a checkpoint's name"),
             (
-                refused(&mut iwol(&["evaluate", &small, "--out", &name("x"), "--record", &name("x")])),
+                refused(&mut iwol(&["evaluate", &small, "--set", "seed=5"])),
+                "episodes follow from --seed",
+            ),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--out", "x.safetensors"])),
+                "that is a checkpoint's name",
+            ),
+            (
+                refused(&mut iwol(&[
+                    "evaluate",
+                    &small,
+                    "--out",
+                    &name("x"),
+                    "--record",
+                    &name("x"),
+                ])),
                 "one would replace the other",
             ),
             (
@@ -124,7 +164,14 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                 "does not fit the observations and networks",
             ),
             (
-                refused(&mut iwol(&["train", "--resume", "--out", &name(&run), "--set", "network.encoder=gru"])),
+                refused(&mut iwol(&[
+                    "train",
+                    "--resume",
+                    "--out",
+                    &name(&run),
+                    "--set",
+                    "network.encoder=gru",
+                ])),
                 "made with another `network.encoder`",
             ),
             (
@@ -152,7 +199,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     fs::create_dir(&kept).expect("a folder");
     fs::copy(at("mappo_0").join("config.toml"), kept.join("config.toml")).expect("copied");
     let metrics = fs::read_to_string(at("mappo_0").join("metrics.jsonl")).expect("metrics");
-    let validations: Vec<&str> = metrics.lines().filter(|line| line.contains("validation/success")).collect();
+    let validations: Vec<&str> =
+        metrics.lines().filter(|line| line.contains("validation/success")).collect();
     assert!(!validations.is_empty() && validations.len() < metrics.lines().count());
     fs::write(kept.join("metrics.jsonl"), validations.join("\n") + "\n").expect("written");
     text(&mut iwol(&["plot", &name("kept"), "--out", &name("kept.png")]));

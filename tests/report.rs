@@ -32,9 +32,13 @@ fn estimate(mean: f64, low: f64, high: f64) -> Value {
 fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) -> Value) {
     for cell in &sweep.cells {
         std::fs::create_dir_all(cell.folder.join("evaluations")).expect("a folder");
-        let write = |name: &str, text: &str| std::fs::write(cell.folder.join(name), text).expect("written");
+        let write =
+            |name: &str, text: &str| std::fs::write(cell.folder.join(name), text).expect("written");
         write("trained.json", r#"{"steps": 4096, "seconds": 60.0}"#);
-        write("metrics.jsonl", "{\"step\": 64, \"validation/success\": 0.5, \"time/total_s\": 1.0}\n");
+        write(
+            "metrics.jsonl",
+            "{\"step\": 64, \"validation/success\": 0.5, \"time/total_s\": 1.0}\n",
+        );
         write("config.toml", &cell.config.to_toml());
         let rate = success(cell);
         let crashes = ((1.0 - rate) * 1000.0).round();
@@ -99,15 +103,23 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
     let tables = tables(&markdown);
     for table in tables.iter().filter(|table| table[0][0].starts_with("success %")) {
         let cells: Vec<&String> = table[1..].iter().flat_map(|row| &row[1..]).collect();
-        let (over_seeds, brackets) =
-            (cells.iter().any(|cell| cell.contains('±')), cells.iter().any(|cell| cell.contains('[')));
+        let (over_seeds, brackets) = (
+            cells.iter().any(|cell| cell.contains('±')),
+            cells.iter().any(|cell| cell.contains('[')),
+        );
         assert!(!(over_seeds && brackets), "two units of interval in one table: {table:?}");
         let named = ["over seeds", "all episodes together", "episodes of its one run"];
-        assert_eq!(named.iter().filter(|unit| table[0][0].contains(*unit)).count(), 1, "{:?}", table[0]);
+        assert_eq!(
+            named.iter().filter(|unit| table[0][0].contains(*unit)).count(),
+            1,
+            "{:?}",
+            table[0]
+        );
     }
     let titled = |part: &str| {
-        let mut found =
-            tables.iter().filter(|table| table[0][0].starts_with("success %") && table[0][0].contains(part));
+        let mut found = tables
+            .iter()
+            .filter(|table| table[0][0].starts_with("success %") && table[0][0].contains(part));
         found.next().unwrap_or_else(|| panic!("no table of success {part} in {markdown}"))
     };
     let row = |table: &[Vec<String>], name: &str| table.iter().find(|row| row[0] == name).cloned();
@@ -118,7 +130,10 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
     assert_eq!(row(seeds, "magic"), None, "one seed says nothing about others");
     // Wilson's interval of 300 episodes that all succeed ends at 300 / (300 + 1.96²).
     let pooled = row(titled("all episodes together"), "mappo").expect("a row");
-    assert_eq!(pooled[1], format!("100.0 [{:.1}, 100.0]", 100.0 * 300.0 / (300.0 + 1.959_964_f64.powi(2))));
+    assert_eq!(
+        pooled[1],
+        format!("100.0 [{:.1}, 100.0]", 100.0 * 300.0 / (300.0 + 1.959_964_f64.powi(2)))
+    );
     let alone = titled("episodes of its one run");
     assert_eq!(alone.len(), 2, "MAGIC alone: {alone:?}");
     assert_eq!(row(alone, "magic").expect("a row")[1], "90.0 [87.0, 91.0]");
@@ -138,9 +153,11 @@ fn results_name_versions_and_commits() {
     let sweep = Sweep::parse(FILE, "s.toml", "s", &folder.path().join("runs")).expect("a sweep");
     results(&sweep, |_| 0.9, |_| trained_with());
     // A run that was resumed by another version.
-    let resumed = sweep.cells.iter().find(|cell| cell.id == "mappo_agents=8/seed_1").expect("a cell");
+    let resumed =
+        sweep.cells.iter().find(|cell| cell.id == "mappo_agents=8/seed_1").expect("a cell");
     let mut meta = trained_with();
-    (meta["version"], meta["earlier"]) = ("0.3.1".into(), json!([{ "version": "0.3.0", "sumo": "1.15.0" }]));
+    (meta["version"], meta["earlier"]) =
+        ("0.3.1".into(), json!([{ "version": "0.3.0", "sumo": "1.15.0" }]));
     std::fs::write(resumed.run().meta(), meta.to_string()).expect("written");
     let (markdown, summary) = report(&sweep, folder.path());
     for row in [

@@ -44,7 +44,8 @@ fn trainer(algorithm: &str, encoder: &str) -> Trainer {
 
 /// Everything that decides the future, as bits.
 fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
-    let value = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
+    let value =
+        |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
     let mut all: Vec<(String, Vec<u64>)> = checkpoint
         .learner
         .iter()
@@ -54,9 +55,15 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
         let p = &world.position;
         let order = [world.episode, p.next, p.fresh, p.turn, u64::from(p.replaying)];
         let order = order.into_iter().chain(p.failed.iter().copied());
-        all.push(("world".to_owned(), world.actions.iter().map(|a| u64::from(a.to_bits())).chain(order).collect()));
+        all.push((
+            "world".to_owned(),
+            world.actions.iter().map(|a| u64::from(a.to_bits())).chain(order).collect(),
+        ));
     }
-    all.push(("memory".to_owned(), checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect()));
+    all.push((
+        "memory".to_owned(),
+        checkpoint.memory.iter().map(|a| u64::from(a.to_bits())).collect(),
+    ));
     all.sort();
     all
 }
@@ -64,7 +71,11 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
 /// Every method, and those with an encoder whose memory is carried along.
 fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
     let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
-    algo::NAMES.into_iter().map(|name| (name, "mlp")).chain(recurrent).chain([("im-iwol", "attention")])
+    algo::NAMES
+        .into_iter()
+        .map(|name| (name, "mlp"))
+        .chain(recurrent)
+        .chain([("im-iwol", "attention")])
 }
 
 #[test]
@@ -88,8 +99,14 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         drop(first);
         let stored = Checkpoint::load(&file).expect("loaded");
         let position = |world: usize| &stored.worlds[world].position;
-        assert!((0..3).any(|e| !position(e).failed.is_empty()), "episodes that failed are remembered");
-        assert!((0..3).any(|e| position(e).turn > position(e).fresh), "and at least one was played again");
+        assert!(
+            (0..3).any(|e| !position(e).failed.is_empty()),
+            "episodes that failed are remembered"
+        );
+        assert!(
+            (0..3).any(|e| position(e).turn > position(e).fresh),
+            "and at least one was played again"
+        );
         let (config, scenario) = growing(algorithm, encoder);
         let end = if config.train.growth == 2 { 720 } else { 480 };
         // Other crews would make other episodes of the stored actions.
@@ -121,7 +138,8 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let stop = AtomicBool::new(false);
     let mut trainer = Trainer::new(config.clone(), scenario.clone()).expect("SUMO runs");
     // Someone presses Ctrl-C during the first iteration.
-    let outcome = trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
+    let outcome =
+        trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
     assert_eq!(outcome.expect("a clean end"), Outcome::Interrupted);
     drop(trainer);
     let stored = Checkpoint::load(&dir.last()).expect("a checkpoint");
@@ -136,7 +154,9 @@ fn a_stopped_run_goes_on_in_its_folder() {
         .expect("metrics")
         .lines()
         .map(|line| {
-            serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"].as_u64().expect("a step")
+            serde_json::from_str::<serde_json::Value>(line).expect("whole lines")["step"]
+                .as_u64()
+                .expect("a step")
         })
         .collect();
     // Each iteration once, and the validations.
@@ -152,7 +172,10 @@ fn a_stopped_run_goes_on_in_its_folder() {
         let (a, b) = (Checkpoint::load(&file(&dir)), Checkpoint::load(&file(&undisturbed)));
         let (a, b) = (a.expect("a checkpoint"), b.expect("a checkpoint"));
         assert_eq!(bits(&a), bits(&b));
-        assert_eq!(Progress { seconds: 0.0, ..a.progress }, Progress { seconds: 0.0, ..b.progress });
+        assert_eq!(
+            Progress { seconds: 0.0, ..a.progress },
+            Progress { seconds: 0.0, ..b.progress }
+        );
     }
 
     // Killed when the last validation was recorded, but no checkpoint knew of it yet: it is made again, and recorded once.
@@ -160,7 +183,9 @@ fn a_stopped_run_goes_on_in_its_folder() {
         let text = std::fs::read_to_string(file).expect("lines");
         let line = |line| serde_json::from_str::<serde_json::Value>(line).expect("whole lines");
         let lines = text.lines().map(line);
-        lines.map(|l| (l["step"].as_u64().expect("a step"), l["validation/success"].is_number())).collect()
+        lines
+            .map(|l| (l["step"].as_u64().expect("a step"), l["validation/success"].is_number()))
+            .collect()
     };
     let before = (recorded(dir.metrics()), recorded(dir.episodes()));
     assert!(before.0.contains(&(360, true)) && before.1.contains(&(360, false)), "{before:?}");
@@ -172,4 +197,3 @@ fn a_stopped_run_goes_on_in_its_folder() {
     assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
     assert_eq!((recorded(dir.metrics()), recorded(dir.episodes())), before);
 }
-

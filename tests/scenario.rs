@@ -17,8 +17,9 @@ use iwol_sumo::{
     evaluate::{Onlooker, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
-        ObservationGroups, Reward, Route, Scenario, Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
+        AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar,
+        NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario, Severity,
+        SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -56,8 +57,16 @@ fn the_shipped_scenario_is_the_task() {
     assert_eq!(scenario.vehicle, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 });
     assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
     assert_eq!(scenario.control.brake, [(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)]);
-    assert_eq!((scenario.control.interval, scenario.control.accel, scenario.control.drag), (0.1, 2.909, 0.364));
-    let termination = Termination { horizon: 1000, wreck_time: 2.5, border: Border::Line, broken_lines: Vec::new() };
+    assert_eq!(
+        (scenario.control.interval, scenario.control.accel, scenario.control.drag),
+        (0.1, 2.909, 0.364)
+    );
+    let termination = Termination {
+        horizon: 1000,
+        wreck_time: 2.5,
+        border: Border::Line,
+        broken_lines: Vec::new(),
+    };
     assert_eq!(scenario.termination, termination);
 }
 
@@ -68,7 +77,10 @@ fn the_smallest_net_with_room_is_taken() {
         assert_eq!(scenario.net_for(agents).unwrap().capacity(), capacity, "{agents} agents");
     }
     let error = scenario.net_for(49).unwrap_err();
-    assert!(error.to_string().ends_with("intersection.xml: agents: 49 is outside of 4 to 48"), "{error}");
+    assert!(
+        error.to_string().ends_with("intersection.xml: agents: 49 is outside of 4 to 48"),
+        "{error}"
+    );
     assert!(error.hint().unwrap().contains("4 to 48"));
     assert!(matches!(scenario.net_for(3), Err(Error::Agents { agents: 3, .. })));
 }
@@ -96,7 +108,8 @@ fn lanes_lie_where_the_task_has_them() {
             assert_eq!(lane.shape, [start, end], "{id}");
             assert_eq!((lane.length, lane.width, lane.speed), (arm, 3.5, 22.222), "{id}");
         }
-        let internal: Vec<_> = map.edges.iter().filter(|e| e.function == EdgeFunction::Internal).collect();
+        let internal: Vec<_> =
+            map.edges.iter().filter(|e| e.function == EdgeFunction::Internal).collect();
         assert_eq!(internal.len(), 4, "straight streams only");
         for edge in internal {
             let [lane] = &map.lanes[edge.lanes.clone()] else { panic!("one lane") };
@@ -122,8 +135,16 @@ fn spawn_places_and_finish_lines_of_the_30_m_net_are_those_of_the_task() {
         starts.push(path.at(start).0);
         ways.push(finish - start);
     }
-    let expected =
-        [[14.0, 0.0], [22.0, 0.0], [79.5, 3.5], [71.5, 3.5], [43.5, -36.0], [43.5, -28.0], [40.0, 39.5], [40.0, 31.5]];
+    let expected = [
+        [14.0, 0.0],
+        [22.0, 0.0],
+        [79.5, 3.5],
+        [71.5, 3.5],
+        [43.5, -36.0],
+        [43.5, -28.0],
+        [40.0, 39.5],
+        [40.0, 31.5],
+    ];
     assert!(starts.iter().zip(expected).all(|(&a, b)| close(a, b)), "{starts:?}");
     assert_eq!(ways, [64.5, 56.5, 64.5, 56.5, 74.5, 66.5, 74.5, 66.5]);
     assert_eq!(ways.iter().sum::<f64>() / 8.0, 65.5);
@@ -158,7 +179,8 @@ fn finish_lines_and_queues_scale_with_the_arms() {
 fn the_schema_declares_the_keys_of_the_shipped_scenarios_and_no_others() {
     let text = fs::read_to_string(root().join("scenarios/scenario.xsd")).unwrap();
     let schema = roxmltree::Document::parse(&text).unwrap();
-    let declarations = schema.descendants().filter(|n| matches!(n.tag_name().name(), "element" | "attribute"));
+    let declarations =
+        schema.descendants().filter(|n| matches!(n.tag_name().name(), "element" | "attribute"));
     let declared: BTreeSet<&str> = declarations.filter_map(|n| n.attribute("name")).collect();
 
     let mut used = BTreeSet::new();
@@ -176,7 +198,8 @@ fn the_schema_declares_the_keys_of_the_shipped_scenarios_and_no_others() {
 
 fn all_shipped() -> Vec<PathBuf> {
     let files = fs::read_dir(root().join("scenarios")).unwrap().map(|entry| entry.unwrap().path());
-    let scenarios: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "xml")).collect();
+    let scenarios: Vec<_> =
+        files.filter(|path| path.extension().is_some_and(|e| e == "xml")).collect();
     assert!(scenarios.len() >= 3, "{scenarios:?}");
     scenarios
 }
@@ -194,21 +217,34 @@ fn every_shipped_scenario_survives_its_xml() {
 fn every_shipped_scenario_is_for_every_method() {
     for path in all_shipped() {
         let checked = Scenario::check(&path);
-        assert!(checked.list.iter().all(|finding| finding.severity != Severity::Error), "{:?}", checked.list);
+        assert!(
+            checked.list.iter().all(|finding| finding.severity != Severity::Error),
+            "{:?}",
+            checked.list
+        );
         let mut scenario = checked.scenario.unwrap();
         scenario.termination.horizon = 5;
         let task = Arc::new(Task::new(&scenario, scenario.agents.min.max(2)).unwrap());
         for name in algo::NAMES {
             let settings = algo::Settings::default();
-            let learner = algo::build(name, &task.spec, &settings, Seed::new(0), Device::Cpu).unwrap();
+            let learner =
+                algo::build(name, &task.spec, &settings, Seed::new(0), Device::Cpu).unwrap();
             let policy = Policy::Learned(&*learner, Channel::default());
             // One episode is enough; a whole window would take hundreds.
             let stop = AtomicBool::new(false);
-            let onlooker =
-                Onlooker { stop: &stop, report: &mut |_| stop.store(true, Ordering::Relaxed), recorder: None };
-            let played = evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), onlooker).unwrap();
-            let driven = |record: &EpisodeRecord| record.episode_length > 0 && record.reward.is_finite();
-            assert!(!played.episodes.is_empty() && played.episodes.iter().all(driven), "{name} on {path:?}");
+            let onlooker = Onlooker {
+                stop: &stop,
+                report: &mut |_| stop.store(true, Ordering::Relaxed),
+                recorder: None,
+            };
+            let played =
+                evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+            let driven =
+                |record: &EpisodeRecord| record.episode_length > 0 && record.reward.is_finite();
+            assert!(
+                !played.episodes.is_empty() && played.episodes.iter().all(driven),
+                "{name} on {path:?}"
+            );
         }
     }
 }
@@ -260,10 +296,14 @@ fn more_than_a_scenario_has_is_refused() {
     let route = |i| format!("<route id=\"r{i}\" edges=\"west_in east_out\" arrivalPos=\"-5\"/>");
     let routes: String = (0..253).map(route).collect();
     insta::assert_snapshot!(mistake("<routes>", &format!("<routes>{routes}")), @"task.xml:19:9: more than 256 elements <route>");
-    let net = "<net file=\"n\"><spawn route=\"eastbound\" first=\"1\" spacing=\"1\" count=\"1\"/></net>";
+    let net =
+        "<net file=\"n\"><spawn route=\"eastbound\" first=\"1\" spacing=\"1\" count=\"1\"/></net>";
     insta::assert_snapshot!(mistake("</nets>", &format!("{}</nets>", net.repeat(61))), @"task.xml:49:4685: more than 64 elements <net>");
     let edges = "e ".repeat(4097);
-    assert!(mistake("west_in east_out", &edges).ends_with("allowed: 1 to 4096 edge ids separated by spaces"));
+    assert!(
+        mistake("west_in east_out", &edges)
+            .ends_with("allowed: 1 to 4096 edge ids separated by spaces")
+    );
 }
 
 #[test]
@@ -306,7 +346,10 @@ fn files_that_are_no_scenario_are_refused() {
         "x.xml:1:1: unknown element `scenari` in the file; did you mean `scenario`?"
     );
     assert!(matches!(parse(&" ".repeat((4 << 20) + 1)), Error::TooLarge { .. }));
-    assert!(matches!(parse("<!DOCTYPE a [<!ENTITY b 'c'>]><scenario name='&b;'/>"), Error::Parse { .. }));
+    assert!(matches!(
+        parse("<!DOCTYPE a [<!ENTITY b 'c'>]><scenario name='&b;'/>"),
+        Error::Parse { .. }
+    ));
     assert!(matches!(parse(&"<scenario>".repeat(100_000)), Error::Parse { .. }));
 }
 

@@ -20,7 +20,10 @@ const SCENARIOS: [(&str, u32, u64); 3] =
 
 fn task(name: &str, agents: u32) -> Arc<Task> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-    Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario is valid"), agents).expect("a task"))
+    Arc::new(
+        Task::new(&Scenario::load(&path).expect("the shipped scenario is valid"), agents)
+            .expect("a task"),
+    )
 }
 
 /// A SUMO of the test's own, which a world's commands are played on.
@@ -36,7 +39,8 @@ impl Own {
         // As the environments have it.
         let options = "--step-length 0.1 --collision.action none --time-to-teleport -1";
         arguments.extend(options.split(' ').map(Into::into));
-        let (process, mut sumo, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
+        let (process, mut sumo, _) =
+            Process::start(&Options { arguments, ..Options::default() }).unwrap();
         for (route, geometry) in task.scenario.routes.iter().zip(&task.routes) {
             let edges: Vec<&str> = geometry.path.edges.iter().map(String::as_str).collect();
             sumo.route().add(&route.id, &edges).unwrap();
@@ -49,15 +53,29 @@ impl Own {
         for command in commands {
             match *command {
                 Command::Add { slot, route, depart_pos, .. } => {
-                    let (lane, pos) = (self.task.routes[route as usize].first_lane.to_string(), depart_pos.to_string());
+                    let (lane, pos) = (
+                        self.task.routes[route as usize].first_lane.to_string(),
+                        depart_pos.to_string(),
+                    );
                     let route = &self.task.scenario.routes[route as usize].id;
-                    let addition = Addition { depart_lane: &lane, depart_pos: &pos, ..Addition::on_route(route) };
+                    let addition = Addition {
+                        depart_lane: &lane,
+                        depart_pos: &pos,
+                        ..Addition::on_route(route)
+                    };
                     self.sumo.vehicle().add(&vehicle(slot), &addition).unwrap();
-                    self.sumo.vehicle().set_length(&vehicle(slot), self.task.scenario.vehicle.length).unwrap();
+                    self.sumo
+                        .vehicle()
+                        .set_length(&vehicle(slot), self.task.scenario.vehicle.length)
+                        .unwrap();
                     self.sumo.vehicle().set_min_gap(&vehicle(slot), 0.0).unwrap();
                 }
-                Command::Remove { slot, .. } => self.sumo.vehicle().remove(&vehicle(slot), 3).unwrap(),
-                Command::SetSpeed { slot, speed, .. } => self.sumo.vehicle().set_speed(&vehicle(slot), speed).unwrap(),
+                Command::Remove { slot, .. } => {
+                    self.sumo.vehicle().remove(&vehicle(slot), 3).unwrap()
+                }
+                Command::SetSpeed { slot, speed, .. } => {
+                    self.sumo.vehicle().set_speed(&vehicle(slot), speed).unwrap()
+                }
                 Command::SpeedMode { slot, mode, .. } => {
                     self.sumo.vehicle().set_speed_mode(&vehicle(slot), mode).unwrap();
                 }
@@ -74,8 +92,14 @@ impl Own {
         }
         self.sumo.simulation_step(0.0).unwrap();
         let there = self.sumo.vehicle().get_id_list().unwrap();
-        let state = |slot: u32| there.contains(&vehicle(slot)).then_some(VehicleState { distance: 0.0, speed: 0.0 });
-        Snapshot { time: 0.0, vehicles: (0..self.task.agents as u32).map(state).collect(), ..Snapshot::default() }
+        let state = |slot: u32| {
+            there.contains(&vehicle(slot)).then_some(VehicleState { distance: 0.0, speed: 0.0 })
+        };
+        Snapshot {
+            time: 0.0,
+            vehicles: (0..self.task.agents as u32).map(state).collect(),
+            ..Snapshot::default()
+        }
     }
 }
 
@@ -98,31 +122,42 @@ fn sumo_has_every_vehicle_where_it_is() {
         let half = task.scenario.vehicle.length / 2.0;
         let mut own = Own::start(&task);
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(3), 0, 1, episodes);
-        let feature = |name: &str| task.spec.observation.list.iter().position(|f| f.name == name).expect("is seen");
+        let feature = |name: &str| {
+            task.spec.observation.list.iter().position(|f| f.name == name).expect("is seen")
+        };
         let [lateral, heading] = ["ego.lateral", "steering.heading_error_cos"].map(feature);
-        let (mut compared, mut on_junction, mut wrecks, mut told, mut around, mut led) = (0, 0, 0, 0, 0, 0);
+        let (mut compared, mut on_junction, mut wrecks, mut told, mut around, mut led) =
+            (0, 0, 0, 0, 0, 0);
         world.reset(0);
         let mut commands = Vec::new();
         while !world.is_idle() {
             let step = world.step_count();
-            let actions: Vec<f32> =
-                (0..task.agents).flat_map(|i| world.pursuit(i, 6.0)).map(|action| action as f32).collect();
+            let actions: Vec<f32> = (0..task.agents)
+                .flat_map(|i| world.pursuit(i, 6.0))
+                .map(|action| action as f32)
+                .collect();
             commands.clear();
             world.act(0, &actions, &mut commands);
-            told += commands.iter().filter(|command| matches!(command, Command::MoveTo { .. })).count();
+            told +=
+                commands.iter().filter(|command| matches!(command, Command::MoveTo { .. })).count();
             let snapshot = own.play(&commands);
             world.observe(0, &snapshot).expect("no vehicle vanishes");
             if !world.is_running() {
                 continue;
             }
             let mut on_lanes: Vec<(String, f64, String)> = Vec::new();
-            for (slot, agent) in world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck) {
+            for (slot, agent) in
+                world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck)
+            {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
                 if agent.driving && task.routes[agent.route].avoided.is_some() {
                     // Where it cannot drive its route, what it sees is the way that it drives instead.
                     let seen = &world.frame().observation[slot * task.spec.observation.len()..];
                     let (lateral, heading) = (seen[lateral], seen[heading]);
-                    assert!(lateral.abs() < 0.6 && heading > 0.8, "{at}: {lateral} aside, {heading} along");
+                    assert!(
+                        lateral.abs() < 0.6 && heading > 0.8,
+                        "{at}: {lateral} aside, {heading} along"
+                    );
                     around += 1;
                 }
                 let (sin, cos) = agent.pose.heading.sin_cos();
@@ -153,14 +188,22 @@ fn sumo_has_every_vehicle_where_it_is() {
                 );
                 if junction && found != lane.id {
                     // Over a junction lanes lie on each other, and SUMO takes the nearest.
-                    let other = net.lanes.iter().find(|other| other.id == found).expect("a lane of the net");
+                    let other = net
+                        .lanes
+                        .iter()
+                        .find(|other| other.id == found)
+                        .expect("a lane of the net");
                     assert!(beside(&other.shape, front) < lateral.abs() + 0.1, "{at}: {found}");
                     continue;
                 }
                 assert_eq!(found, lane.id, "{at}, at {front:?}");
                 let position = own.sumo.vehicle().get_lane_position(&id).unwrap();
                 let ours = (s - from) * lane.length / (to - from);
-                assert!((position - ours).abs() < 0.1, "{at}, {}: SUMO {position}, ours {ours}", lane.id);
+                assert!(
+                    (position - ours).abs() < 0.1,
+                    "{at}, {}: SUMO {position}, ours {ours}",
+                    lane.id
+                );
                 compared += 1;
                 on_junction += usize::from(junction);
                 wrecks += usize::from(agent.wreck);
@@ -173,18 +216,33 @@ fn sumo_has_every_vehicle_where_it_is() {
             for pair in on_lanes.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
                 let gap = pair[1].1 - pair[0].1 - 2.0 * half;
                 if gap > 0.0 {
-                    let leader = own.sumo.vehicle().get_leader(&pair[0].2, 100.0).unwrap().expect("one is ahead");
+                    let leader = own
+                        .sumo
+                        .vehicle()
+                        .get_leader(&pair[0].2, 100.0)
+                        .unwrap()
+                        .expect("one is ahead");
                     assert_eq!(leader.id, pair[1].2, "{name}, step {step}: {pair:?}");
-                    assert!((leader.gap - gap).abs() < 0.2, "{name}: SUMO {}, ours {gap}", leader.gap);
+                    assert!(
+                        (leader.gap - gap).abs() < 0.2,
+                        "{name}: SUMO {}, ours {gap}",
+                        leader.gap
+                    );
                     led += 1;
                 }
             }
         }
         // On the lot no two are on one lane.
         assert!(led > 20 || name == "parking_lot", "{name}: {led} leaders");
-        assert!(around > 100 || name != "intersection_turns", "{around} steps of vehicles that turn back");
+        assert!(
+            around > 100 || name != "intersection_turns",
+            "{around} steps of vehicles that turn back"
+        );
         let enough = compared > 500 && on_junction > 100 && wrecks > 20;
-        assert!(enough, "{name}: {compared} places, {on_junction} of them on the junction, {wrecks} of wrecks");
+        assert!(
+            enough,
+            "{name}: {compared} places, {on_junction} of them on the junction, {wrecks} of wrecks"
+        );
         assert!(
             10 * told < compared,
             "{name}: on its lane a vehicle's speed is enough; {told} moves, {compared} places"
@@ -199,7 +257,10 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
         let stop = std::sync::atomic::AtomicBool::new(false);
         let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
         let hosting = Hosting { backend: Backend::Traci, ..Hosting::default() };
-        evaluate(&task, &policy, 24, Seed::new(5), &hosting, onlooker).expect("SUMO runs").metrics().expect("episodes")
+        evaluate(&task, &policy, 24, Seed::new(5), &hosting, onlooker)
+            .expect("SUMO runs")
+            .metrics()
+            .expect("episodes")
     };
     let by_name = |name| Policy::by_name(name).expect("a policy");
     let pursuit = play("intersection_turns_small", 4, by_name("pursuit:5"));
@@ -208,14 +269,20 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     // Many at once, who go straight on, turn off or back, and one after the other.
     for (name, agents) in [("intersection_turns_small", 8), ("intersection_turns", 16)] {
         let courteous = play(name, agents, by_name("fcfs:5"));
-        assert!(courteous.success.mean > 0.98 && courteous.crash.mean < 0.01, "{name}: {courteous:?}");
+        assert!(
+            courteous.success.mean > 0.98 && courteous.crash.mean < 0.01,
+            "{name}: {courteous:?}"
+        );
         // SUMO takes who crosses the junction to be on ways of others, above all on those that turn back, and bends bodies along them.
         let audit = courteous.audit;
         assert_eq!(audit.sumo_other, 0, "{name}: {audit:?}");
         assert!(audit.sumo_bent > 0 || name != "intersection_turns", "{audit:?}");
     }
     let straight = play("intersection_turns_small", 4, Policy::Throttle(1.0));
-    assert!(straight.out_of_road.mean > 0.2, "who should turn and does not ends beside the road: {straight:?}");
+    assert!(
+        straight.out_of_road.mean > 0.2,
+        "who should turn and does not ends beside the road: {straight:?}"
+    );
     assert!(straight.success.mean < 0.4, "{straight:?}");
 }
 
@@ -238,15 +305,23 @@ fn who_drives_to_and_fro_is_never_lost() {
         }
         commands.clear();
         world.act(0, &actions, &mut commands);
-        turned += commands.iter().filter(|c| matches!(c, Command::MoveTo { keep_route: 2, .. })).count();
+        turned +=
+            commands.iter().filter(|c| matches!(c, Command::MoveTo { keep_route: 2, .. })).count();
         let snapshot = own.play(&commands);
         world.observe(0, &snapshot).expect("no vehicle vanishes");
         let there = |slot: usize| snapshot.vehicles[slot].is_some();
         let agents = world.agents().enumerate().filter(|_| world.is_running());
         for (slot, agent) in agents.filter(|&(slot, _)| !there(slot)) {
-            assert!(!agent.driving, "slot {slot} of episode {} drives where SUMO has nobody", world.episode());
+            assert!(
+                !agent.driving,
+                "slot {slot} of episode {} drives where SUMO has nobody",
+                world.episode()
+            );
             gone += 1;
         }
     }
-    assert!(turned > 100 && gone > 0, "{turned} moves over the junction or beside the road, {gone} off SUMO's net");
+    assert!(
+        turned > 100 && gone > 0,
+        "{turned} moves over the junction or beside the road, {gone} off SUMO's net"
+    );
 }

@@ -12,8 +12,8 @@ use std::{
 };
 
 use iwol_sumo::sumo::{
-    Batch, Client, Collision, Command, Error, Renewal, Route, Simulation, SimulationConfig, TraciSimulation, Value,
-    VehicleState, VehicleType,
+    Batch, Client, Collision, Command, Error, Renewal, Route, Simulation, SimulationConfig,
+    TraciSimulation, Value, VehicleState, VehicleType,
     constants::{self as c, Domain},
     domain::{
         simulation,
@@ -92,16 +92,21 @@ fn config(slots: u32) -> SimulationConfig {
             min_gap: 1.0,
             tau: 1.0,
         }],
-        routes: vec![route("eastbound", ["west_in", "east_out"]), route("northbound", ["south_in", "north_out"])],
+        routes: vec![
+            route("eastbound", ["west_in", "east_out"]),
+            route("northbound", ["south_in", "north_out"]),
+        ],
     }
 }
 
 fn start(slots: u32) -> TraciSimulation {
-    TraciSimulation::start(config(slots)).unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()))
+    TraciSimulation::start(config(slots))
+        .unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()))
 }
 
 fn add(slot: u32, route: u32, depart_pos: f64) -> [Command; 2] {
-    let add = Command::Add { world: 0, slot, route, vehicle_type: 0, depart_pos, depart_speed: 0.0 };
+    let add =
+        Command::Add { world: 0, slot, route, vehicle_type: 0, depart_pos, depart_speed: 0.0 };
     [add, Command::SpeedMode { world: 0, slot, mode: 32 }]
 }
 
@@ -164,7 +169,8 @@ fn a_commanded_speed_is_the_speed_of_the_whole_step() {
         old = new;
         let (east, north) = (snapshot.vehicles[0].unwrap(), snapshot.vehicles[1].unwrap());
         for vehicle in [east, north] {
-            let exact = (vehicle.distance - way).abs() < 1e-9 && (vehicle.speed - new).abs() < 1e-12;
+            let exact =
+                (vehicle.distance - way).abs() < 1e-9 && (vehicle.speed - new).abs() < 1e-12;
             assert!(exact, "step {step}: {vehicle:?}, not {way} m");
         }
     }
@@ -180,7 +186,8 @@ fn a_queue_departs_complete_and_exact_in_any_order() {
         commands.extend((0..14).flat_map(|slot| add(slot, EAST, place(slot))));
         let snapshot = simulation.step(&commands).unwrap();
         for (slot, vehicle) in (0..).zip(&snapshot.vehicles) {
-            let vehicle = vehicle.unwrap_or_else(|| panic!("slot {slot} is empty, backwards: {backwards}"));
+            let vehicle =
+                vehicle.unwrap_or_else(|| panic!("slot {slot} is empty, backwards: {backwards}"));
             assert!((vehicle.distance - place(slot)).abs() < 1e-9, "{vehicle:?} in slot {slot}");
         }
         assert_eq!(snapshot.collisions, []);
@@ -195,14 +202,16 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
     for round in 0..20 {
         let place = 30.0 + f64::from(round);
         let route = if round % 2 == 0 { EAST } else { NORTH };
-        let batch: Vec<Command> = [remove(0)].into_iter().chain(add(0, route, place)).chain([speed(1, 1.0)]).collect();
+        let batch: Vec<Command> =
+            [remove(0)].into_iter().chain(add(0, route, place)).chain([speed(1, 1.0)]).collect();
         let snapshot = simulation.step(&batch).unwrap();
         let vehicle = snapshot.vehicles[0].unwrap();
         assert!((vehicle.distance - place).abs() < 1e-9);
         assert!(snapshot.vehicles[1].is_some() && snapshot.vehicles[2].is_none());
     }
     // Emptied, filled, emptied: nobody is left, and the slot is free.
-    let batch: Vec<Command> = [remove(0)].into_iter().chain(add(0, EAST, 9.0)).chain([remove(0), remove(0)]).collect();
+    let batch: Vec<Command> =
+        [remove(0)].into_iter().chain(add(0, EAST, 9.0)).chain([remove(0), remove(0)]).collect();
     assert!(simulation.step(&batch).unwrap().vehicles[0].is_none());
     assert!(simulation.step(&[]).unwrap().vehicles[0].is_none());
     assert!(simulation.step(&add(0, EAST, 9.0)).unwrap().vehicles[0].is_some());
@@ -213,7 +222,10 @@ fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
     let mut simulation = start(3);
     simulation.step(&[add(0, EAST, 50.0).as_slice(), &[speed(0, 0.0)]].concat()).unwrap();
     let snapshot = simulation.step(&[add(1, EAST, 49.0), add(2, EAST, 20.0)].concat()).unwrap();
-    assert_eq!(snapshot.vehicles.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
+    assert_eq!(
+        snapshot.vehicles.iter().map(Option::is_some).collect::<Vec<_>>(),
+        [true, false, true]
+    );
     assert!(simulation.step(&[]).unwrap().vehicles[1].is_none());
     // Waiting, it can be replaced by one that has room.
     let batch: Vec<Command> = [remove(1)].into_iter().chain(add(1, EAST, 30.0)).collect();
@@ -226,7 +238,8 @@ fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
     simulation.step(&[add(0, EAST, 145.0), add(1, NORTH, 10.0)].concat()).unwrap();
     let mut last = VehicleState::default();
     let mut steps = 0;
-    while let Some(vehicle) = simulation.step(&[speed(0, 20.0), speed(1, 0.0)]).unwrap().vehicles[0] {
+    while let Some(vehicle) = simulation.step(&[speed(0, 20.0), speed(1, 0.0)]).unwrap().vehicles[0]
+    {
         last = vehicle;
         steps += 1;
         assert!(steps < 200, "still at {vehicle:?}");
@@ -240,7 +253,9 @@ fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
 #[test]
 fn collisions_are_reported_and_change_nothing() {
     let mut simulation = start(3);
-    simulation.step(&[add(0, EAST, 140.0), add(1, NORTH, 140.0), add(2, EAST, 20.0)].concat()).unwrap();
+    simulation
+        .step(&[add(0, EAST, 140.0), add(1, NORTH, 140.0), add(2, EAST, 20.0)].concat())
+        .unwrap();
     let mut seen = Vec::new();
     for _ in 0..100 {
         let snapshot = simulation.step(&[speed(0, 2.0), speed(1, 2.0), speed(2, 0.0)]).unwrap();
@@ -257,11 +272,13 @@ fn collisions_are_reported_and_change_nothing() {
 fn the_same_commands_give_the_same_bits() {
     let run = || {
         let mut simulation = start(4);
-        let begin: Vec<Command> = (0..4).flat_map(|s| add(s, s % 2, 100.0 - 10.0 * f64::from(s))).collect();
+        let begin: Vec<Command> =
+            (0..4).flat_map(|s| add(s, s % 2, 100.0 - 10.0 * f64::from(s))).collect();
         simulation.step(&begin).unwrap();
         let mut bits = Vec::new();
         for step in 0..60 {
-            let commands: Vec<Command> = (0..4).map(|s| speed(s, f64::from(step) * 0.1 + f64::from(s))).collect();
+            let commands: Vec<Command> =
+                (0..4).map(|s| speed(s, f64::from(step) * 0.1 + f64::from(s))).collect();
             let snapshot = simulation.step(&commands).unwrap();
             for v in snapshot.vehicles.iter().flatten() {
                 bits.push([v.distance, v.speed].map(f64::to_bits));
@@ -281,11 +298,20 @@ fn a_step_in_the_steady_state_allocates_nothing() {
     let mut begin = Vec::new();
     for (world, slot) in all() {
         let depart_pos = 10.0 + 8.0 * f64::from(slot);
-        begin.push(Command::Add { world, slot, route: slot % 2, vehicle_type: 0, depart_pos, depart_speed: 0.0 });
+        begin.push(Command::Add {
+            world,
+            slot,
+            route: slot % 2,
+            vehicle_type: 0,
+            depart_pos,
+            depart_speed: 0.0,
+        });
         begin.push(Command::SpeedMode { world, slot, mode: 32 });
     }
-    let speeds: Vec<Command> = all().map(|(world, slot)| Command::SetSpeed { world, slot, speed: 5.0 }).collect();
-    let round: Vec<Command> = all().map(|(world, slot)| Command::Remove { world, slot }).chain(begin).collect();
+    let speeds: Vec<Command> =
+        all().map(|(world, slot)| Command::SetSpeed { world, slot, speed: 5.0 }).collect();
+    let round: Vec<Command> =
+        all().map(|(world, slot)| Command::Remove { world, slot }).chain(begin).collect();
     let mut play = || {
         simulation.step(&round).unwrap();
         for _ in 0..150 {
@@ -343,7 +369,8 @@ fn requests_that_cannot_be_sent_change_nothing() {
         assert!(matches!(error, Error::Invalid { .. }) && !error.is_fatal(), "{bad:?}: {error}");
     }
     // Not even where the vehicle is thought to have departed.
-    let moved: Vec<Command> = [remove(0)].into_iter().chain(add(0, EAST, 90.0)).chain([speed(0, f64::NAN)]).collect();
+    let moved: Vec<Command> =
+        [remove(0)].into_iter().chain(add(0, EAST, 90.0)).chain([speed(0, f64::NAN)]).collect();
     assert!(matches!(simulation.step(&moved), Err(Error::Invalid { .. })));
     // A slot that holds a vehicle takes no second one.
     assert!(matches!(simulation.step(&add(0, NORTH, 5.0)), Err(Error::Invalid { .. })));
@@ -391,7 +418,9 @@ fn a_killed_sumo_is_a_fatal_error_and_a_restart_begins_anew() {
 fn what_sumo_says_when_it_dies_is_in_the_error() {
     let arguments = ["--net-file", "no/such.net.xml"].map(Into::into).to_vec();
     match Process::start(&Options { arguments, ..Options::default() }) {
-        Err(Error::Exited { stderr_tail, .. }) => assert!(stderr_tail.contains("such.net.xml"), "{stderr_tail}"),
+        Err(Error::Exited { stderr_tail, .. }) => {
+            assert!(stderr_tail.contains("such.net.xml"), "{stderr_tail}")
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -411,7 +440,8 @@ fn a_route_that_the_net_does_not_have_is_refused_by_name() {
 
 #[test]
 fn the_public_client_batches_gets_and_subscribes() {
-    let options = Options { arguments: vec!["--net-file".into(), net().into()], ..Options::default() };
+    let options =
+        Options { arguments: vec!["--net-file".into(), net().into()], ..Options::default() };
     let (_process, mut client, _) = Process::start(&options).unwrap();
     client.route().add("r", &["west_in", "east_out"]).unwrap();
     let mut batch = Batch::new();
@@ -420,26 +450,48 @@ fn the_public_client_batches_gets_and_subscribes() {
     batch.simulation().get_time();
     batch.get(Domain::VEHICLE, vehicle::TRACI_ID_LIST.number(), "");
     batch.subscribe(Domain::SIMULATION, "", &[simulation::VAR_TIME.id()]);
-    batch.subscribe_context(Domain::JUNCTION, "c", Domain::VEHICLE, 100.0, &[vehicle::VAR_SPEED.id()]);
+    batch.subscribe_context(
+        Domain::JUNCTION,
+        "c",
+        Domain::VEHICLE,
+        100.0,
+        &[vehicle::VAR_SPEED.id()],
+    );
     let reply = client.step(&mut batch, 0.0).unwrap();
     assert!(batch.is_empty());
     let outcomes: Vec<_> = reply.outcomes.iter().map(|o| o.as_ref().ok()).collect();
     let list = Value::StringList(vec![]);
     assert_eq!(
         outcomes,
-        [Some(&None), None, Some(&Some(Value::Double(0.0))), Some(&Some(list)), Some(&None), Some(&None)]
+        [
+            Some(&None),
+            None,
+            Some(&Some(Value::Double(0.0))),
+            Some(&Some(list)),
+            Some(&None),
+            Some(&None)
+        ]
     );
     let find = |around: Option<&str>, object: &str| {
-        reply.subscriptions.iter().find(|o| o.around.as_deref() == around && *o.object == *object).map(|o| &o.value)
+        reply
+            .subscriptions
+            .iter()
+            .find(|o| o.around.as_deref() == around && *o.object == *object)
+            .map(|o| &o.value)
     };
     assert_eq!(find(None, ""), Some(&Ok(Value::Double(1.0))));
     assert_eq!(find(Some("c"), "v"), Some(&Ok(Value::Double(0.0))));
     // Ten steps in one exchange; then a value of each of the kinds that SUMO nests.
     let reply = client.step(&mut batch, 11.0).unwrap();
     assert!(reply.subscriptions.iter().any(|o| o.value == Ok(Value::Double(11.0))));
-    let collisions = client.call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), "")).unwrap();
+    let collisions = client
+        .call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), ""))
+        .unwrap();
     assert_eq!(collisions, Some(Value::Compound(vec![Value::Integer(0)])));
-    assert!(matches!(client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")), Err(Error::Refused { .. })));
+    assert!(matches!(
+        client.call(|b| b.get(Domain::VEHICLE, 0xfe, "v")),
+        Err(Error::Refused { .. })
+    ));
     client.vehicle().remove("v", c::REMOVE_VAPORIZED).unwrap();
     client.step(&mut batch, 0.0).unwrap().check().unwrap();
     client.close().unwrap();
@@ -447,13 +499,22 @@ fn the_public_client_batches_gets_and_subscribes() {
 
 #[test]
 fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
-    let words = ["--collision.action", "warn", "--collision.mingap-factor", "0", "--eager-insert", "--no-warnings"];
+    let words = [
+        "--collision.action",
+        "warn",
+        "--collision.mingap-factor",
+        "0",
+        "--eager-insert",
+        "--no-warnings",
+    ];
     let mut options = Options { arguments: words.map(Into::into).to_vec(), ..Options::default() };
     options.arguments.extend(["--net-file".into(), net().into()]);
     let (_process, mut client, _) = Process::start(&options).unwrap();
     let mut batch = Batch::new();
     batch.route().add("r", &["west_in", "east_out"]);
-    for (vehicle, position, speed) in [("first", "100", 0.0), ("second", "90", 3.0), ("third", "80", 5.0)] {
+    for (vehicle, position, speed) in
+        [("first", "100", 0.0), ("second", "90", 3.0), ("third", "80", 5.0)]
+    {
         batch.vehicle().add(vehicle, &Addition { depart_pos: position, ..Addition::on_route("r") });
         batch.vehicle().set_speed_mode(vehicle, 32);
         batch.vehicle().set_speed(vehicle, speed);
@@ -465,7 +526,9 @@ fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
         let Ok(Value::Compound(items)) = &reply.subscriptions[0].value else { panic!("{reply:?}") };
         let Value::Integer(count) = items[0] else { panic!("{items:?}") };
         assert_eq!(items.len() as i32, 1 + 9 * count);
-        let again = client.call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), "")).unwrap();
+        let again = client
+            .call(|b| b.get(Domain::SIMULATION, simulation::VAR_COLLISIONS.number(), ""))
+            .unwrap();
         assert_eq!(again.as_ref(), reply.subscriptions[0].value.as_ref().ok());
         most = most.max(count);
     }
@@ -487,8 +550,11 @@ fn impostor(answer: &'static [u8]) -> (SocketAddr, thread::JoinHandle<()>) {
 
 #[test]
 fn a_stranger_that_speaks_something_else_is_refused() {
-    let strangers: [&[u8]; 3] =
-        [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"SSH-2.0-OpenSSH_9.2\r\n", &[0, 0, 0, 9, 1, 2, 3, 4, 5]];
+    let strangers: [&[u8]; 3] = [
+        b"HTTP/1.1 400 Bad Request\r\n\r\n",
+        b"SSH-2.0-OpenSSH_9.2\r\n",
+        &[0, 0, 0, 9, 1, 2, 3, 4, 5],
+    ];
     for answer in strangers {
         let (address, peer) = impostor(answer);
         let mut client = Client::connect(address, Duration::from_secs(5)).unwrap();
@@ -511,8 +577,8 @@ fn a_stranger_that_says_nothing_is_a_timeout() {
 #[test]
 fn an_older_traci_is_refused_with_both_numbers() {
     const ANSWER: &[u8] = &[
-        0, 0, 0, 31, 7, 0, 0, 0, 0, 0, 0, 20, 0, 0, 0, 0, 19, 0, 0, 0, 10, b'S', b'U', b'M', b'O', b' ', b'1', b'.',
-        b'8', b'.', b'0',
+        0, 0, 0, 31, 7, 0, 0, 0, 0, 0, 0, 20, 0, 0, 0, 0, 19, 0, 0, 0, 10, b'S', b'U', b'M', b'O',
+        b' ', b'1', b'.', b'8', b'.', b'0',
     ];
     let (address, peer) = impostor(ANSWER);
     let mut client = Client::connect(address, Duration::from_secs(5)).unwrap();

@@ -54,7 +54,11 @@ fn sweep_file(folder: &Path, text: &str) -> PathBuf {
 
 fn iwol(arguments: &[&str], paths: &[&Path]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
-    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).args(paths).env("NO_COLOR", "1");
+    command
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(arguments)
+        .args(paths)
+        .env("NO_COLOR", "1");
     command
 }
 
@@ -83,8 +87,11 @@ fn findings(out: &Path) -> BTreeMap<String, String> {
         let lines = metrics.lines().map(|line| {
             let mut line: Value = serde_json::from_str(line).expect("JSON");
             let object = line.as_object_mut().expect("an object");
-            object
-                .retain(|key, _| !key.starts_with("time/") && key != "steps_per_second" && !key.starts_with("resets/"));
+            object.retain(|key, _| {
+                !key.starts_with("time/")
+                    && key != "steps_per_second"
+                    && !key.starts_with("resets/")
+            });
             line.to_string()
         });
         findings.insert(format!("{seed} metrics"), lines.collect::<Vec<_>>().join("\n"));
@@ -101,7 +108,8 @@ fn findings(out: &Path) -> BTreeMap<String, String> {
 /// Processes that threads of a process have started.
 fn children(parent: u32) -> Vec<u32> {
     let threads = std::fs::read_dir(format!("/proc/{parent}/task")).expect("it runs");
-    let of_thread = |path: PathBuf| std::fs::read_to_string(path.join("children")).unwrap_or_default();
+    let of_thread =
+        |path: PathBuf| std::fs::read_to_string(path.join("children")).unwrap_or_default();
     let all: String = threads.flatten().map(|thread| of_thread(thread.path())).collect();
     all.split_whitespace().map(|pid| pid.parse().expect("a number")).collect()
 }
@@ -131,27 +139,42 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     let (undisturbed, cut) = (folder.path().join("undisturbed"), folder.path().join("cut"));
 
     let output = succeeds(&mut sweep(&file, &undisturbed, &["--jobs", "2"]));
-    assert!(text(&output.stdout).contains("2 of 2 cells finished, 0 failed"), "{}", text(&output.stdout));
+    assert!(
+        text(&output.stdout).contains("2 of 2 cells finished, 0 failed"),
+        "{}",
+        text(&output.stdout)
+    );
 
-    let mut first =
-        Killed(sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts"));
+    let mut first = Killed(
+        sweep(&file, &cut, &[])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("it starts"),
+    );
     let checkpoint = cut.join("tiny/mappo/seed_0/checkpoints/last.safetensors");
     until("a checkpoint", || checkpoint.exists());
     // SIGKILL: the sweep can do nothing about its child, which must go by itself, and free its folder.
     first.0.kill().expect("killed");
     first.0.wait().expect("gone");
     let lock = cut.join("tiny/mappo/seed_0/.lock");
-    until("the end of the child", || std::fs::File::open(&lock).is_ok_and(|lock| lock.try_lock().is_ok()));
+    until("the end of the child", || {
+        std::fs::File::open(&lock).is_ok_and(|lock| lock.try_lock().is_ok())
+    });
     assert!(!cut.join("tiny/mappo/seed_1").exists());
     let output = succeeds(&mut sweep(&file, &cut, &["--dry-run"]));
     assert!(text(&output.stdout).contains("0 of 2 cells finished"), "{}", text(&output.stdout));
 
     // Somebody stops the child alone: no failure, and the other cell has its turn.
-    let metrics = || std::fs::metadata(cut.join("tiny/mappo/seed_0/metrics.jsonl")).map_or(0, |file| file.len());
+    let metrics = || {
+        std::fs::metadata(cut.join("tiny/mappo/seed_0/metrics.jsonl")).map_or(0, |file| file.len())
+    };
     let had = metrics();
     let log = folder.path().join("second.log");
     let stderr = std::fs::File::create(&log).expect("a file");
-    let mut second = Killed(sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(stderr).spawn().expect("it starts"));
+    let mut second = Killed(
+        sweep(&file, &cut, &[]).stdout(Stdio::null()).stderr(stderr).spawn().expect("it starts"),
+    );
     until("progress", || metrics() > had);
     let [child] = children(second.0.id())[..] else { panic!("one child") };
     succeeds(Command::new("kill").arg(child.to_string()));
@@ -159,7 +182,8 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     let said = std::fs::read_to_string(&log).expect("text");
     assert_eq!(status.code(), Some(1), "{said}");
     assert!(
-        said.contains("mappo/seed_0 interrupted after") && said.contains("1 of 2 cells are not finished"),
+        said.contains("mappo/seed_0 interrupted after")
+            && said.contains("1 of 2 cells are not finished"),
         "{said}"
     );
 
@@ -177,7 +201,10 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
 fn report(file: &Path, runs: &Path, folder: &Path) {
     let (out, kept) = (folder.join("report"), folder.join("kept"));
     let make = |runs: &Path, more: &[&Path]| {
-        succeeds(&mut iwol(&["report"], &[&[file, Path::new("--runs"), runs, Path::new("-o"), &out], more].concat()));
+        succeeds(&mut iwol(
+            &["report"],
+            &[&[file, Path::new("--runs"), runs, Path::new("-o"), &out], more].concat(),
+        ));
         std::fs::read_to_string(out.join("report.md")).expect("written")
     };
     // The same again from what was kept, which holds no weights.
@@ -228,16 +255,18 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
         ("steps = 4096", "steps = 256"),
         ("seed = [0, 1]", "seed = [0]"),
     ];
-    let file =
-        sweep_file(folder.path(), &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)));
+    let file = sweep_file(
+        folder.path(),
+        &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)),
+    );
     succeeds(&mut sweep(&file, &runs, &[]));
     succeeds(&mut iwol(&["report"], &[&file, Path::new("--runs"), &runs, Path::new("-o"), &out]));
     let markdown = std::fs::read_to_string(out.join("report.md")).expect("written");
     let result = runs.join("tiny/mappo/seed_0/evaluations/range_communication_range=10.0.json");
-    let found: Value = serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
+    let found: Value =
+        serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
     let delay = found["metrics"]["others"]["delay"]["mean"].as_f64().expect("others lose time");
-    let heading =
-        "| others' delay s at communication range ([interval] over the episodes of its one run) | 100.0 | 10.0 |";
+    let heading = "| others' delay s at communication range ([interval] over the episodes of its one run) | 100.0 | 10.0 |";
     let table = markdown.split(heading).nth(1).expect("a table");
     let row = table.lines().find(|line| line.starts_with("| mappo |")).expect("a row");
     assert!(
@@ -264,16 +293,25 @@ fn failures_are_told_and_retried_on_request() {
     assert!(stderr.contains("mappo/seed_1 failed") && stderr.contains("nowhere"), "{stderr}");
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(1));
-    assert!(stderr.contains("0 of 2 cells to do"), "a failure is not tried again by itself: {stderr}");
+    assert!(
+        stderr.contains("0 of 2 cells to do"),
+        "a failure is not tried again by itself: {stderr}"
+    );
     let (code, _, stderr) = run(&["--retry"]);
     assert_eq!(code, Some(1));
     assert!(stderr.contains("1 of 2 cells to do"), "{stderr}");
-    sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 256\nexploration = { correlation = 0.5 }"));
+    sweep_file(
+        folder.path(),
+        &broken.replace("steps = 256", "steps = 256\nexploration = { correlation = 0.5 }"),
+    );
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
     assert!(stderr.contains("another `exploration.correlation`: 0.0, and now 0.5"), "{stderr}");
     // MAPPO is not told of MAGIC's settings.
-    sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 256\nmagic = { lambda_world = 0.5 }"));
+    sweep_file(
+        folder.path(),
+        &broken.replace("steps = 256", "steps = 256\nmagic = { lambda_world = 0.5 }"),
+    );
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(1));
     assert!(stderr.contains("0 of 2 cells to do"), "{stderr}");
@@ -299,7 +337,8 @@ fn shards_divide_the_grid() {
     };
     let numbers = |shard: &str| cells(shard)[..cells(shard).len() - 1].to_vec();
     assert_eq!((numbers("1/2"), numbers("2/2")), (vec![0, 2, 4], vec![1, 3]));
-    let output = sweep(&file, folder.path(), &["--dry-run", "--shard", "3/2"]).output().expect("it ran");
+    let output =
+        sweep(&file, folder.path(), &["--dry-run", "--shard", "3/2"]).output().expect("it ran");
     assert!(text(&output.stderr).contains("write it as i/n"), "{}", text(&output.stderr));
 }
 
@@ -315,17 +354,31 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
         ("seed = [0, 1]", "agents = [5, 4]\nseed = [0]"),
         ("[[evaluate]]\nname = \"range\"", rule),
     ];
-    let file =
-        sweep_file(folder.path(), &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)));
+    let file = sweep_file(
+        folder.path(),
+        &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)),
+    );
     let alone = sweep(&file, &out, &["--cell", "mappo_agents=5/seed_0"]).output().expect("it ran");
     assert_eq!(alone.status.code(), Some(1), "{}", text(&alone.stderr));
     assert!(text(&alone.stderr).contains("1 cells wait for others"), "{}", text(&alone.stderr));
-    assert!(text(&alone.stdout).contains("waits for mappo_agents=4/seed_0"), "{}", text(&alone.stdout));
+    assert!(
+        text(&alone.stdout).contains("waits for mappo_agents=4/seed_0"),
+        "{}",
+        text(&alone.stdout)
+    );
 
     let both = succeeds(&mut sweep(&file, &out, &["--jobs", "2"]));
-    assert!(text(&both.stdout).contains("2 of 2 cells finished, 0 failed"), "{}", text(&both.stdout));
-    let config = std::fs::read_to_string(out.join("tiny/mappo_agents=5/seed_0/config.toml")).expect("written");
-    assert!(config.contains("init_from = ") && config.contains("tiny/mappo_agents=4/seed_0"), "{config}");
+    assert!(
+        text(&both.stdout).contains("2 of 2 cells finished, 0 failed"),
+        "{}",
+        text(&both.stdout)
+    );
+    let config = std::fs::read_to_string(out.join("tiny/mappo_agents=5/seed_0/config.toml"))
+        .expect("written");
+    assert!(
+        config.contains("init_from = ") && config.contains("tiny/mappo_agents=4/seed_0"),
+        "{config}"
+    );
 }
 
 /// Sweeps name settings that there are, and so do configurations.
@@ -341,7 +394,8 @@ fn the_experiments_that_come_along_load() {
         }
         let text = std::fs::read_to_string(&path).expect("text");
         if text.contains("[grid]") || text.contains("base = ") {
-            let sweep = Sweep::load(&path, Path::new("runs")).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            let sweep = Sweep::load(&path, Path::new("runs"))
+                .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert!(!sweep.cells.is_empty(), "{}", path.display());
             // Each runs from nothing: none needs a policy that only another version can load.
             for cell in &sweep.cells {
@@ -356,7 +410,8 @@ fn the_experiments_that_come_along_load() {
             sweeps += 1;
         } else {
             let document = Document { name: path.display().to_string(), text, generated: false };
-            Config::resolve(&Layers { document, ..Layers::default() }).unwrap_or_else(|e| panic!("{e}"));
+            Config::resolve(&Layers { document, ..Layers::default() })
+                .unwrap_or_else(|e| panic!("{e}"));
         }
     }
     assert!(sweeps > 8);
@@ -368,17 +423,27 @@ fn slurm_runs_every_cell() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cluster, out) = (folder.path().join("slurm"), folder.path().join("runs"));
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/one-machine-slurm");
-    let slurm = |verb: &str| Command::new(&script).arg(verb).arg(&cluster).output().expect("the script runs");
+    let slurm = |verb: &str| {
+        Command::new(&script).arg(verb).arg(&cluster).output().expect("the script runs")
+    };
     let started = slurm("start");
     assert!(started.status.success(), "{}", text(&started.stderr));
     let variable = text(&started.stdout);
-    let configuration =
-        variable.trim().strip_prefix("export SLURM_CONF=").expect("where the cluster is").trim_matches('\'').to_owned();
+    let configuration = variable
+        .trim()
+        .strip_prefix("export SLURM_CONF=")
+        .expect("where the cluster is")
+        .trim_matches('\'')
+        .to_owned();
     let result = std::panic::catch_unwind(|| {
         let file = sweep_file(folder.path(), &FILE.replace("steps = 4096", "steps = 512"));
         let mut submit = sweep(&file, &out, &["--slurm", "--slurm-option", "time=00:10:00"]);
         let output = succeeds(submit.env("SLURM_CONF", &configuration));
-        assert!(text(&output.stdout).trim().parse::<u32>().is_ok(), "the job's number: {}", text(&output.stdout));
+        assert!(
+            text(&output.stdout).trim().parse::<u32>().is_ok(),
+            "the job's number: {}",
+            text(&output.stdout)
+        );
         until("the end of the jobs", || {
             let output = succeeds(&mut sweep(&file, &out, &["--dry-run"]));
             let table = text(&output.stdout);

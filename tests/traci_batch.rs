@@ -158,7 +158,10 @@ fn a_value_of_another_type_names_both_types_and_the_call() {
     match client.vehicle().get_speed("v") {
         Err(error @ Error::Type { .. }) => {
             assert!(!error.is_fatal());
-            assert_eq!(error.to_string(), "vehicle.getSpeed gives a string where a double should be");
+            assert_eq!(
+                error.to_string(),
+                "vehicle.getSpeed gives a string where a double should be"
+            );
         }
         other => panic!("{other:?}"),
     }
@@ -191,7 +194,9 @@ fn a_client_waits_for_a_listener_as_long_as_it_is_told() {
     drop(listener);
     let start = Instant::now();
     match Client::connect_within(address, Duration::from_millis(100), Duration::from_secs(1)) {
-        Err(Error::Connect { port, attempts, .. }) => assert!(port == address.port() && attempts > 1),
+        Err(Error::Connect { port, attempts, .. }) => {
+            assert!(port == address.port() && attempts > 1)
+        }
         other => panic!("{other:?}"),
     }
     assert!((100..2000).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
@@ -262,7 +267,8 @@ fn value() -> impl Strategy<Value = Vec<u8>> {
         (kind, vec(any::<u8>(), 0..30)).prop_map(|(kind, bytes)| [vec![kind], bytes].concat()),
         // A compound, or a list, that begins as SUMO's do.
         (small.clone(), small, vec(any::<u8>(), 0..60)).prop_map(|(items, count, bytes)| {
-            let head = [vec![15], items.to_be_bytes().to_vec(), vec![9], count.to_be_bytes().to_vec()];
+            let head =
+                [vec![15], items.to_be_bytes().to_vec(), vec![9], count.to_be_bytes().to_vec()];
             [head.concat(), bytes].concat()
         }),
     ]

@@ -152,12 +152,22 @@ fn what_is_set_can_be_read_back() {
     }
     client.traffic_light().set_link_state("c", 3, 'G').unwrap();
     assert_eq!(client.traffic_light().get_red_yellow_green_state("c").unwrap(), "rrrGrrrrrrrrrr");
-    assert!(matches!(client.traffic_light().set_link_state("c", 14, 'G'), Err(Error::Invalid { .. })));
+    assert!(matches!(
+        client.traffic_light().set_link_state("c", 14, 'G'),
+        Err(Error::Invalid { .. })
+    ));
     // A program goes there and back as it is.
     let mut phases = vec![Phase::new(10.0, "GGGGrrrrrrrrrr"), Phase::new(5.0, "rrrrGGGGrrrrrr")];
-    phases[1] = Phase { min_dur: 4.0, max_dur: 6.0, next: vec![0, 1], name: "other".into(), ..phases[1].clone() };
+    phases[1] = Phase {
+        min_dur: 4.0,
+        max_dur: 6.0,
+        next: vec![0, 1],
+        name: "other".into(),
+        ..phases[1].clone()
+    };
     let parameters = vec![("note".to_owned(), "mine".to_owned())];
-    let mine = Logic { program_id: "mine".into(), kind: 0, current_phase_index: 1, phases, parameters };
+    let mine =
+        Logic { program_id: "mine".into(), kind: 0, current_phase_index: 1, phases, parameters };
     client.traffic_light().set_program_logic("c", &mine).unwrap();
     assert_eq!(client.traffic_light().get_program("c").unwrap(), "mine");
     let logics = client.traffic_light().get_all_program_logics("c").unwrap();
@@ -181,7 +191,10 @@ fn what_is_set_can_be_read_back() {
     let mut edge = client.edge();
     assert_eq!(edge.get_adapted_traveltime("ce", 60.0).unwrap(), 12.5);
     assert_eq!(edge.get_adapted_traveltime("cn", 150.0).unwrap(), 22.5);
-    assert_eq!((edge.get_effort("ce", 60.0).unwrap(), edge.get_effort("cn", 150.0).unwrap()), (13.5, 23.5));
+    assert_eq!(
+        (edge.get_effort("ce", 60.0).unwrap(), edge.get_effort("cn", 150.0).unwrap()),
+        (13.5, 23.5)
+    );
     assert_eq!(client.lane().get_max_speed("cw_0").unwrap(), 11.0);
     // Every domain has parameters.
     macro_rules! parameters {
@@ -206,21 +219,33 @@ fn objects_come_and_go() {
     let world = World::new();
     let (_process, mut client) = world.start();
     client.simulation_step(50.0).unwrap();
-    let appearance =
-        poi::Appearance { color: Color::rgb(1, 2, 3), kind: "tree", layer: 2, ..poi::Appearance::default() };
+    let appearance = poi::Appearance {
+        color: Color::rgb(1, 2, 3),
+        kind: "tree",
+        layer: 2,
+        ..poi::Appearance::default()
+    };
     client.poi().add("tree", [1.0, 2.0], &appearance).unwrap();
     assert_eq!(client.poi().get_color("tree").unwrap(), Color::rgb(1, 2, 3));
     assert_eq!(client.poi().get_type("tree").unwrap(), "tree");
-    client.poi().highlight("tree", &Highlight { fade: Some((200, 5.0)), ..Highlight::default() }).unwrap();
+    client
+        .poi()
+        .highlight("tree", &Highlight { fade: Some((200, 5.0)), ..Highlight::default() })
+        .unwrap();
     client.poi().remove("tree", 2).unwrap();
     assert_eq!(client.poi().get_id_list().unwrap(), ["poi"]);
     let shape = [[0.0, 0.0], [5.0, 0.0], [5.0, 5.0]];
-    let appearance = polygon::Appearance { fill: true, line_width: 3.0, ..polygon::Appearance::default() };
+    let appearance =
+        polygon::Appearance { fill: true, line_width: 3.0, ..polygon::Appearance::default() };
     client.polygon().add("p", &shape, &appearance).unwrap();
     assert_eq!(client.polygon().get_shape("p").unwrap(), shape);
     assert!(client.polygon().get_filled("p").unwrap());
     assert_eq!(client.polygon().get_line_width("p").unwrap(), 3.0);
-    let dynamics = polygon::Dynamics { tracked: "many.11", time_span: &[0.0, 1.0], ..polygon::Dynamics::default() };
+    let dynamics = polygon::Dynamics {
+        tracked: "many.11",
+        time_span: &[0.0, 1.0],
+        ..polygon::Dynamics::default()
+    };
     client.polygon().add_dynamics("p", &dynamics).unwrap();
     client.simulation_step(0.0).unwrap();
     assert_ne!(client.polygon().get_shape("p").unwrap(), shape);
@@ -273,10 +298,21 @@ fn objects_come_and_go() {
     client.simulation_step(0.0).unwrap();
     assert!(!client.person().get_id_list().unwrap().contains(&"pedestrian".to_owned()));
     client.person().remove("sleeper", 3).unwrap();
-    let two = client.person().get_taxi_reservations(false).unwrap().into_iter().find(|r| r.persons.len() == 2).unwrap();
+    let two = client
+        .person()
+        .get_taxi_reservations(false)
+        .unwrap()
+        .into_iter()
+        .find(|r| r.persons.len() == 2)
+        .unwrap();
     let one = client.person().split_taxi_reservation(&two.id, &["guest.a"]).unwrap();
     assert!(
-        client.person().get_taxi_reservations(false).unwrap().iter().any(|r| r.id == one && r.persons == ["guest.a"])
+        client
+            .person()
+            .get_taxi_reservations(false)
+            .unwrap()
+            .iter()
+            .any(|r| r.id == one && r.persons == ["guest.a"])
     );
     client.vehicle().dispatch_taxi("cab", &["0"]).unwrap();
     client.simulation().clear_pending("").unwrap();
@@ -322,7 +358,10 @@ fn vehicles_do_as_they_are_told() {
         change_lane_relative("many.8", 1, 5.0);
     }
     let stops = client.vehicle().get_stops("many.13", 0).unwrap();
-    assert_eq!(stops.iter().map(|stop| (stop.end_pos, stop.duration)).collect::<Vec<_>>(), [(60.0, 8.0), (120.0, 9.0)]);
+    assert_eq!(
+        stops.iter().map(|stop| (stop.end_pos, stop.duration)).collect::<Vec<_>>(),
+        [(60.0, 8.0), (120.0, 9.0)]
+    );
     assert_eq!(client.vehicle().get_stop_parameter("many.13", 0, "duration").unwrap(), "7.00");
     assert_eq!(client.vehicle().get_next_stops("many.15").unwrap()[0].end_pos, 99.0);
     let next = |client: &mut Client, id| {
@@ -396,20 +435,24 @@ fn a_refused_command_harms_no_other_of_its_batch() {
 
 fn start(arguments: &[&str]) -> (Process, Client) {
     let arguments = arguments.iter().map(Into::into).collect();
-    let (process, client, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
+    let (process, client, _) =
+        Process::start(&Options { arguments, ..Options::default() }).unwrap();
     (process, client)
 }
 
 #[test]
 fn collisions_are_told_one_by_one() {
     let net = ["--net-file", NET, "--xml-validation", "never", "--no-warnings", "--eager-insert"];
-    let (_process, mut client) =
-        start(&[&net[..], &["--collision.action", "warn", "--collision.mingap-factor", "0"]].concat());
+    let (_process, mut client) = start(
+        &[&net[..], &["--collision.action", "warn", "--collision.mingap-factor", "0"]].concat(),
+    );
     let edges = client.edge().get_id_list().unwrap();
     let road = edges.iter().find(|edge| !edge.starts_with(':')).unwrap();
     client.route().add("r", &[road]).unwrap();
     let mut batch = client.batch();
-    for (id, depart_pos, speed) in [("first", "29", 0.0), ("second", "21.4", 2.0), ("third", "13.8", 3.5)] {
+    for (id, depart_pos, speed) in
+        [("first", "29", 0.0), ("second", "21.4", 2.0), ("third", "13.8", 3.5)]
+    {
         batch.vehicle().add(id, &Addition { depart_pos, ..Addition::on_route("r") });
         batch.vehicle().set_speed_mode(id, 32);
         batch.vehicle().set_speed(id, speed);
@@ -422,7 +465,10 @@ fn collisions_are_told_one_by_one() {
         assert_eq!(told, client.simulation().get_collisions().unwrap());
         most = most.max(told.len());
         if let Some(one) = told.iter().find(|collision| collision.collider == "second") {
-            assert_eq!((one.victim.as_str(), one.victim_speed, one.kind.as_str()), ("first", 0.0, "collision"));
+            assert_eq!(
+                (one.victim.as_str(), one.victim_speed, one.kind.as_str()),
+                ("first", 0.0, "collision")
+            );
         }
         reply = client.batch().step(0.0).unwrap();
     }
@@ -457,7 +503,9 @@ fn detectors_signals_and_windows() {
     refused(client.traffic_light().set_nema_offset("c", 1.0));
     let view = gui::DEFAULT_VIEW;
     let mut gui = client.gui();
-    for call in [gui.set_zoom(view, 2.0), gui.set_offset(view, [1.0, 2.0]), gui.add_view("v", "", true)] {
+    for call in
+        [gui.set_zoom(view, 2.0), gui.set_offset(view, [1.0, 2.0]), gui.add_view("v", "", true)]
+    {
         assert!(refused(call).0.starts_with("gui."));
     }
     refused(gui.get_boundary(view));

@@ -59,7 +59,8 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
     let mut batch = Batch::new();
     let mut reads = Vec::new();
     let by_car = RouteQuery { vehicle_type: "car", ..RouteQuery::default() };
-    let on_foot = IntermodalQuery { depart_pos: 10.0, arrival_pos: 50.0, ..IntermodalQuery::default() };
+    let on_foot =
+        IntermodalQuery { depart_pos: 10.0, arrival_pos: 50.0, ..IntermodalQuery::default() };
     let ids = client.edge().get_id_list().unwrap();
     reads! { reads, batch, edge, "edge", ids;
         {
@@ -260,8 +261,10 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
 /// What Python's client reads in the same world, and the calls that it has.
 fn theirs(world: &World) -> (BTreeMap<String, Json>, Json) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/traci_client/dump.py");
-    let output =
-        Command::new("/usr/bin/python3").args([script, &SECONDS.to_string(), "sumo"]).args(world.arguments()).output();
+    let output = Command::new("/usr/bin/python3")
+        .args([script, &SECONDS.to_string(), "sumo"])
+        .args(world.arguments())
+        .output();
     let output = output.unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
@@ -305,10 +308,22 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
         let refused = value.as_str().is_some_and(|text| text.starts_with("refused"));
         assert!(!refused || REFUSED.contains(&call), "{key}: {value}");
     }
-    assert!(different.is_empty(), "{} of {}:\n{}", different.len(), theirs.len(), different.join("\n"));
+    assert!(
+        different.is_empty(),
+        "{} of {}:\n{}",
+        different.len(),
+        theirs.len(),
+        different.join("\n")
+    );
     // The world is rich enough: 14 domains, and values that are neither empty nor zero.
-    let told = |v: &&Json| !matches!(v.to_string().as_str(), "[]" | "\"\"" | "0" | "null" | "\"0000000000000000\"");
-    assert!(theirs.values().filter(told).count() > 3000, "{}", theirs.values().filter(told).count());
+    let told = |v: &&Json| {
+        !matches!(v.to_string().as_str(), "[]" | "\"\"" | "0" | "null" | "\"0000000000000000\"")
+    };
+    assert!(
+        theirs.values().filter(told).count() > 3000,
+        "{}",
+        theirs.values().filter(told).count()
+    );
     nothing_is_missing(&methods);
 }
 
@@ -363,13 +378,15 @@ fn nothing_is_missing(methods: &Json) {
     for (domain, source) in SOURCES {
         let source = words(source);
         for (python, snake) in methods[domain].as_object().unwrap() {
-            let refused = domain == "simulation" && ["getIDList", "getIDCount"].contains(&python.as_str());
+            let refused =
+                domain == "simulation" && ["getIDList", "getIDCount"].contains(&python.as_str());
             if refused || ABSENT.contains(&python.as_str()) {
                 continue;
             }
             let snake = snake.as_str().unwrap();
             let here = |text: &str| {
-                text.contains(&format!(" {snake} \"{python}\" ")) || text.contains(&format!("fn {snake}("))
+                text.contains(&format!(" {snake} \"{python}\" "))
+                    || text.contains(&format!("fn {snake}("))
             };
             assert!(here(&source) || here(&shared), "{domain}.{python}: no {snake}");
         }
@@ -382,7 +399,8 @@ fn constants(source: &str) -> [Vec<(&str, u8)>; 2] {
     let mut found = [Vec::new(), Vec::new()];
     for row in words.windows(4) {
         let [sumo, name, number, next] = row else { continue };
-        let number = number.strip_prefix("0x").and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        let number =
+            number.strip_prefix("0x").and_then(|digits| u8::from_str_radix(digits, 16).ok());
         if let (true, Some(number)) = (sumo.starts_with('"') && sumo.ends_with('"'), number) {
             found[usize::from(*next != "->")].push((*name, number));
         }
@@ -435,20 +453,34 @@ fn sumo_takes_subscriptions_to_all_constants() {
         }
         let [plain, with] = constants(&text);
         // For a stop, or for an option.
-        let takes_stop = |number| domain == Domain::SIMULATION && [0x67, 0xef, 0x32].contains(&number);
+        let takes_stop =
+            |number| domain == Domain::SIMULATION && [0x67, 0xef, 0x32].contains(&number);
         for (constant, number) in plain {
             let variable = Variable::<Value>::new(domain, number);
-            let object = if takes_stop(number) { if number == 0x32 { "seed" } else { "stop" } } else { &object };
+            let object = if takes_stop(number) {
+                if number == 0x32 { "seed" } else { "stop" }
+            } else {
+                &object
+            };
             batch.subscribe(domain, object, &[variable.id()]);
-            let reply = client.step(&mut batch, 0.0).unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
+            let reply =
+                client.step(&mut batch, 0.0).unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
             reply.check().unwrap_or_else(|e| panic!("{name} {constant}: {e}"));
-            assert!(reply.get(object, variable).is_some_and(|value| value.is_ok()), "{name} {constant}");
+            assert!(
+                reply.get(object, variable).is_some_and(|value| value.is_ok()),
+                "{name} {constant}"
+            );
             told += 1;
         }
         let mut names: Vec<_> = with.into_iter().map(|(constant, _)| constant).collect();
         names.sort_unstable();
-        let leaders = if domain == Domain::VEHICLE { &["VAR_FOLLOWER", "VAR_LEADER"][..] } else { &[] };
-        assert_eq!(names, [leaders, &["VAR_PARAMETER", "VAR_PARAMETER_WITH_KEY"]].concat(), "{name}");
+        let leaders =
+            if domain == Domain::VEHICLE { &["VAR_FOLLOWER", "VAR_LEADER"][..] } else { &[] };
+        assert_eq!(
+            names,
+            [leaders, &["VAR_PARAMETER", "VAR_PARAMETER_WITH_KEY"]].concat(),
+            "{name}"
+        );
     }
     assert!(told > 250, "{told}");
 }

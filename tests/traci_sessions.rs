@@ -24,7 +24,8 @@ const NET: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/sumo_nets/intersection/a
 
 fn start() -> (Process, Client) {
     let arguments = ["--net-file", NET].map(Into::into).to_vec();
-    let (process, client, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
+    let (process, client, _) =
+        Process::start(&Options { arguments, ..Options::default() }).unwrap();
     (process, client)
 }
 
@@ -51,7 +52,9 @@ fn a_step_goes_to_a_time_in_the_future_or_nowhere() {
     let (process, mut client) = start();
     drop(process);
     match client.simulation_step(0.0) {
-        Err(error @ Error::Closed { sim_time_s: None, .. }) => assert!(!error.to_string().contains("time")),
+        Err(error @ Error::Closed { sim_time_s: None, .. }) => {
+            assert!(!error.to_string().contains("time"))
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -73,7 +76,11 @@ fn kinds_of_objects_without_a_module_are_reached_by_number() {
         (Domain::VARIABLE_SPEED_SIGN, &[]),
     ] {
         let answer = client.call(|batch| batch.get(domain, list, "")).unwrap();
-        assert_eq!(answer, Some(Value::StringList(ids.iter().map(|&id| id.to_owned()).collect())), "{domain:?}");
+        assert_eq!(
+            answer,
+            Some(Value::StringList(ids.iter().map(|&id| id.to_owned()).collect())),
+            "{domain:?}"
+        );
     }
     let name = Variable::<String>::new(Domain::BUS_STOP, name);
     let mut batch = Batch::new();
@@ -95,7 +102,10 @@ fn states_and_simulations_are_loaded() {
     assert!(client.simulation_step(40.0).unwrap().get("bus", vehicle::VAR_SPEED).is_some());
     client.simulation().load_state(file).unwrap();
     assert_eq!(client.simulation().get_time().unwrap(), 30.0);
-    assert!(client.simulation_step(0.0).unwrap().subscriptions.is_empty(), "subscriptions are lost");
+    assert!(
+        client.simulation_step(0.0).unwrap().subscriptions.is_empty(),
+        "subscriptions are lost"
+    );
     assert!(matches!(client.simulation().load_state("/nowhere.xml"), Err(Error::Refused { .. })));
     client.load(&world.arguments()).unwrap();
     assert_eq!(client.simulation().get_time().unwrap(), 0.0);
@@ -120,7 +130,9 @@ fn two_clients_take_turns() {
     sumo.args(["--net-file", NET, "--num-clients", "2", "--remote-port", &port.to_string()]);
     let _sumo = Owned(sumo.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-    let connect = || Client::connect_within(address, Duration::from_secs(20), Duration::from_secs(20)).unwrap();
+    let connect = || {
+        Client::connect_within(address, Duration::from_secs(20), Duration::from_secs(20)).unwrap()
+    };
     let (mut first, mut second) = (connect(), connect());
     let other = thread::spawn(move || {
         second.set_order(2).unwrap();

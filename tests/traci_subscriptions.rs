@@ -33,12 +33,19 @@ fn context_subscriptions_are_reported_and_filtered() {
     // No subscription is there that a filter could restrict.
     let (call, ..) = refused(client.vehicle().add_subscription_filter_downstream_distance(10.0));
     assert_eq!(call, "vehicle.addSubscriptionFilterDownstreamDistance");
-    let variables = [vehicle::VAR_SPEED.id(), vehicle::VAR_POSITION.id(), vehicle::VAR_LANE_ID.id()];
+    let variables =
+        [vehicle::VAR_SPEED.id(), vehicle::VAR_POSITION.id(), vehicle::VAR_LANE_ID.id()];
     // Around a lane detector, a junction, a vehicle: objects of the same identifier in different domains.
     client.junction().subscribe_context("c", Domain::VEHICLE, 60.0, &variables).unwrap();
-    client.junction().subscribe_context("c", Domain::PERSON, 500.0, &[person::VAR_SPEED.id()]).unwrap();
+    client
+        .junction()
+        .subscribe_context("c", Domain::PERSON, 500.0, &[person::VAR_SPEED.id()])
+        .unwrap();
     client.vehicle().subscribe_context("many.13", Domain::VEHICLE, 100.0, &variables).unwrap();
-    client.vehicle().subscribe("many.13", &[vehicle::VAR_SPEED.id(), vehicle::VAR_BEST_LANES.id()]).unwrap();
+    client
+        .vehicle()
+        .subscribe("many.13", &[vehicle::VAR_SPEED.id(), vehicle::VAR_BEST_LANES.id()])
+        .unwrap();
     client.vehicle().subscribe_leader("many.14", 150.0).unwrap();
     client.vehicle().subscribe_during("many.15", &[vehicle::VAR_SPEED.id()], 53.0, 54.0).unwrap();
     client.vehicle().subscribe_parameter_with_key("bus", "key").unwrap();
@@ -52,8 +59,13 @@ fn context_subscriptions_are_reported_and_filtered() {
             continue;
         };
         assert_eq!(position.unwrap(), client.vehicle().get_position(id).unwrap());
-        assert_eq!(near.get(id, vehicle::VAR_LANE_ID).unwrap().unwrap(), client.vehicle().get_lane_id(id).unwrap());
-        assert!(near.get(id, vehicle::VAR_ANGLE).is_none() && near.get(id, person::VAR_SPEED).is_none());
+        assert_eq!(
+            near.get(id, vehicle::VAR_LANE_ID).unwrap().unwrap(),
+            client.vehicle().get_lane_id(id).unwrap()
+        );
+        assert!(
+            near.get(id, vehicle::VAR_ANGLE).is_none() && near.get(id, person::VAR_SPEED).is_none()
+        );
     }
     assert_eq!(
         reply.get("many.13", vehicle::VAR_BEST_LANES).unwrap().unwrap(),
@@ -76,7 +88,8 @@ fn context_subscriptions_are_reported_and_filtered() {
         }
         other => panic!("{other:?}"),
     }
-    let all: Vec<_> = reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
+    let all: Vec<_> =
+        reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
     assert!(all.len() > 5, "{all:?}");
     // Each filter leaves fewer.
     macro_rules! filtered {
@@ -106,7 +119,10 @@ fn context_subscriptions_are_reported_and_filtered() {
     assert!(filtered!(add_subscription_filter_lc_maneuver(Some(Side::Left))).len() <= 4);
     filtered!(add_subscription_filter_lead_follow(&[-1, 0]));
     filtered!(add_subscription_filter_turn(50.0));
-    filtered!(add_subscription_filter_lateral_distance(1.0), add_subscription_filter_downstream_distance(30.0));
+    filtered!(
+        add_subscription_filter_lateral_distance(1.0),
+        add_subscription_filter_downstream_distance(30.0)
+    );
     // It ends when told.
     client.vehicle().unsubscribe("many.13").unwrap();
     client.vehicle().unsubscribe_context("many.13", Domain::VEHICLE).unwrap();
@@ -133,7 +149,10 @@ fn sumo_survives_what_it_would_die_of() {
         // A variable of another domain.
         (Domain::PERSON, speed[0]),
     ] {
-        assert!(is_invalid(&client.vehicle().subscribe_context("bus", around, 9.0, &[variable])), "{around:?}");
+        assert!(
+            is_invalid(&client.vehicle().subscribe_context("bus", around, 9.0, &[variable])),
+            "{around:?}"
+        );
         tickets.push(batch.vehicle().subscribe_context("bus", around, 9.0, &[variable]));
     }
     let foreign = [vehicle::VAR_SPEED.id(), lane::VAR_LENGTH.id()];
@@ -164,7 +183,8 @@ fn sumo_survives_what_it_would_die_of() {
     let gone = "many.13";
     client.simulation_step(51.0).unwrap();
     client.vehicle().remove(gone, 3).unwrap();
-    let (call, id, _) = refused(client.vehicle().subscribe_context(gone, Domain::VEHICLE, 9.0, &speed));
+    let (call, id, _) =
+        refused(client.vehicle().subscribe_context(gone, Domain::VEHICLE, 9.0, &speed));
     assert_eq!((call.as_str(), id.as_str()), ("subscribeContext", gone));
     refused(client.junction().subscribe_context("nowhere", Domain::VEHICLE, 9.0, &speed));
     refused(client.person().subscribe_context("nobody", Domain::VEHICLE, 9.0, &speed));
@@ -212,7 +232,9 @@ fn subscriptions_add_up_until_they_end() {
     let seen = |client: &mut Client| {
         let reports = client.simulation_step(0.0).unwrap();
         let seen = [vehicle::VAR_SPEED.id(), vehicle::VAR_ANGLE.id(), vehicle::VAR_LENGTH.id()]
-            .map(|id: VariableId| reports.get("bus", Variable::<Value>::new(id.domain(), id.number())).is_some());
+            .map(|id: VariableId| {
+                reports.get("bus", Variable::<Value>::new(id.domain(), id.number())).is_some()
+            });
         (seen, reports.subscriptions.len())
     };
     client.vehicle().subscribe("bus", &[vehicle::VAR_SPEED.id()]).unwrap();
@@ -255,7 +277,11 @@ fn variables_with_an_argument_are_reported() {
         client.vehicle().subscribe_with("bus", vehicle::VAR_FOLLOWER, 100.0),
         client.vehicle().subscribe_with("bus", vehicle::VAR_PARAMETER, "key"),
         client.vehicle().subscribe_with("bus", vehicle::VAR_PARAMETER_WITH_KEY, "key"),
-        client.simulation().subscribe_with("park", simulation::VAR_PARAMETER, "parkingArea.capacity"),
+        client.simulation().subscribe_with(
+            "park",
+            simulation::VAR_PARAMETER,
+            "parkingArea.capacity",
+        ),
     ] {
         call.unwrap();
     }

@@ -54,8 +54,10 @@ pub(super) struct Batch {
 impl Batch {
     pub(super) fn new(rollout: &Rollout, device: Device) -> Self {
         let s = rollout.sizes;
-        let (rows, closed, n) = ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
-        let tensor = |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
+        let (rows, closed, n) =
+            ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
+        let tensor =
+            |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
         let start = tensor(&rollout.start, &[closed, 1]);
         let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
@@ -108,7 +110,9 @@ impl Batch {
         let (mut advantage, returns) = if team {
             let values: Vec<f32> = values.iter().copied().step_by(agents).collect();
             let (advantage, returns) = rollout.team().advantages(&values, gamma, lambda);
-            let shared = |of: &[f32]| of.iter().flat_map(|&x| std::iter::repeat_n(x, agents)).collect::<Vec<_>>();
+            let shared = |of: &[f32]| {
+                of.iter().flat_map(|&x| std::iter::repeat_n(x, agents)).collect::<Vec<_>>()
+            };
             (shared(&advantage), shared(&returns))
         } else {
             let (mut advantage, returns) = rollout.advantages(&values, gamma, lambda);
@@ -116,9 +120,12 @@ impl Batch {
             (advantage, returns)
         };
         let count = advantage.len();
-        self.explained_variance = ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
+        self.explained_variance =
+            ppo::explained_variance(&values[..count], &returns, &rollout.active[..count]);
         ppo::normalize_advantages(&mut advantage, &rollout.active[..count]);
-        let tensor = |data: &[f32]| Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device());
+        let tensor = |data: &[f32]| {
+            Tensor::from_slice(data).view_as(&self.active).to_device(outputs.device())
+        };
         (self.advantage, self.returns) = (tensor(&advantage), tensor(&returns));
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
     }
@@ -197,7 +204,9 @@ pub(super) fn minibatches(
     let agents = rollout.sizes.agents;
     let mut chunks = rollout.chunks(length);
     rng::shuffle(&mut seed.rng(), &mut chunks);
-    let count = (rollout.sizes.steps * rollout.sizes.envs * agents).div_ceil(size.max(1)).clamp(1, chunks.len().max(1));
+    let count = (rollout.sizes.steps * rollout.sizes.envs * agents)
+        .div_ceil(size.max(1))
+        .clamp(1, chunks.len().max(1));
     let per_batch = chunks.len().div_ceil(count).max(1);
     let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
     let shard = |chunks: &[(usize, usize)]| {
@@ -254,7 +263,11 @@ impl Shard {
     }
 
     /// The active samples of tensors of the filled places of a packing of this shard's rows, `[P, …]` to `[B, …]`.
-    pub(super) fn unpacked<const K: usize>(&self, packing: &Packing, tensors: [&Tensor; K]) -> [Tensor; K] {
+    pub(super) fn unpacked<const K: usize>(
+        &self,
+        packing: &Packing,
+        tensors: [&Tensor; K],
+    ) -> [Tensor; K] {
         packing.take(tensors, &self.samples)
     }
 
@@ -277,6 +290,10 @@ pub(super) fn graph_noise(
     let (drawn, times) = if lasts { (1, s.steps + 1) } else { (s.steps + 1, 1) };
     let mut noise = vec![0.0; drawn * s.envs * s.agents * s.agents * graphs];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
-    let noise = Tensor::from_slice(&noise).view([(drawn * s.envs) as i64, s.agents as i64, (s.agents * graphs) as i64]);
+    let noise = Tensor::from_slice(&noise).view([
+        (drawn * s.envs) as i64,
+        s.agents as i64,
+        (s.agents * graphs) as i64,
+    ]);
     (noise.repeat([times as i64, 1, 1]) * scale).to_device(device)
 }

@@ -109,7 +109,13 @@ impl Channel {
     /// Sends the embeddings `f [E, N, H]`. `past [E, N, 1 + delay · H]` is how long
     /// ago the episode began, and what was sent since, forgotten where `keep [E, N]` is 0; gives what arrives, and the past of
     /// the next decision.
-    fn send(&self, f: &Tensor, keep: &Tensor, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
+    fn send(
+        &self,
+        f: &Tensor,
+        keep: &Tensor,
+        past: &Tensor,
+        noise: &ChannelNoise,
+    ) -> (Heard, Tensor) {
         let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
         let sent = self.rounded(f);
         let (sent, silent, past) = self.delayed(&sent, keep, past);
@@ -174,7 +180,13 @@ mod tests {
     const N: i64 = 3;
     const H: i64 = 2;
 
-    fn send(channel: &Channel, f: &Tensor, keep: f64, past: &Tensor, noise: &ChannelNoise) -> (Heard, Tensor) {
+    fn send(
+        channel: &Channel,
+        f: &Tensor,
+        keep: f64,
+        past: &Tensor,
+        noise: &ChannelNoise,
+    ) -> (Heard, Tensor) {
         channel.send(f, &Tensor::full([1, N], keep, CPU), past, noise)
     }
 
@@ -197,7 +209,8 @@ mod tests {
     #[test]
     fn a_perfect_channel_changes_nothing() {
         let f = embeddings(1.0);
-        let (heard, _) = send(&Channel::default(), &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(0.5, 0.5));
+        let (heard, _) =
+            send(&Channel::default(), &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(0.5, 0.5));
         for i in 0..N {
             assert_eq!(numbers(&heard.embedding.get(0).get(i)), numbers(&f));
         }
@@ -230,7 +243,9 @@ mod tests {
         let f = Tensor::from_slice(&[-1.0_f32, -0.4, 0.0, 0.3, 0.6, 1.0]).view([1, 1, 6]);
         let levels = |bits: u32| numbers(&Channel { bits, ..Channel::default() }.rounded(&f));
         assert_eq!(levels(2), [-1.0, 0.0, 0.0, 0.0, 1.0, 1.0]);
-        let worst = |bits: u32| levels(bits).iter().zip(numbers(&f)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let worst = |bits: u32| {
+            levels(bits).iter().zip(numbers(&f)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
         assert!(worst(8) <= 0.5 / 127.0 + 1e-6 && worst(4) > worst(8) && worst(32) == 0.0);
     }
 
@@ -241,12 +256,17 @@ mod tests {
         for t in 0..6 {
             // A new episode at the fourth decision.
             let keep = if t == 0 || t == 3 { 0.0 } else { 1.0 };
-            let (heard, next) = send(&channel, &embeddings(f64::from(t * 100)), keep, &past, &noise(1.0, 1.0));
+            let (heard, next) =
+                send(&channel, &embeddings(f64::from(t * 100)), keep, &past, &noise(1.0, 1.0));
             let arrived = t % 3 == 2;
             assert_eq!(numbers(&heard.arrived)[1], f64::from(u8::from(arrived)), "step {t}");
             if arrived {
                 let of_second = numbers(&heard.embedding.get(0).get(0).get(1));
-                assert_eq!(of_second, numbers(&embeddings(f64::from((t - 2) * 100)).get(0).get(1)), "step {t}");
+                assert_eq!(
+                    of_second,
+                    numbers(&embeddings(f64::from((t - 2) * 100)).get(0).get(1)),
+                    "step {t}"
+                );
             }
             past = next;
         }

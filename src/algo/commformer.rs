@@ -41,8 +41,12 @@ use crate::nn::graph::{edge_rate, sample_best, with_self_loops};
 use crate::nn::{AdamConfig, Decoder, Dropout, Init, Reach, RelationBlock, ValueNorm};
 
 /// The scores of the graph.
-const GRAPH: Set =
-    Set { name: "graph", gradient: "the graph's gradient", norm: "ppo/grad_norm_graph", adam: AdamConfig::TORCH };
+const GRAPH: Set = Set {
+    name: "graph",
+    gradient: "the graph's gradient",
+    norm: "ppo/grad_norm_graph",
+    adam: AdamConfig::TORCH,
+};
 
 /// Communication transformer.
 pub(super) struct CommFormer {
@@ -78,11 +82,15 @@ impl CommFormer {
     fn represent_with(&self, scene: &Scene, dropout: Option<&Dropout>) -> Represented {
         let (x, memory) = self.input.forward(scene);
         let scores = self.edges.unsqueeze(0);
-        let scores = scene.noise.as_ref().map_or_else(|| scores.shallow_clone(), |noise| &scores + noise);
+        let scores =
+            scene.noise.as_ref().map_or_else(|| scores.shallow_clone(), |noise| &scores + noise);
         let links = sample_best(&scores, self.links, 1.0) * &scene.comm;
         let graph = with_self_loops(&links);
         let reach = Reach::over(&graph, &links.gt(0.5).to_kind(Kind::Float));
-        let representation = self.blocks.iter().fold(x, |x, block| block.forward(&x, &reach, &self.relations, dropout));
+        let representation = self
+            .blocks
+            .iter()
+            .fold(x, |x, block| block.forward(&x, &reach, &self.relations, dropout));
         let order = Order::new(&scene.present(), &graph, &reach);
         Represented { representation, order, graph, memory }
     }
@@ -103,14 +111,18 @@ impl Networks for CommFormer {
     const PER_AGENT: Option<&'static str> = Some("graph/edges");
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (hidden, actions, agents) = (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
+        let (hidden, actions, agents) =
+            (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
         let (count, heads) = (settings.transformer.blocks, settings.transformer.heads);
         let relations = places.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
         let block = |i| RelationBlock::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
         let blocks = (0..count).map(block).collect();
         let related = Some(&relations);
-        let decoder = Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, related);
-        let world = |places: &mut Places| WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden);
+        let decoder =
+            Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, related);
+        let world = |places: &mut Places| {
+            WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden)
+        };
         Self {
             edges: places.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
             links: ((agents as f64 * settings.commformer.sparsity) as i64).clamp(1, agents),
@@ -120,7 +132,12 @@ impl Networks for CommFormer {
             value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
                 decoder,
-                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
+                head: GaussianHead::new(
+                    places.of(ACTOR).sub("head"),
+                    hidden,
+                    &spec.actions,
+                    &settings.exploration,
+                ),
                 actions,
             },
             world: (settings.commformer.lambda_world > 0.0).then(|| world(places)),
@@ -149,9 +166,11 @@ impl Networks for CommFormer {
             ActMode::Deterministic => None,
             ActMode::Sample { graph, .. } => Some(*graph),
         };
-        let Represented { representation, order, memory, .. } = self.represent(&Scene::of(input, noise));
+        let Represented { representation, order, memory, .. } =
+            self.represent(&Scene::of(input, noise));
         let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+        let memory = memory
+            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
         Decision { action, log_prob, memory }
     }
 
@@ -166,7 +185,9 @@ impl Networks for CommFormer {
     fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
         // The policy's own memory is known before each row.
         let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
-        let value = |scene: &Scene, state: &Tensor| self.value.forward(&self.represent(scene).representation, state);
+        let value = |scene: &Scene, state: &Tensor| {
+            self.value.forward(&self.represent(scene).representation, state)
+        };
         (rows.in_parts(&batch.state, value), None)
     }
 
@@ -174,13 +195,20 @@ impl Networks for CommFormer {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let rate = settings.commformer.dropout;
         let dropout = (rate > 0.0).then(|| Dropout::new(rate, shard.seed.rng()));
-        let Represented { representation, order, graph, .. } = self.represent_with(&scene, dropout.as_ref());
+        let Represented { representation, order, graph, .. } =
+            self.represent_with(&scene, dropout.as_ref());
         let edges = shard.pick(&edge_rate(&graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
         let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
         let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy =
-            PolicyTerms::new(batch, shard, self.head(), &shard.pick(&read), &settings.ppo, Ratio::PerDimension);
+        let policy = PolicyTerms::new(
+            batch,
+            shard,
+            self.head(),
+            &shard.pick(&read),
+            &settings.ppo,
+            Ratio::PerDimension,
+        );
         let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];
         report.extend(policy.report());
         let mut total = &policy.loss + value;

@@ -13,8 +13,8 @@ use super::head::{APPROX_KL, GaussianHead};
 use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_entry};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
-    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Observation, Pace,
-    Reconstruction, check_agents,
+    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses,
+    Observation, Pace, Reconstruction, check_agents,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -86,10 +86,18 @@ pub(super) trait Networks: Sized + Send {
 
     /// Deterministic actions where what agents send passes through a channel. Those who send nothing let its part of the
     /// memory, which follows their own, pass by.
-    fn act_through(&self, input: &Observation, _channel: &Channel, _noise: &ChannelNoise) -> Decision {
+    fn act_through(
+        &self,
+        input: &Observation,
+        _channel: &Channel,
+        _noise: &ChannelNoise,
+    ) -> Decision {
         let (own, total) = (self.memory(), input.memory.size()[2]);
         let memory = input.memory.narrow(2, 0, own);
-        let decision = self.act(&Observation { memory, ..input.map(Tensor::shallow_clone) }, &ActMode::Deterministic);
+        let decision = self.act(
+            &Observation { memory, ..input.map(Tensor::shallow_clone) },
+            &ActMode::Deterministic,
+        );
         let rest = input.memory.narrow(2, own, total - own);
         Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
     }
@@ -154,7 +162,9 @@ impl<N: Networks> ActorCritic<N> {
             places.replicate(&mut weights);
             copies.push(networks);
         }
-        let threads = rayon::ThreadPoolBuilder::new().num_threads(shards).thread_name(|k| format!("shard{k}"));
+        let threads = rayon::ThreadPoolBuilder::new()
+            .num_threads(shards)
+            .thread_name(|k| format!("shard{k}"));
         // Libtorch counts its threads per thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
         Self {
@@ -169,13 +179,19 @@ impl<N: Networks> ActorCritic<N> {
     }
 
     /// Applies `work` to each item with a copy of the networks of its own, in parallel; results in order.
-    fn parallel<T: Send, R: Send>(&mut self, items: Vec<T>, work: impl Fn(&N, T) -> R + Sync) -> Vec<R> {
+    fn parallel<T: Send, R: Send>(
+        &mut self,
+        items: Vec<T>,
+        work: impl Fn(&N, T) -> R + Sync,
+    ) -> Vec<R> {
         let pairs = self.copies.iter_mut().zip(items);
         match &self.pool {
             None => pairs.map(|(networks, item)| work(networks, item)).collect(),
             Some(pool) => {
                 let pairs: Vec<_> = pairs.collect();
-                pool.install(|| pairs.into_par_iter().map(|(networks, item)| work(networks, item)).collect())
+                pool.install(|| {
+                    pairs.into_par_iter().map(|(networks, item)| work(networks, item)).collect()
+                })
             }
         }
     }
@@ -185,14 +201,17 @@ impl<N: Networks> ActorCritic<N> {
         let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
         let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].value_memory());
         let carried = self.critic_memory.take();
-        let carried = carried.unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
+        let carried = carried
+            .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
         let share = (envs as usize).div_ceil(self.copies.len()) as i64;
         let parts: Vec<_> = (0..envs)
             .step_by(share as usize)
             .map(|first| {
                 let count = share.min(envs - first);
-                let memory =
-                    carried.view([envs, agents, width]).narrow(0, first, count).reshape([count * agents, width]);
+                let memory = carried
+                    .view([envs, agents, width])
+                    .narrow(0, first, count)
+                    .reshape([count * agents, width]);
                 (count, batch.of_envs(envs, first, count), memory)
             })
             .collect();
@@ -201,7 +220,8 @@ impl<N: Networks> ActorCritic<N> {
                 let (values, after) = networks.values(&part, steps + 1, &memory);
                 let values = values.view([steps + 1, count, agents]);
                 let memory = after.map(|after| {
-                    let before = Tensor::cat(&[&memory.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
+                    let before =
+                        Tensor::cat(&[&memory.unsqueeze(0), &after.narrow(0, 0, steps)], 0);
                     let last = after.get(steps - 1).view([count, agents, width]);
                     (before.view([steps + 1, count, agents, width]), last)
                 });
@@ -211,9 +231,13 @@ impl<N: Networks> ActorCritic<N> {
         let joined = |tensors: Vec<&Tensor>, dim: i64| Tensor::cat(&tensors, dim);
         if width > 0 {
             let memories = || parts.iter().filter_map(|(_, memory)| memory.as_ref());
-            batch.value_memory =
-                joined(memories().map(|m| &m.0).collect(), 1).view([(steps + 1) * envs, agents, width]);
-            self.critic_memory = Some(joined(memories().map(|m| &m.1).collect(), 0).view([envs * agents, width]));
+            batch.value_memory = joined(memories().map(|m| &m.0).collect(), 1).view([
+                (steps + 1) * envs,
+                agents,
+                width,
+            ]);
+            self.critic_memory =
+                Some(joined(memories().map(|m| &m.1).collect(), 0).view([envs * agents, width]));
         }
         joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
     }
@@ -226,14 +250,18 @@ impl<N: Networks> ActorCritic<N> {
         rate: impl Fn(Set) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         // The reference updates the normalisation in every evaluation of the loss.
-        let returns: Vec<Tensor> = shards.iter().map(|shard| shard.active(&batch.returns)).collect();
+        let returns: Vec<Tensor> =
+            shards.iter().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));
         let (norm, settings) = (self.value_norm, self.settings.clone());
         let items: Vec<_> = shards.into_iter().map(|shard| (batch.share(), shard)).collect();
         let reports = self.parallel(items, |networks, (batch, shard)| {
             let loss = networks.loss(&batch, &shard, &settings, &norm);
             (&loss.total * shard.weight).backward();
-            loss.report.iter().map(|(name, value)| (*name, shard.weight * scalar(value))).collect::<Vec<_>>()
+            loss.report
+                .iter()
+                .map(|(name, value)| (*name, shard.weight * scalar(value)))
+                .collect::<Vec<_>>()
         });
         let mut report = reports.into_iter().reduce(|mut sums, part| {
             sums.iter_mut().zip(part).for_each(|(sum, value)| sum.1 += value.1);
@@ -270,7 +298,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.copies[0].message_width() as usize
     }
 
-    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
+    fn act_through(
+        &self,
+        input: &Observation,
+        channel: &Channel,
+        noise: &ChannelNoise,
+    ) -> Decision {
         let there = |tensor: &Tensor| tensor.to_device(self.device);
         let noise = ChannelNoise {
             lost: there(&noise.lost),
@@ -282,8 +315,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
-        let (input, state) = (input.map(|t| t.to_device(self.device)), state.to_device(self.device));
-        let (value, graph) = no_grad(|| (self.copies[0].value(&input, &state), self.copies[0].graph(&input)));
+        let (input, state) =
+            (input.map(|t| t.to_device(self.device)), state.to_device(self.device));
+        let (value, graph) =
+            no_grad(|| (self.copies[0].value(&input, &state), self.copies[0].graph(&input)));
         Insight {
             value: value.map(|value| self.value_norm.denormalize(&value).to_device(Device::Cpu)),
             graph: graph.map(|graph| graph.to_device(Device::Cpu)),
@@ -294,7 +329,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let there = |tensor: &Tensor| tensor.to_device(self.device);
         let back = |tensor: &Tensor| tensor.to_device(Device::Cpu);
         let found = no_grad(|| self.copies[0].reconstruct(&input.map(there), &there(state)));
-        found.into_iter().map(|r| Reconstruction { found: back(&r.found), truth: back(&r.truth), ..r }).collect()
+        found
+            .into_iter()
+            .map(|r| Reconstruction { found: back(&r.found), truth: back(&r.truth), ..r })
+            .collect()
     }
 
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
@@ -307,7 +345,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, 1, false, scale, self.device, seed.child("graph"));
+            batch.value_graph =
+                graph_noise(rollout, 1, false, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, [pace.gamma, ppo.gae_lambda], N::TEAM);
@@ -316,7 +355,14 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
                 let noise = |of: &str, graphs: usize| {
-                    graph_noise(rollout, graphs, N::GRAPH_LASTS, scale, self.device, seed.child(of).index(epoch as u64))
+                    graph_noise(
+                        rollout,
+                        graphs,
+                        N::GRAPH_LASTS,
+                        scale,
+                        self.device,
+                        seed.child(of).index(epoch as u64),
+                    )
                 };
                 if N::VALUE_SAMPLES_GRAPH {
                     batch.value_graph = noise("resampled", 1);
@@ -327,7 +373,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             }
             let order = seed.child("epoch").index(epoch as u64);
             let mut pass = Means::default();
-            for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order) {
+            for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order)
+            {
                 let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
                 pass.add(&self.step(&batch, shards, rate)?);
             }
@@ -366,7 +413,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         self.weights.load(state)?;
         load_value_norm(&mut self.value_norm, state)?;
-        self.critic_memory = part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
+        self.critic_memory =
+            part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
         Ok(())
     }
 
@@ -402,7 +450,8 @@ pub(super) fn act_on(
         let decision = match mode {
             ActMode::Deterministic => act(&input, mode),
             ActMode::Sample { action, carried, graph, log_fresh } => {
-                let [action, carried, graph, log_fresh] = [action, carried, graph, log_fresh].map(|t| there(t));
+                let [action, carried, graph, log_fresh] =
+                    [action, carried, graph, log_fresh].map(|t| there(t));
                 let (action, carried, graph, log_fresh) = (&action, &carried, &graph, &log_fresh);
                 act(&input, &ActMode::Sample { action, carried, graph, log_fresh })
             }
@@ -449,7 +498,8 @@ impl Means {
 
     /// The means; an error when one is not finite.
     pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
-        let mut losses: Losses = self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
+        let mut losses: Losses =
+            self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
         losses.extend_from_slice(extra);
         match losses.iter().find(|(_, value)| !value.is_finite()) {
             Some((what, _)) => Err(Error::NonFinite { what }),

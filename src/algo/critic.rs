@@ -71,14 +71,25 @@ impl PrivilegedCritic {
     }
 
     /// As [`Critic::values`], of all rows of a batch.
-    pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        self.0.values(&Tensor::cat(&[&batch.observation, &batch.state], -1), &batch.keep, length, memory)
+    pub(super) fn values(
+        &self,
+        batch: &Batch,
+        length: i64,
+        memory: &Tensor,
+    ) -> (Tensor, Option<Tensor>) {
+        self.0.values(
+            &Tensor::cat(&[&batch.observation, &batch.state], -1),
+            &batch.keep,
+            length,
+            memory,
+        )
     }
 
     /// Values (normalised) of a shard's active samples, `[B]`.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
         let privileged = [&batch.observation, &batch.state];
-        let f = encode_active(&self.0.encoder, shard, &privileged, &batch.value_memory, &batch.keep);
+        let f =
+            encode_active(&self.0.encoder, shard, &privileged, &batch.value_memory, &batch.keep);
         self.0.value.forward(&f).squeeze_dim(-1)
     }
 }

@@ -15,7 +15,13 @@ pub(super) struct Decoder {
 }
 
 impl Decoder {
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, hidden: i64, outputs: i64, tanh: bool) -> Self {
+    pub(super) fn new(
+        mut path: Path<'_>,
+        inputs: i64,
+        hidden: i64,
+        outputs: i64,
+        tanh: bool,
+    ) -> Self {
         let layers = [
             Linear::new(path.sub(0), inputs, hidden, Init::Orthogonal(1.0)),
             Linear::new(path.sub(1), hidden, hidden, Init::Orthogonal(1.0)),
@@ -64,7 +70,12 @@ impl WorldDecoder {
     }
 
     /// What latents `[E, N, D]` say, beside the truth.
-    pub(super) fn reconstruct(&self, x: &Tensor, input: &Observation, state: &Tensor) -> Reconstruction {
+    pub(super) fn reconstruct(
+        &self,
+        x: &Tensor,
+        input: &Observation,
+        state: &Tensor,
+    ) -> Reconstruction {
         let truth = self.target.of(&input.observation, state).shallow_clone();
         Reconstruction { name: "world", found: self.decoder.forward(x), truth }
     }

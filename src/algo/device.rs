@@ -23,7 +23,11 @@ impl ComputeDevice {
             Self::Cpu => Ok(Device::Cpu),
             Self::Cuda(number) => {
                 let present = Cuda::device_count().max(0) as usize;
-                if number < present { Ok(Device::Cuda(number)) } else { Err(NoDevice { number, present }) }
+                if number < present {
+                    Ok(Device::Cuda(number))
+                } else {
+                    Err(NoDevice { number, present })
+                }
             }
         }
     }
@@ -38,7 +42,9 @@ impl TryFrom<String> for ComputeDevice {
             "cuda" => Some(0),
             _ => name.strip_prefix("cuda:").and_then(|number| number.parse().ok()),
         };
-        number.map(Self::Cuda).ok_or_else(|| format!("`{name}` is no device; write cpu, cuda or cuda:<number>"))
+        number
+            .map(Self::Cuda)
+            .ok_or_else(|| format!("`{name}` is no device; write cpu, cuda or cuda:<number>"))
     }
 }
 

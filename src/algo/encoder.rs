@@ -27,7 +27,9 @@ impl Encoder {
     pub fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
         let (inputs, hidden) = (features.len() as i64, network.hidden);
         let kind = match network.encoder {
-            EncoderKind::Mlp => Kind::Mlp(Mlp::new(path.sub("mlp"), inputs, hidden, network.extra_layers)),
+            EncoderKind::Mlp => {
+                Kind::Mlp(Mlp::new(path.sub("mlp"), inputs, hidden, network.extra_layers))
+            }
             EncoderKind::Gru => Kind::Gru {
                 base: Mlp::new(path.sub("mlp"), inputs, hidden, network.extra_layers),
                 cell: Gru::new(path.sub("gru"), hidden, hidden),
@@ -111,7 +113,13 @@ pub(super) fn encode_active(
 }
 
 /// As [`encode_active`], of features that are of the shard's rows only, `[L · C, N, O]`; memory and `keep` are for all rows.
-pub(super) fn encode_shard(encoder: &Encoder, shard: &Shard, x: &Tensor, memory: &Tensor, keep: &Tensor) -> Tensor {
+pub(super) fn encode_shard(
+    encoder: &Encoder,
+    shard: &Shard,
+    x: &Tensor,
+    memory: &Tensor,
+    keep: &Tensor,
+) -> Tensor {
     if encoder.memory() == 0 {
         // Without memory, inactive samples need not be computed at all.
         return encoder.forward(&shard.pick(x).unsqueeze(0), memory, keep).0.squeeze_dim(0);
@@ -123,6 +131,7 @@ pub(super) fn encode_shard(encoder: &Encoder, shard: &Shard, x: &Tensor, memory:
 /// One decision of an encoder on local observations: embeddings `[E, N, H]` and the memory after it, `[E, N, M]`.
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
-    let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+    let memory =
+        memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
     (f, memory)
 }

@@ -13,7 +13,9 @@ use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::{MessageCritic, MessageTrunk, Messages};
 use super::parameters::{ACTOR, CRITIC, Places};
 use super::scene::Scene;
-use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
+use super::{
+    ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo,
+};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 use crate::nn::graph::edge_rate;
@@ -49,7 +51,12 @@ impl Networks for ExIwol {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
         Self {
-            trunk: MessageTrunk::new(places.of(ACTOR).sub("trunk"), &spec.observation, network, iwol),
+            trunk: MessageTrunk::new(
+                places.of(ACTOR).sub("trunk"),
+                &spec.observation,
+                network,
+                iwol,
+            ),
             head: GaussianHead::new(
                 places.of(ACTOR).sub("head"),
                 message + hidden,
@@ -81,9 +88,12 @@ impl Networks for ExIwol {
             ActMode::Sample { graph, .. } => Some(*graph),
         };
         let messages = self.exchange(input, graph);
-        let read = messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
+        let read =
+            messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        let memory = messages.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
+        let memory = messages
+            .memory
+            .map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
         Decision { action, log_prob, memory }
     }
 
@@ -91,9 +101,15 @@ impl Networks for ExIwol {
         self.trunk.width()
     }
 
-    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
+    fn act_through(
+        &self,
+        input: &Observation,
+        channel: &Channel,
+        noise: &ChannelNoise,
+    ) -> Decision {
         let (message, embedding, memory) = self.trunk.through(input, channel, noise);
-        let (action, log_prob) = self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
+        let (action, log_prob) =
+            self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
         Decision { action, log_prob, memory }
     }
 
@@ -116,13 +132,18 @@ impl Networks for ExIwol {
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene);
-        let edges = shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let edges =
+            shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let world = self.world.loss(batch, shard, &m);
 
-        let mut report = vec![("loss/value", value.detach()), ("loss/world", world.detach()), (EDGE_RATE, edges)];
+        let mut report = vec![
+            ("loss/value", value.detach()),
+            ("loss/world", world.detach()),
+            (EDGE_RATE, edges),
+        ];
         report.extend(policy.report());
         Loss { total: &policy.loss + iwol.lambda_world * &world + value, report }
     }

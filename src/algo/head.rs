@@ -26,12 +26,18 @@ pub(super) struct GaussianHead {
 impl GaussianHead {
     /// A head for actions of these dimensions, which say where their means begin and how much
     /// noise they have beside the scheduled one.
-    pub(super) fn new(mut path: Path<'_>, inputs: i64, actions: &[ActionDimension], exploration: &Exploration) -> Self {
+    pub(super) fn new(
+        mut path: Path<'_>,
+        inputs: i64,
+        actions: &[ActionDimension],
+        exploration: &Exploration,
+    ) -> Self {
         let count = actions.len() as i64;
         let mean = Linear::new(path.sub("mean"), inputs, count, Init::Orthogonal(0.01));
         let log_std = path.create("log_std", &[count], Init::Zeros);
         let each = |of: fn(&ActionDimension) -> f32| {
-            Tensor::from_slice(&actions.iter().map(of).collect::<Vec<_>>()).to_device(log_std.device())
+            Tensor::from_slice(&actions.iter().map(of).collect::<Vec<_>>())
+                .to_device(log_std.device())
         };
         no_grad(|| mean.bias().shallow_clone().copy_(&each(|action| action.initial_mean)));
         let relative = each(|action| action.noise_scale.ln());
@@ -58,8 +64,11 @@ impl GaussianHead {
 
     /// Mean `[.., A]` and logarithm of the standard deviation `[A]`.
     pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
-        let log_std =
-            if self.mode == NoiseMode::Schedule { self.log_std.detach() } else { self.log_std.shallow_clone() };
+        let log_std = if self.mode == NoiseMode::Schedule {
+            self.log_std.detach()
+        } else {
+            self.log_std.shallow_clone()
+        };
         let mean = self.mean.forward(x);
         (if self.bounded { mean.tanh() } else { mean }, log_std)
     }
@@ -125,8 +134,11 @@ impl PolicyTerms {
         ratio: Ratio,
     ) -> Self {
         let (mean, log_std) = head.forward(input);
-        let carried =
-            if batch.carried.numel() > 0 { shard.active(&batch.carried) } else { batch.carried.shallow_clone() };
+        let carried = if batch.carried.numel() > 0 {
+            shard.active(&batch.carried)
+        } else {
+            batch.carried.shallow_clone()
+        };
         let expected = shifted(&mean, &log_std, &carried);
         let log_std = log_std + shard.active(&batch.log_fresh);
         let log_prob = gaussian_log_prob(&expected, &log_std, &shard.active(&batch.action));
@@ -136,7 +148,8 @@ impl PolicyTerms {
         };
         let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip);
+        let policy =
+            ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip);
         let imitation = (batch.imitation > 0.0).then(|| {
             let error = (&mean - shard.active(&batch.pursuit)) / head.log_std.detach().exp();
             error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
@@ -148,7 +161,8 @@ impl PolicyTerms {
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
             ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
         });
-        let earned = &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
+        let earned =
+            &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
         // The negative logarithm of the probability of what pursuit does, but for a constant.
         let loss = match imitation {
             Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,
@@ -186,7 +200,8 @@ mod tests {
         };
         let actions = [dimension("steer", 0.0, (-1.0_f32).exp()), dimension("throttle", 0.5, 1.0)];
         let head = GaussianHead::new(params.root(&mut rng), 8, &actions, &exploration);
-        let values = |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
+        let values =
+            |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).view([-1])).expect("numbers");
         let forward = || {
             let (mean, log_std) = head.forward(&Tensor::zeros([1, 8], (Kind::Float, Device::Cpu)));
             (values(&mean), values(&log_std))

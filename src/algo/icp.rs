@@ -97,7 +97,10 @@ impl<D: Decomposition> Icp<D> {
     /// What one decision's encoder reads, and the encoder's own memory.
     fn read(&self, input: &Observation) -> (Tensor, Tensor) {
         let heard = self.heard(&input.memory, &input.keep(), &input.comm);
-        (Tensor::cat(&[&input.observation, &heard], -1), input.memory.narrow(2, 0, self.encoder.memory()))
+        (
+            Tensor::cat(&[&input.observation, &heard], -1),
+            input.memory.narrow(2, 0, self.encoder.memory()),
+        )
     }
 
     /// The learned value of rows from those of all agents, `[rows, N]` each; `comm [rows, N, N]` says who is there.
@@ -121,16 +124,44 @@ impl<D: Decomposition> Networks for Icp<D> {
     const TEAM: bool = D::TEAM;
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
-        let (network, symbols, actions) = (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
+        let (network, symbols, actions) =
+            (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
         let (hidden, told) = (network.hidden, network.hidden + actions);
-        let heard = |i| Feature { name: format!("heard.{i}"), unit: "1".to_owned(), low: f32::MIN, high: f32::MAX };
-        let group = Group { name: "heard".to_owned(), offset: 0, width: told as usize, count: 1, presence: None };
+        let heard = |i| Feature {
+            name: format!("heard.{i}"),
+            unit: "1".to_owned(),
+            low: f32::MIN,
+            high: f32::MAX,
+        };
+        let group = Group {
+            name: "heard".to_owned(),
+            offset: 0,
+            width: told as usize,
+            count: 1,
+            presence: None,
+        };
         let heard = Features { list: (0..told).map(heard).collect(), groups: vec![group] };
-        let mixer = |places: &mut Places| Mixer::new(places.of(CRITIC).sub("mixer"), spec.state.len() as i64);
+        let mixer = |places: &mut Places| {
+            Mixer::new(places.of(CRITIC).sub("mixer"), spec.state.len() as i64)
+        };
         Self {
-            encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation.join(&heard), network),
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
-            symbol: Linear::new(places.of(ACTOR).sub("symbol"), hidden, symbols, Init::Orthogonal(1.0)),
+            encoder: Encoder::new(
+                places.of(ACTOR).sub("encoder"),
+                &spec.observation.join(&heard),
+                network,
+            ),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                hidden,
+                &spec.actions,
+                &settings.exploration,
+            ),
+            symbol: Linear::new(
+                places.of(ACTOR).sub("symbol"),
+                hidden,
+                symbols,
+                Init::Orthogonal(1.0),
+            ),
             decoder: Decoder::new(places.of(ACTOR).sub("decoder"), symbols, hidden, told, false),
             critic: Critic::new(places.of(CRITIC), &spec.observation, network),
             mixer: D::MIXED.then(|| mixer(places)),
@@ -176,7 +207,8 @@ impl<D: Decomposition> Networks for Icp<D> {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (comm, keep) = (shard.take(&batch.comm), shard.take(&batch.keep));
         let first = batch.value_memory.index_select(0, &shard.first);
-        let (values, _) = self.critic.values(&shard.take(&batch.observation), &keep, shard.length, &first);
+        let (values, _) =
+            self.critic.values(&shard.take(&batch.observation), &keep, shard.length, &first);
         let values = shard.pick(&self.decomposed(values, &shard.take(&batch.state), &comm));
         let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
 

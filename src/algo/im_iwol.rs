@@ -59,13 +59,26 @@ impl LatentPolicy {
         let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
         let latent = Latent {
             first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
-            second: Linear::torch_default(places.of(ACTOR).sub("latent").sub(1), hidden / 2, iwol.latent),
+            second: Linear::torch_default(
+                places.of(ACTOR).sub("latent").sub(1),
+                hidden / 2,
+                iwol.latent,
+            ),
         };
-        let inputs = if iwol.policy_input == PolicyInput::Latent { iwol.latent } else { iwol.latent + hidden };
+        let inputs = if iwol.policy_input == PolicyInput::Latent {
+            iwol.latent
+        } else {
+            iwol.latent + hidden
+        };
         Self {
             encoder,
             latent,
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), inputs, &spec.actions, &settings.exploration),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                inputs,
+                &spec.actions,
+                &settings.exploration,
+            ),
             world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: Decoder::new(
                 places.of(ACTOR).sub("interaction"),
@@ -122,7 +135,12 @@ impl Networks for ImIwol {
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         Self {
             policy: LatentPolicy::new(spec, settings, places),
-            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, &settings.network, &settings.iwol),
+            critic: MessageCritic::new(
+                places.of(CRITIC),
+                &spec.observation,
+                &settings.network,
+                &settings.iwol,
+            ),
         }
     }
 
@@ -157,14 +175,21 @@ impl Networks for ImIwol {
         let (values, messages, edges) = self.critic.shard(batch, shard);
         let value = ppo::value_terms(batch, shard, &values, norm, ppo);
 
-        let f = encode_active(&self.policy.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
+        let f = encode_active(
+            &self.policy.encoder,
+            shard,
+            &[&batch.observation],
+            &batch.memory,
+            &batch.keep,
+        );
         let (z, input) = self.policy.read(&f);
         let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let world = self.policy.world.loss(batch, shard, &z);
         let interaction = self.policy.interaction.loss(&some(&z), &some(&messages.detach()));
 
-        let actor = &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
+        let actor =
+            &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
         let mut report = vec![
             ("loss/value", value.detach()),
             ("loss/world", world.detach()),

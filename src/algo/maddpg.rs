@@ -34,8 +34,8 @@ use super::replay::{Replay, Transitions, View};
 use super::scene::Scene;
 use super::settings::NoiseMode;
 use super::{
-    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses, Method,
-    Observation, Pace, Reconstruction, Settings, ppo,
+    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, Decision, Error, Hears, Insight,
+    Losses, Method, Observation, Pace, Reconstruction, Settings, ppo,
 };
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
@@ -44,14 +44,17 @@ use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
 /// Multi-agent deep deterministic policy gradient.
-pub(super) const MADDPG: Method = method("maddpg", &[], &["maddpg"], |spec, settings, seed, device| {
-    Box::new(Maddpg::new(spec, settings, seed, device, false))
-});
-/// The same with IWoL's latent and messages.
-pub(super) const MADDPG_IWOL: Method =
-    method("maddpg-iwol", &["world", "interaction"], &["maddpg", "iwol"], |spec, settings, seed, device| {
-        Box::new(Maddpg::new(spec, settings, seed, device, true))
+pub(super) const MADDPG: Method =
+    method("maddpg", &[], &["maddpg"], |spec, settings, seed, device| {
+        Box::new(Maddpg::new(spec, settings, seed, device, false))
     });
+/// The same with IWoL's latent and messages.
+pub(super) const MADDPG_IWOL: Method = method(
+    "maddpg-iwol",
+    &["world", "interaction"],
+    &["maddpg", "iwol"],
+    |spec, settings, seed, device| Box::new(Maddpg::new(spec, settings, seed, device, true)),
+);
 
 const fn method(
     name: &'static str,
@@ -84,8 +87,14 @@ impl Actor {
             return Self::Latent(LatentPolicy::new(spec, settings, places).bounded());
         }
         let hidden = settings.network.hidden;
-        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
-        let head = GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration);
+        let encoder =
+            Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
+        let head = GaussianHead::new(
+            places.of(ACTOR).sub("head"),
+            hidden,
+            &spec.actions,
+            &settings.exploration,
+        );
         Self::Plain { encoder, head: head.bounded() }
     }
 
@@ -149,17 +158,35 @@ impl Critic {
             Linear::new(places.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
         };
         let (eyes, seen) = if iwol {
-            let trunk = MessageTrunk::new(places.of(CRITIC).sub("trunk"), &spec.observation, network, &settings.iwol);
+            let trunk = MessageTrunk::new(
+                places.of(CRITIC).sub("trunk"),
+                &spec.observation,
+                network,
+                &settings.iwol,
+            );
             (Eyes::Messages(Box::new(trunk)), hidden + settings.iwol.message)
         } else {
             let features = spec.observation.join(&spec.state);
-            (Eyes::Privileged(Encoder::new(places.of(CRITIC).sub("encoder"), &features, network)), hidden)
+            (
+                Eyes::Privileged(Encoder::new(
+                    places.of(CRITIC).sub("encoder"),
+                    &features,
+                    network,
+                )),
+                hidden,
+            )
         };
         Self {
             eyes,
             join: root(places, "join", seen + spec.actions.len() as i64),
             join_norm: LayerNorm::new(places.of(CRITIC).sub("join_norm"), hidden),
-            attention: Attention::new(places.of(CRITIC).sub("others"), hidden, 1, Init::Orthogonal(1.0), false),
+            attention: Attention::new(
+                places.of(CRITIC).sub("others"),
+                hidden,
+                1,
+                Init::Orthogonal(1.0),
+                false,
+            ),
             deep: root(places, "deep", 2 * hidden),
             deep_norm: LayerNorm::new(places.of(CRITIC).sub("deep_norm"), hidden),
             value: Linear::new(places.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
@@ -187,7 +214,10 @@ impl Critic {
                 };
                 let heard = trunk.forward(&scene);
                 let message = heard.packing.unpack(&heard.message);
-                (Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1), Some(message))
+                (
+                    Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1),
+                    Some(message),
+                )
             }
         }
     }
@@ -196,14 +226,22 @@ impl Critic {
     /// says who is there.
     fn value(&self, seen: &Tensor, action: &Tensor, done: &Tensor, comm: &Tensor) -> Tensor {
         let agents = comm.size()[1];
-        let together = |act: &Tensor| self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu());
+        let together = |act: &Tensor| {
+            self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu())
+        };
         let (own, others) = (together(action), together(done));
         // The first place is nobody's, so that there is always something to attend to.
         let others = others.constant_pad_nd([0, 0, 1, 0]);
         let there = comm.diagonal(0, 1, 2).unsqueeze(1).expand([-1, agents, -1], false);
-        let reached = (&there - with_self_loops(&there.zeros_like())).clamp_min(0.0).constant_pad_nd([1, 0]);
+        let reached =
+            (&there - with_self_loops(&there.zeros_like())).clamp_min(0.0).constant_pad_nd([1, 0]);
         let _ = reached.narrow(2, 0, 1).fill_(1.0);
-        let told = self.attention.forward(&own, &self.attention.keys_values(&others), &Reach::of(&reached), None);
+        let told = self.attention.forward(
+            &own,
+            &self.attention.keys_values(&others),
+            &Reach::of(&reached),
+            None,
+        );
         let x = self.deep.forward(&Tensor::cat(&[own, told], -1)).relu();
         self.value.forward(&self.deep_norm.forward(&x)).squeeze_dim(-1)
     }
@@ -256,7 +294,12 @@ impl Maddpg {
     }
 
     /// What the networks lose and learn on some steps; gives what to report: nothing where nobody acted in them.
-    fn step(&mut self, steps: &Transitions, pace: &Pace, seed: Seed) -> Result<Vec<(&'static str, f64)>, Error> {
+    fn step(
+        &mut self,
+        steps: &Transitions,
+        pace: &Pace,
+        seed: Seed,
+    ) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, discount } = steps;
         // Graphs are sampled ever more quietly, as those of policies.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
@@ -290,7 +333,8 @@ impl Maddpg {
         let value = self.networks.critic.value(&seen, action, action, &before.comm);
         let value_loss = ppo::masked_mean(&(value - target).square(), active);
         value_loss.backward();
-        let mut report = self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, pace.learning_rate)?;
+        let mut report =
+            self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, pace.learning_rate)?;
 
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
@@ -305,13 +349,21 @@ impl Maddpg {
         if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
             let iwol = &self.settings.iwol;
             let (z, _) = policy.read(&of_active(&f));
-            let world = policy.world.error(&z, &of_active(&before.observation), &of_active(&before.state));
+            let world =
+                policy.world.error(&z, &of_active(&before.observation), &of_active(&before.state));
             let interaction = policy.interaction.loss(&z, &of_active(&message.detach()));
-            report.extend([("loss/world", scalar(&world)), ("loss/interaction", scalar(&interaction))]);
+            report.extend([
+                ("loss/world", scalar(&world)),
+                ("loss/interaction", scalar(&interaction)),
+            ]);
             total = total + iwol.lambda_world * world + iwol.lambda_interaction * interaction;
         }
         total.backward();
-        report.extend(self.weights.step(ACTOR, self.settings.ppo.max_grad_norm, pace.learning_rate)?);
+        report.extend(self.weights.step(
+            ACTOR,
+            self.settings.ppo.max_grad_norm,
+            pace.learning_rate,
+        )?);
         self.target_weights.follow(&self.weights, self.settings.maddpg.target_rate);
         Ok(report)
     }
@@ -329,7 +381,8 @@ impl Algorithm for Maddpg {
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         act_on(self.device, input, mode, |input, mode| {
             let (f, memory) = encode_locally(self.networks.actor.encoder(), input);
-            let (action, log_prob) = self.networks.actor.head().sample(&self.networks.actor.read(&f), mode);
+            let (action, log_prob) =
+                self.networks.actor.head().sample(&self.networks.actor.read(&f), mode);
             Decision { action, log_prob, memory }
         })
     }
@@ -338,19 +391,32 @@ impl Algorithm for Maddpg {
         0
     }
 
-    fn act_through(&self, input: &Observation, _channel: &Channel, _noise: &ChannelNoise) -> Decision {
+    fn act_through(
+        &self,
+        input: &Observation,
+        _channel: &Channel,
+        _noise: &ChannelNoise,
+    ) -> Decision {
         // Nothing is sent: what the channel remembers passes by.
-        let own = Observation { memory: input.memory.narrow(2, 0, 0), ..input.map(Tensor::shallow_clone) };
+        let own = Observation {
+            memory: input.memory.narrow(2, 0, 0),
+            ..input.map(Tensor::shallow_clone)
+        };
         Decision { memory: input.memory.shallow_clone(), ..self.act(&own, &ActMode::Deterministic) }
     }
 
     fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
         let value = no_grad(|| {
             let there = |tensor: &Tensor| tensor.to_device(self.device);
-            let view = View { observation: there(&input.observation), state: there(state), comm: there(&input.comm) };
+            let view = View {
+                observation: there(&input.observation),
+                state: there(state),
+                comm: there(&input.comm),
+            };
             let mean = self.networks.actor.mean(&view.observation);
             let (seen, _) = self.networks.critic.look(&view, None);
-            self.value_norm.denormalize(&self.networks.critic.value(&seen, &mean, &mean, &view.comm))
+            self.value_norm
+                .denormalize(&self.networks.critic.value(&seen, &mean, &mean, &view.comm))
         });
         Insight { value: Some(value.to_device(Device::Cpu)), graph: None }
     }
@@ -406,7 +472,11 @@ impl Algorithm for Maddpg {
         state.extend(self.target_weights.values("_target"));
         state.push(value_norm_entry(&self.value_norm));
         let replay = self.replay.state().into_iter();
-        state.extend(replay.map(|(name, t)| (format!("replay_memory/{name}"), t.to_device(Device::Cpu).copy())));
+        state.extend(
+            replay.map(|(name, t)| {
+                (format!("replay_memory/{name}"), t.to_device(Device::Cpu).copy())
+            }),
+        );
         state
     }
 

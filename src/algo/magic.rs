@@ -27,7 +27,9 @@ use super::encoder::Encoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::parameters::{ACTOR, CRITIC, Places};
 use super::scene::Scene;
-use super::{ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo};
+use super::{
+    ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo,
+};
 use crate::env::EnvSpec;
 use crate::nn::graph::edge_rate;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
@@ -80,9 +82,11 @@ impl Magic {
 
     fn hear(&self, scene: &Scene) -> Heard {
         let (rows, agents) = scene.size();
-        let packing = if scene.pack { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
+        let packing =
+            if scene.pack { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
-        let (message, [first, second]) = self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
+        let (message, [first, second]) =
+            self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
         Heard { message, embedding, graph: first.maximum(&second), packing, memory }
     }
 }
@@ -100,15 +104,35 @@ impl Networks for Magic {
         // Four heads of a quarter each.
         let width = (hidden / HEADS).max(1);
         let exploration = &settings.exploration;
-        let world = |places: &mut Places| WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden);
+        let world = |places: &mut Places| {
+            WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden)
+        };
         Self {
             encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
-            schedulers: [0, 1].map(|i| Scheduler::new(places.of(ACTOR).sub("scheduler").sub(i), hidden)),
+            schedulers: [0, 1]
+                .map(|i| Scheduler::new(places.of(ACTOR).sub("scheduler").sub(i), hidden)),
             rounds: [
-                GraphAttention::new(places.of(ACTOR).sub("round").sub(0), hidden, HEADS, width, true),
-                GraphAttention::new(places.of(ACTOR).sub("round").sub(1), HEADS * width, 1, hidden, false),
+                GraphAttention::new(
+                    places.of(ACTOR).sub("round").sub(0),
+                    hidden,
+                    HEADS,
+                    width,
+                    true,
+                ),
+                GraphAttention::new(
+                    places.of(ACTOR).sub("round").sub(1),
+                    HEADS * width,
+                    1,
+                    hidden,
+                    false,
+                ),
             ],
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), 2 * hidden, &spec.actions, exploration),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                2 * hidden,
+                &spec.actions,
+                exploration,
+            ),
             world: (settings.magic.lambda_world > 0.0).then(|| world(places)),
             critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
             hidden,
@@ -135,7 +159,8 @@ impl Networks for Magic {
         let Heard { message, embedding, packing, memory, .. } = self.hear(&Scene::of(input, noise));
         let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+        let memory = memory
+            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
         Decision { action, log_prob, memory }
     }
 
@@ -143,14 +168,24 @@ impl Networks for Magic {
         self.hidden
     }
 
-    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision {
-        let (message, f, memory) = exchange(&self.encoder, input, channel, noise, |known, arrived| {
-            let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
-            let packing = Packing::full(rows, agents);
-            let edges = of_everyone(&input.comm, arrived);
-            of_receivers(&packing.unpack(&self.communicate(&known.flatten(0, 1), &packing, &edges, None).0))
-        });
-        let (action, log_prob) = self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
+    fn act_through(
+        &self,
+        input: &Observation,
+        channel: &Channel,
+        noise: &ChannelNoise,
+    ) -> Decision {
+        let (message, f, memory) =
+            exchange(&self.encoder, input, channel, noise, |known, arrived| {
+                let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
+                let packing = Packing::full(rows, agents);
+                let edges = of_everyone(&input.comm, arrived);
+                of_receivers(
+                    &packing
+                        .unpack(&self.communicate(&known.flatten(0, 1), &packing, &edges, None).0),
+                )
+            });
+        let (action, log_prob) =
+            self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
         Decision { action, log_prob, memory }
     }
 
@@ -167,11 +202,14 @@ impl Networks for Magic {
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let value = ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let value =
+            ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let heard = self.hear(&scene);
-        let edges = shard.pick(&edge_rate(&heard.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
-        let [message, embedding] = shard.unpacked(&heard.packing, [&heard.message, &heard.embedding]);
+        let edges =
+            shard.pick(&edge_rate(&heard.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let [message, embedding] =
+            shard.unpacked(&heard.packing, [&heard.message, &heard.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
         let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];

@@ -26,7 +26,12 @@ impl Networks for Mappo {
         let network = &settings.network;
         Self {
             encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
-            head: GaussianHead::new(places.of(ACTOR).sub("head"), network.hidden, &spec.actions, &settings.exploration),
+            head: GaussianHead::new(
+                places.of(ACTOR).sub("head"),
+                network.hidden,
+                &spec.actions,
+                &settings.exploration,
+            ),
             critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
         }
     }
@@ -58,9 +63,11 @@ impl Networks for Mappo {
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let f = encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
+        let f =
+            encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        let value = ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let value =
+            ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
         let mut report = vec![("loss/value", value.detach())];
         report.extend(policy.report());
         Loss { total: &policy.loss + &value, report }

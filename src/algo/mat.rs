@@ -47,7 +47,8 @@ impl Mat {
         let present = scene.present();
         let seen = with_self_loops(&present.unsqueeze(1).expand([-1, agents, -1], false));
         let (reach, packing) = (Reach::of(&seen), Packing::full(rows, agents));
-        let forward = |x: Tensor, block: &Block| block.forward(&x, &packing, Mask::Add(reach.bias()));
+        let forward =
+            |x: Tensor, block: &Block| block.forward(&x, &packing, Mask::Add(reach.bias()));
         let x = self.blocks.iter().fold(x.flatten(0, 1), forward);
         (packing.unpack(&x), Order::new(&present, &seen, &reach), memory)
     }
@@ -70,8 +71,20 @@ impl Networks for Mat {
             blocks,
             value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
-                decoder: Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, None),
-                head: GaussianHead::new(places.of(ACTOR).sub("head"), hidden, &spec.actions, &settings.exploration),
+                decoder: Decoder::new(
+                    places.of(ACTOR).sub("decoder"),
+                    actions,
+                    hidden,
+                    count,
+                    heads,
+                    None,
+                ),
+                head: GaussianHead::new(
+                    places.of(ACTOR).sub("head"),
+                    hidden,
+                    &spec.actions,
+                    &settings.exploration,
+                ),
                 actions,
             },
         }
@@ -88,7 +101,8 @@ impl Networks for Mat {
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (representation, order, memory) = self.represent(&Scene::of(input, None));
         let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        let memory = memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
+        let memory = memory
+            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
         Decision { action, log_prob, memory }
     }
 
@@ -99,7 +113,9 @@ impl Networks for Mat {
     fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
         // The policy's own memory is known before each row.
         let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
-        let values = rows.in_parts(&batch.state, |scene, state| self.value.forward(&self.represent(scene).0, state));
+        let values = rows.in_parts(&batch.state, |scene, state| {
+            self.value.forward(&self.represent(scene).0, state)
+        });
         (values, None)
     }
 
@@ -109,8 +125,14 @@ impl Networks for Mat {
         let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
         let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
         let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy =
-            PolicyTerms::new(batch, shard, self.head(), &shard.pick(&read), &settings.ppo, Ratio::PerDimension);
+        let policy = PolicyTerms::new(
+            batch,
+            shard,
+            self.head(),
+            &shard.pick(&read),
+            &settings.ppo,
+            Ratio::PerDimension,
+        );
         let mut report = vec![("loss/value", value.detach())];
         report.extend(policy.report());
         Loss { total: &policy.loss + &value, report }

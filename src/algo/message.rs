@@ -40,13 +40,26 @@ pub(super) struct Messages {
 }
 
 impl MessageTrunk {
-    pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network, iwol: &Iwol) -> Self {
+    pub(super) fn new(
+        mut path: Path<'_>,
+        features: &Features,
+        network: &Network,
+        iwol: &Iwol,
+    ) -> Self {
         let (hidden, message) = (network.hidden, iwol.message);
         let transformer = path.sub("transformer");
-        let transformer = GraphTransformer::new(transformer, hidden, message, iwol.rounds, iwol.heads, iwol.mask);
+        let transformer =
+            GraphTransformer::new(transformer, hidden, message, iwol.rounds, iwol.heads, iwol.mask);
         Self {
             encoder: Encoder::new(path.sub("encoder"), features, network),
-            graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.slope, iwol.graph_bias, iwol.temperature),
+            graph: CommGraph::new(
+                path.sub("graph"),
+                hidden,
+                message,
+                iwol.slope,
+                iwol.graph_bias,
+                iwol.temperature,
+            ),
             transformer,
             hidden,
             physical_mask: iwol.physical_mask,
@@ -76,20 +89,34 @@ impl MessageTrunk {
         if one && channel.only_loses() && !self.leaks {
             // Who heard what is but a mask on everyone's graph.
             let scene = Scene::of(input, None);
-            let heard = self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
-            let memory = heard.memory.map_or_else(|| input.memory.shallow_clone(), |m| m.view_as(&input.memory));
-            return (heard.packing.unpack(&heard.message), heard.packing.unpack(&heard.embedding), memory);
+            let heard =
+                self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
+            let memory = heard
+                .memory
+                .map_or_else(|| input.memory.shallow_clone(), |m| m.view_as(&input.memory));
+            return (
+                heard.packing.unpack(&heard.message),
+                heard.packing.unpack(&heard.embedding),
+                memory,
+            );
         }
         exchange(&self.encoder, input, channel, noise, |known, arrived| {
             let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
             if one {
-                let own = Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
+                let own =
+                    Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
                 let comm = input.comm.reshape([rows, 1, agents]);
-                let edges = if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
-                return self.transformer.forward_one(known, &own, &self.graph.forward_one(known, &own, &edges));
+                let edges =
+                    if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
+                return self.transformer.forward_one(
+                    known,
+                    &own,
+                    &self.graph.forward_one(known, &own, &edges),
+                );
             }
             let anyone = || arrived.expand([-1, agents, -1], false);
-            let edges = if self.physical_mask { of_everyone(&input.comm, arrived) } else { anyone() };
+            let edges =
+                if self.physical_mask { of_everyone(&input.comm, arrived) } else { anyone() };
             let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
             let graph = self.graph.forward(&all, &packing, &edges, None);
             of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))
@@ -100,10 +127,14 @@ impl MessageTrunk {
     pub(super) fn forward(&self, scene: &Scene) -> Messages {
         let (rows, agents) = scene.size();
         // Where cut edges leak, everyone is heard.
-        let packing =
-            if scene.pack && !self.leaks { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
+        let packing = if scene.pack && !self.leaks {
+            Packing::of(&scene.present())
+        } else {
+            Packing::full(rows, agents)
+        };
         let (embedding, memories) = scene.embed_packed(&self.encoder, &packing);
-        let anyone = if self.physical_mask { scene.comm.shallow_clone() } else { scene.comm.ones_like() };
+        let anyone =
+            if self.physical_mask { scene.comm.shallow_clone() } else { scene.comm.ones_like() };
         let graph = self.graph.forward(&embedding, &packing, &anyone, scene.noise.as_ref());
         let message = self.transformer.forward(&embedding, &packing, &graph);
         Messages { message, embedding, graph, packing, memory: memories }
@@ -118,10 +149,20 @@ pub(super) struct MessageCritic {
 }
 
 impl MessageCritic {
-    pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network, iwol: &Iwol) -> Self {
+    pub(super) fn new(
+        mut path: Path<'_>,
+        features: &Features,
+        network: &Network,
+        iwol: &Iwol,
+    ) -> Self {
         Self {
             trunk: MessageTrunk::new(path.sub("trunk"), features, network, iwol),
-            value: Linear::new(path.sub("value"), iwol.message + network.hidden, 1, Init::Orthogonal(1.0)),
+            value: Linear::new(
+                path.sub("value"),
+                iwol.message + network.hidden,
+                1,
+                Init::Orthogonal(1.0),
+            ),
         }
     }
 
@@ -135,8 +176,10 @@ impl MessageCritic {
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
-        let edges = shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
-        let [values, message] = shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
+        let edges =
+            shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let [values, message] =
+            shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
         (values, message, edges)
     }
 
@@ -156,7 +199,9 @@ impl MessageCritic {
     }
 
     fn head(&self, messages: &Messages) -> Tensor {
-        self.value.forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1)).squeeze_dim(-1)
+        self.value
+            .forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1))
+            .squeeze_dim(-1)
     }
 
     /// Values (normalised) of everyone, `[rows, N]`.
@@ -165,9 +210,15 @@ impl MessageCritic {
     }
 
     /// Values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory after each step.
-    pub(super) fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+    pub(super) fn values(
+        &self,
+        batch: &Batch,
+        length: i64,
+        memory: &Tensor,
+    ) -> (Tensor, Option<Tensor>) {
         if self.trunk.memory() > 0 {
-            let messages = self.trunk.forward(&Scene::of_batch(batch, length, memory, &batch.value_graph));
+            let messages =
+                self.trunk.forward(&Scene::of_batch(batch, length, memory, &batch.value_graph));
             return (self.rows(&messages), messages.memory);
         }
         let whole = Scene::of_batch(batch, 1, memory, &batch.value_graph);

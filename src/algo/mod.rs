@@ -88,7 +88,9 @@ impl Method {
         Self {
             name: N::NAME,
             capabilities,
-            build: |spec, settings, seed, device| Box::new(ActorCritic::<N>::new(spec, settings, seed, device)),
+            build: |spec, settings, seed, device| {
+                Box::new(ActorCritic::<N>::new(spec, settings, seed, device))
+            },
         }
     }
 
@@ -226,7 +228,11 @@ impl Observation {
 
 impl Decision {
     fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
-        Self { action: change(&self.action), log_prob: change(&self.log_prob), memory: change(&self.memory) }
+        Self {
+            action: change(&self.action),
+            log_prob: change(&self.log_prob),
+            memory: change(&self.memory),
+        }
     }
 }
 
@@ -295,7 +301,8 @@ pub trait Algorithm {
     /// Deterministic actions where messages pass through `channel`; the observation's memory, and the decision's, are
     /// [`Channel::memory`] numbers wider than [`Algorithm::memory`]. For methods without messages the same as
     /// [`Algorithm::act`].
-    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise) -> Decision;
+    fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise)
+    -> Decision;
 
     /// What the policy thinks, given `state [E, N, S]`.
     fn inspect(&self, input: &Observation, state: &Tensor) -> Insight;

@@ -20,11 +20,19 @@ pub(super) struct Set {
 }
 
 /// Of the policy, and of all that is trained together with it.
-pub(super) const ACTOR: Set =
-    Set { name: "actor", gradient: "the policy's gradient", norm: "ppo/grad_norm_actor", adam: AdamConfig::MAPPO };
+pub(super) const ACTOR: Set = Set {
+    name: "actor",
+    gradient: "the policy's gradient",
+    norm: "ppo/grad_norm_actor",
+    adam: AdamConfig::MAPPO,
+};
 /// Of a value function that is trained by itself.
-pub(super) const CRITIC: Set =
-    Set { name: "critic", gradient: "the value's gradient", norm: "ppo/grad_norm_critic", adam: AdamConfig::MAPPO };
+pub(super) const CRITIC: Set = Set {
+    name: "critic",
+    gradient: "the value's gradient",
+    norm: "ppo/grad_norm_critic",
+    adam: AdamConfig::MAPPO,
+};
 
 /// Where networks create their parameters. A set begins to exist when it is first asked for; the first one must be
 /// [`ACTOR`].
@@ -105,7 +113,12 @@ impl Weights {
     }
 
     /// As [`Weights::step_all`], of one set; the gradients of the others are dropped.
-    pub(super) fn step(&mut self, set: Set, limit: f64, rate: f64) -> Result<Vec<(&'static str, f64)>, Error> {
+    pub(super) fn step(
+        &mut self,
+        set: Set,
+        limit: f64,
+        rate: f64,
+    ) -> Result<Vec<(&'static str, f64)>, Error> {
         let mut norms = Vec::new();
         for own in &mut self.sets {
             if own.set == set {
@@ -128,7 +141,8 @@ impl Weights {
     /// Moves all weights towards those of other copies of the same networks, by the share `rate`.
     pub(super) fn follow(&mut self, others: &Self, rate: f64) {
         for (own, other) in self.sets.iter().zip(&others.sets) {
-            let _ = no_grad(|| own.adam.weights().shallow_clone().lerp_(other.adam.weights(), rate));
+            let _ =
+                no_grad(|| own.adam.weights().shallow_clone().lerp_(other.adam.weights(), rate));
         }
     }
 
@@ -146,14 +160,21 @@ impl Weights {
 
     /// The values of all sets, as `<set><suffix>/<name>`.
     pub(super) fn values(&self, suffix: &str) -> Vec<(String, Tensor)> {
-        self.sets.iter().flat_map(|own| prefixed(&format!("{}{suffix}", own.set.name), own.params.named())).collect()
+        self.sets
+            .iter()
+            .flat_map(|own| prefixed(&format!("{}{suffix}", own.set.name), own.params.named()))
+            .collect()
     }
 
     /// Takes over what [`Weights::values`] gave.
     ///
     /// # Errors
     /// [`Error::State`].
-    pub(super) fn load_values(&self, state: &[(String, Tensor)], suffix: &str) -> Result<(), Error> {
+    pub(super) fn load_values(
+        &self,
+        state: &[(String, Tensor)],
+        suffix: &str,
+    ) -> Result<(), Error> {
         for Optimised { set, params, .. } in &self.sets {
             params.copy_from(&part(state, &format!("{}{suffix}", set.name)))?;
         }
@@ -182,7 +203,10 @@ impl Weights {
             adam.load_state(&part(state, &format!("{}_adam", set.name)))?;
         }
         if let Some(average) = &self.average {
-            nn::copy_named(&named_views(average, &self.sets[0].params), &part(state, "actor_average"))?;
+            nn::copy_named(
+                &named_views(average, &self.sets[0].params),
+                &part(state, "actor_average"),
+            )?;
         }
         Ok(())
     }
@@ -197,7 +221,8 @@ impl Weights {
         let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
         let (policy, others) = self.sets.split_first().expect("a learner has a policy");
         for (name, tensor) in &mut actor {
-            if let Some((_, own)) = policy.params.named().iter().find(|(own, _)| own == name && name == "head.log_std")
+            if let Some((_, own)) =
+                policy.params.named().iter().find(|(own, _)| own == name && name == "head.log_std")
             {
                 *tensor = own.detach().copy();
             }
@@ -231,7 +256,11 @@ impl Optimised {
     /// Clips the gradient; gives its norm before.
     fn clip(&mut self, limit: f64) -> Result<(&'static str, f64), Error> {
         let norm = self.adam.clip_grad_norm(limit);
-        if norm.is_finite() { Ok((self.set.norm, norm)) } else { Err(Error::NonFinite { what: self.set.gradient }) }
+        if norm.is_finite() {
+            Ok((self.set.norm, norm))
+        } else {
+            Err(Error::NonFinite { what: self.set.gradient })
+        }
     }
 }
 
@@ -258,9 +287,15 @@ pub(super) fn value_norm_entry(norm: &ValueNorm) -> (String, Tensor) {
 ///
 /// # Errors
 /// [`Error::State`].
-pub(super) fn load_value_norm(norm: &mut ValueNorm, state: &[(String, Tensor)]) -> Result<(), Error> {
+pub(super) fn load_value_norm(
+    norm: &mut ValueNorm,
+    state: &[(String, Tensor)],
+) -> Result<(), Error> {
     let statistics = part(state, "value_norm");
-    let values = statistics.first().map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double))).and_then(Result::ok);
+    let values = statistics
+        .first()
+        .map(|(_, t)| Vec::<f64>::try_from(t.to_kind(Kind::Double)))
+        .and_then(Result::ok);
     let values: [f64; 3] = values
         .and_then(|v| v.try_into().ok())
         .ok_or_else(|| nn::Error::Missing { name: "value_norm/statistics".to_owned() })?;

@@ -8,9 +8,16 @@ use crate::nn::ValueNorm;
 
 /// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. Log-probabilities are `[B, K]`: the surrogates of a
 /// sample's K ratios are added. The other arguments are `[B]`.
-pub fn policy_loss(log_prob: &Tensor, old_log_prob: &Tensor, advantage: &Tensor, active: &Tensor, clip: f64) -> Tensor {
+pub fn policy_loss(
+    log_prob: &Tensor,
+    old_log_prob: &Tensor,
+    advantage: &Tensor,
+    active: &Tensor,
+    clip: f64,
+) -> Tensor {
     let (ratio, advantage) = ((log_prob - old_log_prob).exp(), advantage.unsqueeze(-1));
-    let surrogate = (&ratio * &advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * &advantage));
+    let surrogate =
+        (&ratio * &advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * &advantage));
     -masked_mean(&surrogate.sum_dim_intlist(-1, false, Kind::Float), active)
 }
 
@@ -24,7 +31,8 @@ pub fn value_loss(
     huber_delta: f64,
 ) -> Tensor {
     let clipped = old_value + (value - old_value).clamp(-clip, clip);
-    let loss = huber(&(target - value), huber_delta).maximum(&huber(&(target - clipped), huber_delta));
+    let loss =
+        huber(&(target - value), huber_delta).maximum(&huber(&(target - clipped), huber_delta));
     masked_mean(&loss, active)
 }
 
@@ -36,9 +44,22 @@ pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
 }
 
 /// Value loss of a shard from the critic's outputs for its active samples.
-pub(super) fn value_terms(batch: &Batch, shard: &Shard, values: &Tensor, norm: &ValueNorm, ppo: &Ppo) -> Tensor {
+pub(super) fn value_terms(
+    batch: &Batch,
+    shard: &Shard,
+    values: &Tensor,
+    norm: &ValueNorm,
+    ppo: &Ppo,
+) -> Tensor {
     let target = norm.normalize(&shard.active(&batch.returns));
-    value_loss(values, &shard.active(&batch.value), &target, &target.ones_like(), ppo.clip, ppo.huber_delta)
+    value_loss(
+        values,
+        &shard.active(&batch.value),
+        &target,
+        &target.ones_like(),
+        ppo.clip,
+        ppo.huber_delta,
+    )
 }
 
 /// e²/2 up to `delta`, linear beyond.
@@ -56,7 +77,13 @@ pub fn masked_mean(x: &Tensor, weight: &Tensor) -> Tensor {
 
 /// Normalises to mean 0 and standard deviation 1 over entries with `active > 0`; the others become 0.
 pub fn normalize_advantages(advantage: &mut [f32], active: &[f32]) {
-    let chosen = || advantage.iter().zip(active).filter(|(_, active)| **active > 0.0).map(|(a, _)| f64::from(*a));
+    let chosen = || {
+        advantage
+            .iter()
+            .zip(active)
+            .filter(|(_, active)| **active > 0.0)
+            .map(|(a, _)| f64::from(*a))
+    };
     let count = chosen().count().max(1) as f64;
     let mean = chosen().sum::<f64>() / count;
     let deviation = (chosen().map(|a| (a - mean).powi(2)).sum::<f64>() / count).sqrt() + 1e-5;
@@ -104,13 +131,17 @@ mod tests {
 
     #[test]
     fn means_beyond_the_bounds_are_pushed_back() {
-        let mean = Tensor::from_slice(&[0.9_f32, -3.0, 1.5, -1.0]).view([2, 2]).set_requires_grad(true);
+        let mean =
+            Tensor::from_slice(&[0.9_f32, -3.0, 1.5, -1.0]).view([2, 2]).set_requires_grad(true);
         let log_std = Tensor::from_slice(&[0.0_f32, 2.0_f32.ln()]);
         let loss = bounds_loss(&mean, &log_std);
         // Half of 0.5² and of (2 / 2)², over two samples.
         assert!((loss.double_value(&[]) - 0.3125).abs() < 1e-6, "{loss:?}");
         loss.backward();
-        assert_eq!(Vec::<f32>::try_from(mean.grad().view([-1])).expect("numbers"), [0.0, -0.25, 0.25, 0.0]);
+        assert_eq!(
+            Vec::<f32>::try_from(mean.grad().view([-1])).expect("numbers"),
+            [0.0, -0.25, 0.25, 0.0]
+        );
     }
 
     #[test]

@@ -59,9 +59,17 @@ impl Replay {
         self.prepare(s);
         let (rows, n) = (((s.steps + 1) * s.envs) as i64, s.agents as i64);
         let rewards = rollout.rewards_with_penalties();
-        let ended: Vec<f32> = (0..rewards.len()).map(|i| f32::from(u8::from(rollout.ends(i)))).collect();
-        let arrays: [&[f32]; 7] =
-            [&rollout.observation, &rollout.state, &rollout.comm, &rollout.action, &rewards, &rollout.active, &ended];
+        let ended: Vec<f32> =
+            (0..rewards.len()).map(|i| f32::from(u8::from(rollout.ends(i)))).collect();
+        let arrays: [&[f32]; 7] = [
+            &rollout.observation,
+            &rollout.state,
+            &rollout.comm,
+            &rollout.action,
+            &rewards,
+            &rollout.active,
+            &ended,
+        ];
         for (to, from) in self.arrays.iter().zip(arrays) {
             let from = Tensor::from_slice(from).view([-1, n, to.size()[3]]).to_device(self.device);
             // The last row was not acted upon.
@@ -78,15 +86,25 @@ impl Replay {
         let rows = ((sizes.steps + 1) * sizes.envs) as i64;
         let widths = [sizes.observation, sizes.state, sizes.agents, sizes.actions, 1, 1, 1];
         let array = |width: usize| {
-            Tensor::zeros([self.capacity, rows, sizes.agents as i64, width as i64], (Kind::Float, self.device))
+            Tensor::zeros(
+                [self.capacity, rows, sizes.agents as i64, width as i64],
+                (Kind::Float, self.device),
+            )
         };
         (self.arrays, self.sizes, self.stored) = (widths.map(array).into(), Some(sizes), 0);
     }
 
     /// Draws `count` steps, with replacement, and up to `following` steps from each on, discounted by `gamma`.
-    pub(super) fn draw(&self, count: usize, following: usize, gamma: f64, rng: &mut Rng) -> Transitions {
+    pub(super) fn draw(
+        &self,
+        count: usize,
+        following: usize,
+        gamma: f64,
+        rng: &mut Rng,
+    ) -> Transitions {
         let s = self.sizes.expect("something is stored");
-        let (steps, rows, kept) = (s.steps * s.envs, (s.steps + 1) * s.envs, self.stored.min(self.capacity) as usize);
+        let (steps, rows, kept) =
+            (s.steps * s.envs, (s.steps + 1) * s.envs, self.stored.min(self.capacity) as usize);
         let drawn: Vec<[i64; 2]> = (0..count)
             .map(|_| (rng::below(rng, kept) * rows, rng::below(rng, steps)))
             .map(|(rollout, row)| [(rollout + row) as i64, (s.steps - row / s.envs) as i64])
@@ -96,12 +114,18 @@ impl Replay {
             Tensor::from_slice(&values).to_device(self.device)
         };
         let (before, left) = (part(0), part(1));
-        let take = |array: usize, rows: &Tensor| self.arrays[array].flatten(0, 1).index_select(0, rows);
-        let view = |rows: &Tensor| View { observation: take(0, rows), state: take(1, rows), comm: take(2, rows) };
+        let take =
+            |array: usize, rows: &Tensor| self.arrays[array].flatten(0, 1).index_select(0, rows);
+        let view = |rows: &Tensor| View {
+            observation: take(0, rows),
+            state: take(1, rows),
+            comm: take(2, rows),
+        };
         let one = |array: usize, rows: &Tensor| take(array, rows).squeeze_dim(-1);
         let active = one(5, &before);
         let mut after = before.copy();
-        let (mut going, mut discount, mut reward) = (active.copy(), active.copy(), active.zeros_like());
+        let (mut going, mut discount, mut reward) =
+            (active.copy(), active.copy(), active.zeros_like());
         for step in 0..following.min(s.steps) as i64 {
             let rows = &before + (left.clamp_max(step + 1) - 1) * s.envs as i64;
             let acts = &going * one(5, &rows) * left.gt(step).unsqueeze(-1);
@@ -124,9 +148,13 @@ impl Replay {
         };
         let kept = self.stored.min(self.capacity);
         let sizes =
-            [s.steps, s.envs, s.agents, s.observation, s.state, s.actions, s.memory, s.graphs].map(|x| x as i64);
+            [s.steps, s.envs, s.agents, s.observation, s.state, s.actions, s.memory, s.graphs]
+                .map(|x| x as i64);
         let counts: Vec<i64> = [self.stored].into_iter().chain(sizes).collect();
-        let arrays = NAMES.iter().zip(&self.arrays).map(|(name, array)| ((*name).to_owned(), array.narrow(0, 0, kept)));
+        let arrays = NAMES
+            .iter()
+            .zip(&self.arrays)
+            .map(|(name, array)| ((*name).to_owned(), array.narrow(0, 0, kept)));
         arrays.chain([("counts".to_owned(), Tensor::from_slice(&counts))]).collect()
     }
 
@@ -159,7 +187,8 @@ impl Replay {
         });
         // It holds as many rollouts as there were, or as had room; which is the oldest follows from the count.
         let rows = |array: &Tensor| array.size().first().copied().unwrap_or(0);
-        let had = state.iter().find(|(name, _)| name == NAMES[0]).map_or(0, |(_, array)| rows(array));
+        let had =
+            state.iter().find(|(name, _)| name == NAMES[0]).map_or(0, |(_, array)| rows(array));
         let full = had < stored;
         let same = if full { had == self.capacity } else { had <= self.capacity };
         let kept = had.min(self.capacity);
@@ -170,8 +199,11 @@ impl Replay {
             let oldest = if full { stored % had } else { 0 };
             array.roll([-oldest], [0]).narrow(0, had - kept, kept)
         };
-        let given: Vec<_> =
-            state.iter().filter(|(name, _)| name != "counts").map(|(n, t)| (n.clone(), newest(t))).collect();
+        let given: Vec<_> = state
+            .iter()
+            .filter(|(name, _)| name != "counts")
+            .map(|(n, t)| (n.clone(), newest(t)))
+            .collect();
         let own: Vec<(String, Tensor)> = NAMES
             .iter()
             .zip(&self.arrays)
@@ -240,7 +272,9 @@ mod tests {
     /// The first reward of each rollout that is kept, sorted.
     fn kept(replay: &Replay) -> Vec<f64> {
         let count = replay.stored.min(replay.capacity);
-        let mut rewards = Vec::<f64>::try_from(replay.arrays[4].narrow(0, 0, count).amax([1, 2, 3], false)).unwrap();
+        let mut rewards =
+            Vec::<f64>::try_from(replay.arrays[4].narrow(0, 0, count).amax([1, 2, 3], false))
+                .unwrap();
         rewards.sort_by(f64::total_cmp);
         rewards
     }

@@ -83,7 +83,11 @@ impl Scene {
     }
 
     /// Embeddings of those who are there, `[P, H]`, as `packing` says, and the memory after each step.
-    pub(super) fn embed_packed(&self, encoder: &Encoder, packing: &Packing) -> (Tensor, Option<Tensor>) {
+    pub(super) fn embed_packed(
+        &self,
+        encoder: &Encoder,
+        packing: &Packing,
+    ) -> (Tensor, Option<Tensor>) {
         if encoder.memory() == 0 {
             // Those who are left out need not be embedded.
             let x = packing.pack(&self.observation).unsqueeze(0);
@@ -99,7 +103,11 @@ impl Scene {
         let cut = |tensor: &Tensor| tensor.narrow(0, first, count);
         Self {
             observation: cut(&self.observation),
-            memory: if self.memory.numel() > 0 { cut(&self.memory) } else { self.memory.shallow_clone() },
+            memory: if self.memory.numel() > 0 {
+                cut(&self.memory)
+            } else {
+                self.memory.shallow_clone()
+            },
             keep: cut(&self.keep),
             comm: cut(&self.comm),
             noise: self.noise.as_ref().map(cut),
@@ -109,7 +117,11 @@ impl Scene {
 
     /// What `work` makes of single steps and of `others`, which have as many rows, row by row: in parts that bound the peak
     /// of memory, and change nothing else.
-    pub(super) fn in_parts(&self, others: &Tensor, work: impl Fn(&Self, &Tensor) -> Tensor) -> Tensor {
+    pub(super) fn in_parts(
+        &self,
+        others: &Tensor,
+        work: impl Fn(&Self, &Tensor) -> Tensor,
+    ) -> Tensor {
         let (rows, agents) = self.size();
         let size = (4096 / agents).max(1);
         let part = |first: i64| {

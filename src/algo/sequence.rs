@@ -101,34 +101,56 @@ impl Order {
         let last = (numbers * present.to_kind(Kind::Int64)).cummax(1).0;
         // The first place has nobody before it.
         let before = last.narrow(1, 0, agents - 1).constant_pad_nd([1, 0]);
-        let heard = graph.detach().constant_pad_nd([1, 0]).gather(2, &before.unsqueeze(-1), false).squeeze_dim(-1);
+        let heard = graph
+            .detach()
+            .constant_pad_nd([1, 0])
+            .gather(2, &before.unsqueeze(-1), false)
+            .squeeze_dim(-1);
         Self { present, before, heard: heard.gt(0.5).to_kind(Kind::Float), reach: reach.causal() }
     }
 }
 
 impl Sequence {
     /// What the head reads for actions that were taken, `[B, N, A]`: all agents at once, `[B, N, W]`.
-    pub(super) fn of_actions(&self, representation: &Tensor, actions: &Tensor, order: &Order) -> Tensor {
+    pub(super) fn of_actions(
+        &self,
+        representation: &Tensor,
+        actions: &Tensor,
+        order: &Order,
+    ) -> Tensor {
         let width = actions.size()[2];
         let all = actions.constant_pad_nd([0, 0, 1, 0]);
-        let previous = all.gather(1, &order.before.unsqueeze(-1).expand([-1, -1, width], false), false);
+        let previous =
+            all.gather(1, &order.before.unsqueeze(-1).expand([-1, -1, width], false), false);
         let previous = previous * order.heard.unsqueeze(-1);
         self.decoder.forward(&previous, representation, &order.reach, &mut Decoded::default())
     }
 
     /// Actions and the log-probabilities of their dimensions, `[E, N, A]`, one agent after another in all environments at once.
-    pub(super) fn act(&self, representation: &Tensor, order: &Order, mode: &ActMode<'_>) -> (Tensor, Tensor) {
-        let (mut actions, mut log_probs, mut decoded) = (Vec::new(), Vec::new(), Decoded::default());
+    pub(super) fn act(
+        &self,
+        representation: &Tensor,
+        order: &Order,
+        mode: &ActMode<'_>,
+    ) -> (Tensor, Tensor) {
+        let (mut actions, mut log_probs, mut decoded) =
+            (Vec::new(), Vec::new(), Decoded::default());
         let like = (Kind::Float, representation.device());
         let mut last = Tensor::zeros([representation.size()[0], 1, self.actions], like);
         for i in 0..representation.size()[1] {
             let of = |x: &Tensor| x.narrow(1, i, 1);
             let previous = &last * of(&order.heard).unsqueeze(-1);
-            let read = self.decoder.forward(&previous, &of(representation), &order.reach.up_to(i), &mut decoded);
+            let read = self.decoder.forward(
+                &previous,
+                &of(representation),
+                &order.reach.up_to(i),
+                &mut decoded,
+            );
             let (action, log_prob) = match mode {
                 ActMode::Deterministic => self.head.sample(&read, &ActMode::Deterministic),
                 ActMode::Sample { action, carried, graph, log_fresh } => {
-                    let carried = if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
+                    let carried =
+                        if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
                     let (action, carried) = (&of(action), &carried);
                     self.head.sample(&read, &ActMode::Sample { action, carried, graph, log_fresh })
                 }

@@ -33,7 +33,8 @@ pub struct Settings {
 
 impl Settings {
     /// Names of the groups that not every method is told of.
-    pub const OWN: [&'static str; 6] = ["iwol", "transformer", "magic", "commformer", "icp", "maddpg"];
+    pub const OWN: [&'static str; 6] =
+        ["iwol", "transformer", "magic", "commformer", "icp", "maddpg"];
 
     /// Those of all methods, and of the others the `groups` that are named; the rest by default.
     #[must_use]
@@ -41,7 +42,8 @@ impl Settings {
         fn part<T: Clone + Default>(told: bool, group: &T) -> T {
             if told { group.clone() } else { T::default() }
         }
-        let [iwol, transformer, magic, commformer, icp, maddpg] = Self::OWN.map(|group| groups.contains(&group));
+        let [iwol, transformer, magic, commformer, icp, maddpg] =
+            Self::OWN.map(|group| groups.contains(&group));
         Self {
             network: self.network.clone(),
             ppo: self.ppo.clone(),

@@ -52,7 +52,10 @@ impl Findings {
     /// A fault, with a row that says so in the place where a value was expected.
     fn fault(&mut self, name: &'static str, what: impl Into<String>, hint: Option<&str>) {
         self.row(name, "see below");
-        self.faults.push(Fault { what: format!("{name}: {}", what.into()), hint: hint.map(str::to_owned) });
+        self.faults.push(Fault {
+            what: format!("{name}: {}", what.into()),
+            hint: hint.map(str::to_owned),
+        });
     }
 }
 
@@ -77,7 +80,8 @@ impl Display for Findings {
 }
 
 fn program() -> String {
-    env::current_exe().map_or_else(|error| format!("path unknown: {error}"), |path| path.display().to_string())
+    env::current_exe()
+        .map_or_else(|error| format!("path unknown: {error}"), |path| path.display().to_string())
 }
 
 fn check_sumo(findings: &mut Findings) {
@@ -104,10 +108,15 @@ fn check_sumo(findings: &mut Findings) {
         },
         Err(error) => {
             let place = std::env::temp_dir();
-            findings.fault("TraCI", format!("could not write to `{}`: {error}", place.display()), Some("set TMPDIR"));
+            findings.fault(
+                "TraCI",
+                format!("could not write to `{}`: {error}", place.display()),
+                Some("set TMPDIR"),
+            );
         }
     }
-    findings.row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
+    findings
+        .row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
 }
 
 /// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
@@ -129,7 +138,12 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
     let started = begin.elapsed();
     simulation.step(&[])?;
     let version = simulation.version();
-    Ok(format!("API {} of {}, started in {} ms", version.api, version.software, started.as_millis()))
+    Ok(format!(
+        "API {} of {}, started in {} ms",
+        version.api,
+        version.software,
+        started.as_millis()
+    ))
 }
 
 fn check_torch(findings: &mut Findings) {
@@ -137,7 +151,8 @@ fn check_torch(findings: &mut Findings) {
     let folder = library.as_deref().and_then(Path::parent);
     // A libtorch of another origin may lack the file; then its version was checked by nobody, and we say no more.
     let version = libtorch_version().unwrap_or_else(|| "version unknown".to_owned());
-    let place = folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
+    let place =
+        folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
     let release = version.split('+').next().unwrap_or_default();
     if release.starts_with(|c: char| c.is_ascii_digit()) && release != TORCH {
         let what = format!("{place} holds version {version}, and the program is made for {TORCH}");
@@ -145,16 +160,26 @@ fn check_torch(findings: &mut Findings) {
     } else {
         findings.row("libtorch", format!("{version} ({place})"));
     }
-    match tch::Tensor::from_slice(&[1.0_f64, 2.0]).f_sum(tch::Kind::Double).and_then(|sum| f64::try_from(&sum)) {
+    match tch::Tensor::from_slice(&[1.0_f64, 2.0])
+        .f_sum(tch::Kind::Double)
+        .and_then(|sum| f64::try_from(&sum))
+    {
         Ok(3.0) => {}
         Ok(sum) => findings.fault("arithmetic", format!("libtorch says that 1 + 2 is {sum}"), None),
-        Err(error) => findings.fault("arithmetic", format!("libtorch could not add two numbers: {error}"), None),
+        Err(error) => findings.fault(
+            "arithmetic",
+            format!("libtorch could not add two numbers: {error}"),
+            None,
+        ),
     }
     let with_cuda = loaded_library("libtorch_cuda.so").is_some();
     findings.row(
         "device",
         if tch::Cuda::is_available() {
-            format!("cpu (CUDA sees {} devices; use them with `iwol train --device cuda`)", tch::Cuda::device_count())
+            format!(
+                "cpu (CUDA sees {} devices; use them with `iwol train --device cuda`)",
+                tch::Cuda::device_count()
+            )
         } else if with_cuda {
             "cpu (libtorch has CUDA, but sees no device: does `nvidia-smi` list one?)".to_owned()
         } else {
@@ -164,10 +189,15 @@ fn check_torch(findings: &mut Findings) {
 }
 
 fn check_threads(findings: &mut Findings) {
-    let cores = std::thread::available_parallelism().map_or_else(|_| "unknown".to_owned(), |n| n.to_string());
+    let cores = std::thread::available_parallelism()
+        .map_or_else(|_| "unknown".to_owned(), |n| n.to_string());
     findings.row(
         "threads",
-        format!("cores {cores}, rayon {}, libtorch {}", rayon::current_num_threads(), tch::get_num_threads()),
+        format!(
+            "cores {cores}, rayon {}, libtorch {}",
+            rayon::current_num_threads(),
+            tch::get_num_threads()
+        ),
     );
 }
 
@@ -183,12 +213,16 @@ fn check_files(findings: &mut Findings) {
         match Scenario::load(&path) {
             Ok(scenario) => {
                 let separator = if good.is_empty() { "" } else { ", " };
-                let _ = write!(good, "{separator}{} ({} nets)", path.display(), scenario.nets.len());
+                let _ =
+                    write!(good, "{separator}{} ({} nets)", path.display(), scenario.nets.len());
             }
             Err(error) => findings.faults.push(Fault { what: chain(&error), hint: error.hint() }),
         }
     }
-    findings.row("scenarios", if good.is_empty() { "none in the folder ./scenarios".to_owned() } else { good });
+    findings.row(
+        "scenarios",
+        if good.is_empty() { "none in the folder ./scenarios".to_owned() } else { good },
+    );
     let nets = files_below(Path::new("sumo_nets"), ".net.xml").len();
     findings.row("nets", format!("{nets} in the folder ./sumo_nets"));
 }

@@ -11,7 +11,9 @@ use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{DETERMINED, Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{
+    DETERMINED, Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate,
+};
 use iwol_sumo::provenance::{Program, Training};
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
@@ -112,7 +114,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
     let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
     if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
-        layers.document = Document::of_run(format!("{} (stored settings)", run.display()), checkpoint.config.clone());
+        layers.document = Document::of_run(
+            format!("{} (stored settings)", run.display()),
+            checkpoint.config.clone(),
+        );
     }
     if let Some(path) = &args.scenario {
         layers.flags.push(("scenario", Value::String(path.display().to_string())));
@@ -129,7 +134,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
         Some(checkpoint) => {
             let (settings, device) = (config.settings(), config.device.find()?);
-            let mut learner = algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
+            let mut learner =
+                algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
             learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
                 algo::Error::State(_) => anyhow::Error::new(unfit).context(
                     "the checkpoint does not fit the observations and networks that scenario and settings make",
@@ -142,17 +148,24 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         None => None,
     };
     if let Some(learner) = &learner {
-        policies.insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
+        policies
+            .insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
     }
 
     if args.record_episode >= args.episodes {
-        bail!("--record-episode {} is not played: there are episodes 0 to {}", args.record_episode, args.episodes - 1);
+        bail!(
+            "--record-episode {} is not played: there are episodes 0 to {}",
+            args.record_episode,
+            args.episodes - 1
+        );
     }
     for path in [&args.out, &args.record].into_iter().flatten() {
         record::check_writable(path)?;
     }
     for (flag, path) in [("out", &args.out), ("record", &args.record)] {
-        if let Some(path) = path.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors")) {
+        if let Some(path) =
+            path.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors"))
+        {
             bail!("--{flag} {}: that is a checkpoint's name", path.display());
         }
     }
@@ -161,18 +174,25 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let stop = super::stop_flag()?;
     let program = Program::current();
-    let training = args.run.as_deref().map(|path| RunDir::of(path).and_then(|run| run.training()).unwrap_or_default());
+    let training = args
+        .run
+        .as_deref()
+        .map(|path| RunDir::of(path).and_then(|run| run.training()).unwrap_or_default());
     let mut rows = Vec::new();
     let mut recorded = None;
     for (name, policy) in &policies {
         let bar = ProgressBar::new(args.episodes);
         bar.set_style(
-            ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} episodes  ETA {eta}").expect("a valid template"),
+            ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} episodes  ETA {eta}")
+                .expect("a valid template"),
         );
         bar.set_message(name.clone());
         let seed = Seed::new(args.seed).child("evaluation");
-        let mut recorder =
-            args.record.as_ref().filter(|_| rows.is_empty()).map(|_| Recorder::new(&task, args.record_episode));
+        let mut recorder = args
+            .record
+            .as_ref()
+            .filter(|_| rows.is_empty())
+            .map(|_| Recorder::new(&task, args.record_episode));
         let mut show = |done| bar.set_position(done);
         let hosting = config.hosting();
         let onlooker = Onlooker { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
@@ -180,14 +200,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
-            say!("interrupted after {} of {} episodes of {name}", evaluation.episodes.len(), args.episodes);
+            say!(
+                "interrupted after {} of {} episodes of {name}",
+                evaluation.episodes.len(),
+                args.episodes
+            );
             return Ok(Verdict::Interrupted);
         }
         if let (Some(recorder), Some(path)) = (recorder, &args.record) {
-            let record = evaluation.episodes.iter().find(|record| record.episode == args.record_episode);
-            let driver = args.run.as_ref().map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
+            let record =
+                evaluation.episodes.iter().find(|record| record.episode == args.record_episode);
+            let driver = args
+                .run
+                .as_ref()
+                .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let recording = recorder.finish(&task, &driver, args.seed, record)?;
-            recorded = Some((recording.context("the episode to record was not played to its end")?, path));
+            recorded =
+                Some((recording.context("the episode to record was not played to its end")?, path));
         }
         let metrics = evaluation.metrics().context("no episode was finished")?;
         rows.push(Row {
@@ -230,11 +259,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     let path = RunDir::checkpoint(run);
     if run.is_dir() && !path.exists() {
-        bail!("`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors", run.display());
+        bail!(
+            "`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors",
+            run.display()
+        );
     }
     let checkpoint = Checkpoint::load(&path)?;
     if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
-        bail!("`{}` is of the algorithm `{}`, which this program does not have", path.display(), checkpoint.algorithm);
+        bail!(
+            "`{}` is of the algorithm `{}`, which this program does not have",
+            path.display(),
+            checkpoint.algorithm
+        );
     }
     Ok(checkpoint)
 }
@@ -243,18 +279,27 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
 type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
 
 /// What those met with that SUMO moved, if there were any.
-fn others(metrics: &Metrics, of: fn(&OthersMetrics) -> Option<Estimate>, write: fn(&Estimate) -> String) -> String {
+fn others(
+    metrics: &Metrics,
+    of: fn(&OthersMetrics) -> Option<Estimate>,
+    write: fn(&Estimate) -> String,
+) -> String {
     metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
 }
 
 /// What a latent explains of a target, and of what the observation does not determine of it.
 fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let whole = format!("{} of the {name}'s variance (mean squared error {error:.4})", percent(*explained));
+    let whole =
+        format!("{} of the {name}'s variance (mean squared error {error:.4})", percent(*explained));
     let Some(probe) = probe else {
-        return format!("{whole}; there are too few episodes for a linear probe from the observation");
+        return format!(
+            "{whole}; there are too few episodes for a linear probe from the observation"
+        );
     };
-    let (Some(own), Some(probed)) = (probe.undetermined_explained, probe.undetermined_probe_explained) else {
+    let (Some(own), Some(probed)) =
+        (probe.undetermined_explained, probe.undetermined_probe_explained)
+    else {
         return format!("{whole}; the observation determines all {} features", probe.features);
     };
     format!(
@@ -303,8 +348,10 @@ fn table(rows: &[Row]) -> String {
         ("pedestrians hit %", &|m| others(m, |o| o.pedestrian_crash, percent)),
         ("pedestrians with TTC < 1.5 s %", &|m| others(m, |o| o.pedestrian_close, percent)),
     ];
-    let of_both: [(&str, Cell<'_>); 2] =
-        [("smallest TTC s", &|m| others(m, |o| o.ttc, fine)), ("smallest PET s", &|m| others(m, |o| o.pet, fine))];
+    let of_both: [(&str, Cell<'_>); 2] = [
+        ("smallest TTC s", &|m| others(m, |o| o.ttc, fine)),
+        ("smallest PET s", &|m| others(m, |o| o.pet, fine)),
+    ];
     let any = |of: fn(&OthersMetrics) -> f64| {
         rows.iter().any(|row| row.metrics.others.as_ref().is_some_and(|others| of(others) > 0.0))
     };
@@ -316,9 +363,14 @@ fn table(rows: &[Row]) -> String {
     let mut columns: Vec<Vec<String>> =
         vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
     for row in rows {
-        columns.push(std::iter::once(row.policy.clone()).chain(lines.iter().map(|l| (l.1)(&row.metrics))).collect());
+        columns.push(
+            std::iter::once(row.policy.clone())
+                .chain(lines.iter().map(|l| (l.1)(&row.metrics)))
+                .collect(),
+        );
     }
-    let width = |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let width =
+        |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
     let mut text = String::new();
     if let Some(first) = rows.first() {
         let _ = writeln!(
@@ -336,7 +388,11 @@ fn table(rows: &[Row]) -> String {
     for line in 0..=lines.len() {
         for (i, column) in columns.iter().enumerate() {
             let (cell, width) = (&column[line], width(column));
-            let _ = if i == 0 { write!(text, "{cell:<width$}") } else { write!(text, "   {cell:>width$}") };
+            let _ = if i == 0 {
+                write!(text, "{cell:<width$}")
+            } else {
+                write!(text, "   {cell:>width$}")
+            };
         }
         text.push('\n');
     }
@@ -356,11 +412,18 @@ fn table(rows: &[Row]) -> String {
             continue;
         }
         if !row.audited {
-            let _ =
-                writeln!(text, "audit of {}: none, as SUMO did not look into junctions (simulation.audit)", row.policy);
+            let _ = writeln!(
+                text,
+                "audit of {}: none, as SUMO did not look into junctions (simulation.audit)",
+                row.policy
+            );
             continue;
         }
-        let _ = writeln!(text, "audit of {}: {:>5} pairs collide by both reports", row.policy, audit.agreed);
+        let _ = writeln!(
+            text,
+            "audit of {}: {:>5} pairs collide by both reports",
+            row.policy, audit.agreed
+        );
         let indent = "audit of : ".len() + row.policy.chars().count();
         for (reason, count) in audit.differences() {
             let _ = writeln!(text, "{:indent$}{count:>5} {reason}", "");

@@ -34,7 +34,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     // The policy takes along with what it was trained.
     let meta = RunDir::of(&args.run).map(|run| run.meta()).filter(|meta| meta.is_file());
     if let Some(meta) = meta {
-        let bytes = std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
+        let bytes =
+            std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
         record::write_atomic(&dir.meta(), &bytes)?;
     }
     checkpoint.save(&dir.best())?;

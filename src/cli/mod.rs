@@ -101,7 +101,8 @@ pub fn main() -> ExitCode {
         .init();
     if let Some(parent) = cli.die_with_parent {
         // Only Linux can; elsewhere children of a killed sweep finish what they do.
-        let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
+        let _ =
+            rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
         if rustix::process::getppid().is_none_or(|now| now.as_raw_nonzero().get() != parent) {
             return ExitCode::from(INTERRUPTED);
         }
@@ -147,7 +148,9 @@ fn hint(error: &anyhow::Error) -> Option<String> {
             e.hint()
         } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
             e.hint()
-        } else if let Some(iwol_sumo::train::Error::Env(e)) = cause.downcast_ref::<iwol_sumo::train::Error>() {
+        } else if let Some(iwol_sumo::train::Error::Env(e)) =
+            cause.downcast_ref::<iwol_sumo::train::Error>()
+        {
             e.hint()
         } else {
             None

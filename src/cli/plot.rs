@@ -69,7 +69,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         .filter(|measure| !alone || measure.2 != "Safety")
         .map(|measure| Panel {
             title: measure.2.to_owned(),
-            x_label: if args.x == Axis::Steps { "environment steps" } else { "minutes of training" }.to_owned(),
+            x_label: if args.x == Axis::Steps {
+                "environment steps"
+            } else {
+                "minutes of training"
+            }
+            .to_owned(),
             y_label: measure.3.to_owned(),
             y_range: measure.4,
             categories: Vec::new(),
@@ -99,21 +104,40 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             seeds => format!("{} ({seeds} seeds)", group.label),
         };
         for panel in &mut panels {
-            let measure = MEASURES.iter().position(|m| m.2 == panel.title).expect("a panel shows a measure");
-            let curves = group.runs.iter().map(|run| &run.measures[measure][..]).filter(|curve| !curve.is_empty());
-            panel.series.push(mean_curve(name.clone(), &curves.collect::<Vec<_>>(), args.x, panel.y_range));
+            let measure =
+                MEASURES.iter().position(|m| m.2 == panel.title).expect("a panel shows a measure");
+            let curves = group
+                .runs
+                .iter()
+                .map(|run| &run.measures[measure][..])
+                .filter(|curve| !curve.is_empty());
+            panel.series.push(mean_curve(
+                name.clone(),
+                &curves.collect::<Vec<_>>(),
+                args.x,
+                panel.y_range,
+            ));
         }
     }
     let exploring = groups[0].runs[0].exploring.clone();
     // Kept runs have validations alone.
     if alone && !exploring.is_empty() {
-        panels[0].series.push(Series::curve(format!("{}, exploring", groups[0].label), exploring, None));
+        panels[0].series.push(Series::curve(
+            format!("{}, exploring", groups[0].label),
+            exploring,
+            None,
+        ));
     }
     if let Some(path) = &args.reference {
         for (policy, metrics) in references(path)? {
             for panel in &mut panels {
-                let (_, factor, title, ..) = MEASURES.iter().find(|m| m.2 == panel.title).expect("as above");
-                let key = if *title == "Throughput" { "window_reward".to_owned() } else { title.to_lowercase() };
+                let (_, factor, title, ..) =
+                    MEASURES.iter().find(|m| m.2 == panel.title).expect("as above");
+                let key = if *title == "Throughput" {
+                    "window_reward".to_owned()
+                } else {
+                    title.to_lowercase()
+                };
                 let mean = metrics[&key]["mean"].as_f64();
                 let mean = mean.with_context(|| format!("`{}` has no {key}", path.display()))?;
                 panel.references.push((policy.clone(), factor * mean));
@@ -122,7 +146,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let out = args.out.as_ref().unwrap_or(&args.runs[0]);
     let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
-    let title = if alone { format!("Learning curve of {}", groups[0].label) } else { "Learning curves".to_owned() };
+    let title = if alone {
+        format!("Learning curve of {}", groups[0].label)
+    } else {
+        "Learning curves".to_owned()
+    };
     figure(&out, &title, &panels, (700 * panels.len() as u32, 640))?;
     tell!("{}", out.display());
     Ok(Verdict::Good)
@@ -130,7 +158,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
 fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
     let path = RunDir::new(run).metrics();
-    let lines: Vec<Value> = read_json_lines(&path).with_context(|| format!("`{}` is no run folder", run.display()))?;
+    let lines: Vec<Value> =
+        read_json_lines(&path).with_context(|| format!("`{}` is no run folder", run.display()))?;
     let place = |line: &Value| match x {
         Axis::Steps => line["step"].as_f64(),
         Axis::Time => line["time/total_s"].as_f64().map(|seconds| seconds / 60.0),
@@ -151,17 +180,21 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
     if let [only] = runs {
         return Series::curve(label, only.to_vec(), None);
     }
-    let mut places: Vec<f64> = runs.iter().flat_map(|run| run.iter().map(|point| point.0)).collect();
+    let mut places: Vec<f64> =
+        runs.iter().flat_map(|run| run.iter().map(|point| point.0)).collect();
     places.sort_by(f64::total_cmp);
     places.dedup();
     if x == Axis::Time {
         // No two runs are validated at the same time.
-        let (first, last) = (places.first().copied().unwrap_or(0.0), places.last().copied().unwrap_or(0.0));
+        let (first, last) =
+            (places.first().copied().unwrap_or(0.0), places.last().copied().unwrap_or(0.0));
         places = (0..=TIMES).map(|k| first + (last - first) * k as f64 / TIMES as f64).collect();
     }
     let (mut points, mut band) = (Vec::new(), Vec::new());
     for place in places {
-        let value = |run: &&[(f64, f64)]| run.iter().take_while(|point| point.0 <= place).last().map(|point| point.1);
+        let value = |run: &&[(f64, f64)]| {
+            run.iter().take_while(|point| point.0 <= place).last().map(|point| point.1)
+        };
         let values: Option<Vec<f64>> = runs.iter().map(value).collect();
         let Some(estimate) = values.and_then(|values| Estimate::t(&values)) else {
             continue;
@@ -178,7 +211,9 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
 fn identity(run: &Path) -> (String, toml::Table) {
     let text = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
     let mut settings: toml::Table = toml::from_str(&text).unwrap_or_default();
-    let Some(algorithm) = settings.get("algorithm").and_then(toml::Value::as_str).map(str::to_owned) else {
+    let Some(algorithm) =
+        settings.get("algorithm").and_then(toml::Value::as_str).map(str::to_owned)
+    else {
         settings.insert("folder".to_owned(), run.display().to_string().into());
         return (run.display().to_string(), settings);
     };
@@ -190,10 +225,15 @@ fn identity(run: &Path) -> (String, toml::Table) {
     // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
     shorten(&mut settings, "scenario", Path::file_name);
     shorten(&mut settings, "init_from", |path| {
-        let of_seed = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed_"));
+        let of_seed =
+            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed_"));
         if of_seed { path.parent().map(Path::as_os_str) } else { Some(path.as_os_str()) }
     });
-    let label = match settings.get("env").and_then(|env| env.get("observation")).and_then(toml::Value::as_str) {
+    let label = match settings
+        .get("env")
+        .and_then(|env| env.get("observation"))
+        .and_then(toml::Value::as_str)
+    {
         Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),
         _ => algorithm,
     };
@@ -201,7 +241,11 @@ fn identity(run: &Path) -> (String, toml::Table) {
 }
 
 /// Leaves of the path in a setting what `keep` says.
-fn shorten(settings: &mut toml::Table, key: &str, keep: impl Fn(&Path) -> Option<&std::ffi::OsStr>) {
+fn shorten(
+    settings: &mut toml::Table,
+    key: &str,
+    keep: impl Fn(&Path) -> Option<&std::ffi::OsStr>,
+) {
     if let Some(toml::Value::String(path)) = settings.get_mut(key) {
         *path = keep(Path::new(path)).unwrap_or_default().to_string_lossy().into_owned();
     }
@@ -209,8 +253,10 @@ fn shorten(settings: &mut toml::Table, key: &str, keep: impl Fn(&Path) -> Option
 
 /// Policies that need no training, with their metrics.
 fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;
-    let value: Value = serde_json::from_str(&text).with_context(|| format!("`{}` is not JSON", path.display()))?;
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("cannot read `{}`", path.display()))?;
+    let value: Value =
+        serde_json::from_str(&text).with_context(|| format!("`{}` is not JSON", path.display()))?;
     let rows = if let Value::Array(rows) = value { rows } else { vec![value] };
     Ok(rows
         .into_iter()
@@ -233,21 +279,32 @@ mod tests {
             std::fs::write(run.join("config.toml"), text).expect("written");
             identity(&run)
         };
-        let (label, first) =
-            run(0, "algorithm = \"mappo\"\nseed = 0\nscenario = \"a/cross.xml\"\ninit_from = \"x/m/seed_0\"");
+        let (label, first) = run(
+            0,
+            "algorithm = \"mappo\"\nseed = 0\nscenario = \"a/cross.xml\"\ninit_from = \"x/m/seed_0\"",
+        );
         assert_eq!(label, "mappo");
-        let (_, second) =
-            run(1, "algorithm = \"mappo\"\nseed = 1\nscenario = \"b/cross.xml\"\ninit_from = \"x/m/seed_1\"");
+        let (_, second) = run(
+            1,
+            "algorithm = \"mappo\"\nseed = 1\nscenario = \"b/cross.xml\"\ninit_from = \"x/m/seed_1\"",
+        );
         assert_eq!(first, second);
-        let (_, task) =
-            run(2, "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/slow.xml\"\ninit_from = \"x/m/seed_1\"");
+        let (_, task) = run(
+            2,
+            "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/slow.xml\"\ninit_from = \"x/m/seed_1\"",
+        );
         assert_ne!(first, task);
-        let (_, begun) =
-            run(3, "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/cross.xml\"\ninit_from = \"x/n/seed_1\"");
+        let (_, begun) = run(
+            3,
+            "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/cross.xml\"\ninit_from = \"x/n/seed_1\"",
+        );
         assert_ne!(first, begun);
         // MAPPO does not read the settings of MAGIC.
         let (_, without) = run(4, "algorithm = \"mappo\"\nseed = 0\n[train]\nenvs = 4");
-        let (_, with) = run(5, "algorithm = \"mappo\"\nseed = 1\n[train]\nenvs = 4\n[magic]\nlambda_world = 0.5");
+        let (_, with) = run(
+            5,
+            "algorithm = \"mappo\"\nseed = 1\n[train]\nenvs = 4\n[magic]\nlambda_world = 0.5",
+        );
         assert_eq!(without, with);
     }
 }

@@ -97,7 +97,9 @@ fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     let own = |path: &Path| config.is_some_and(|config| same_file(config, path));
     let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
     match [dir.config(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
-        Some(path) => bail!("`{}` is there already, and of no run; choose another --out", path.display()),
+        Some(path) => {
+            bail!("`{}` is there already, and of no run; choose another --out", path.display())
+        }
         None => Ok(()),
     }
 }
@@ -119,7 +121,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         bail!(why);
     }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
-        PathBuf::from("runs").join(&scenario.name).join(&config.algorithm).join(format!("seed_{}", config.seed))
+        PathBuf::from("runs")
+            .join(&scenario.name)
+            .join(&config.algorithm)
+            .join(format!("seed_{}", config.seed))
     }));
     if args.resume && args.config.is_none() && args.out.is_none() {
         // Only now is it known which run; it brings its own settings.
@@ -127,10 +132,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (config, scenario) = Config::resolve(&layers)?;
     }
     if !args.resume && dir.last().exists() {
-        bail!("`{}` already holds a run; add --resume to go on with it, or choose another --out", dir.path().display());
+        bail!(
+            "`{}` already holds a run; add --resume to go on with it, or choose another --out",
+            dir.path().display()
+        );
     }
     if !args.resume && dir.best().exists() {
-        bail!("`{}` holds a policy; start from it with --init-from, and choose another --out", dir.path().display());
+        bail!(
+            "`{}` holds a policy; start from it with --init-from, and choose another --out",
+            dir.path().display()
+        );
     }
     if args.resume && args.init_from.is_some() {
         bail!("--resume goes on with a run's own weights; leave --init-from out");
@@ -160,7 +171,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
         if checkpoint.algorithm != config.algorithm {
-            bail!("`{}` is a run of {}, not of {}", dir.path().display(), checkpoint.algorithm, config.algorithm);
+            bail!(
+                "`{}` is a run of {}, not of {}",
+                dir.path().display(),
+                checkpoint.algorithm,
+                config.algorithm
+            );
         }
         changes = config::changes(&checkpoint.config, &config.to_toml());
         Trainer::resume(config.clone(), scenario, &checkpoint)?
@@ -180,7 +196,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("goes on with another setting: {change}");
     }
     let hosting = config.hosting();
-    let worlds = if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
+    let worlds =
+        if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
     say!("{worlds}");
     dir.begin_meta(&config, trainer.progress(), &fingerprint, &worlds)?;
     let bar = ProgressBar::new(config.steps);
@@ -193,7 +210,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let terminal = std::io::stderr().is_terminal();
     let mut last_line = Instant::now();
     let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
-        let percent = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+        let percent = |share: Option<f64>| {
+            share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s))
+        };
         let message = format!(
             "{:.0} steps/s  success {} (validation {})",
             report.steps_per_second,
@@ -215,7 +234,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         } else {
             String::new()
         };
-        format!("training {} stopped after {} steps{kept}", config.algorithm, trainer.progress().step)
+        format!(
+            "training {} stopped after {} steps{kept}",
+            config.algorithm,
+            trainer.progress().step
+        )
     })?;
     let progress = trainer.progress();
     let end = match outcome {
@@ -227,7 +250,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         "{end} after {} steps in {}; best validation success {}",
         progress.step,
         human_duration(Duration::try_from_secs_f64(progress.seconds).unwrap_or_default()),
-        progress.best.map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
+        progress
+            .best
+            .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     if outcome == Outcome::Interrupted {
         say!("go on with: iwol train --resume --out {}", dir.path().display());

@@ -10,9 +10,23 @@ use crate::scenario::Scenario;
 
 impl Config {
     /// Those of `algorithm` with so many agents; `trained`: it begins with a trained policy.
-    pub(super) fn defaults(scenario: &Scenario, algorithm: &str, agents: u32, trained: bool) -> Table {
-        let algo::Settings { network, ppo, exploration, iwol, transformer, magic, commformer, icp, maddpg } =
-            algo::Settings::default();
+    pub(super) fn defaults(
+        scenario: &Scenario,
+        algorithm: &str,
+        agents: u32,
+        trained: bool,
+    ) -> Table {
+        let algo::Settings {
+            network,
+            ppo,
+            exploration,
+            iwol,
+            transformer,
+            magic,
+            commformer,
+            icp,
+            maddpg,
+        } = algo::Settings::default();
         let train = Train::default();
         // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
         // of more; but among more the way takes longer to find.
@@ -27,7 +41,11 @@ impl Config {
         let imitates = steers && !trained && on_policy;
         let train = Train {
             growth: if steers && on_policy { 4 } else { train.growth },
-            envs: if few { 2 * scaled(envs) } else { scaled(envs).max(envs.min(2 * scaled(envs))).max(8) } as usize,
+            envs: if few {
+                2 * scaled(envs)
+            } else {
+                scaled(envs).max(envs.min(2 * scaled(envs))).max(8)
+            } as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
             // Vehicles become faster as long as annealing lasts: with a sixth of it, 48 drove at
@@ -52,7 +70,11 @@ impl Config {
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps)
                 * if steers { 2 } else { 1 },
             // At the noise of new weights a policy forgets what it knows.
-            log_std_start: if trained { exploration.log_std_explore } else { exploration.log_std_start },
+            log_std_start: if trained {
+                exploration.log_std_explore
+            } else {
+                exploration.log_std_start
+            },
             ..exploration
         };
         let ppo = settings::Ppo {

@@ -51,9 +51,12 @@ pub fn changes(was: &str, is: &str) -> Vec<Change> {
 
 /// As [`changes`], of flat settings.
 pub(crate) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
-    let keys: BTreeSet<_> = was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();
+    let keys: BTreeSet<_> =
+        was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();
     let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
-    keys.into_iter().map(|key| Change { key: key.clone(), was: show(was.get(key)), is: show(is.get(key)) }).collect()
+    keys.into_iter()
+        .map(|key| Change { key: key.clone(), was: show(was.get(key)), is: show(is.get(key)) })
+        .collect()
 }
 
 #[cfg(test)]
@@ -62,14 +65,20 @@ mod tests {
 
     #[test]
     fn changes_name_the_settings_that_differ_and_nothing_else() {
-        let said = |was: &str, is: &str| changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>();
+        let said = |was: &str, is: &str| {
+            changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
         let was = "algorithm = \"mat\"\nsteps = 5\n[ppo]\ngamma = 0.99\nclip = 0.2\n";
         assert!(said(was, was).is_empty());
         let is = "algorithm = \"magic\"\nsteps = 5\n[ppo]\ngamma = 0.5\nclip = 0.2\nepochs = 3\n";
         let found = said(was, is);
         assert_eq!(
             found,
-            ["algorithm = magic (was mat)", "ppo.epochs = 3 (was nothing)", "ppo.gamma = 0.5 (was 0.99)"]
+            [
+                "algorithm = magic (was mat)",
+                "ppo.epochs = 3 (was nothing)",
+                "ppo.gamma = 0.5 (was 0.99)"
+            ]
         );
     }
 }

@@ -28,7 +28,8 @@ impl Document {
     /// # Errors
     /// [`Error::Read`].
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| Error::Read { path: path.to_owned(), source })?;
         Ok(Self { name: path.display().to_string(), text, generated: false })
     }
 
@@ -81,10 +82,13 @@ impl Config {
         // The scenario decides the defaults of `[env]` and of the number of agents; that number and the method decide those of
         // learning. So they are looked up first.
         let first = |key: &str| {
-            let bare = |text: &str| parse_value(text).unwrap_or_else(|| Value::String(text.to_owned()));
+            let bare =
+                |text: &str| parse_value(text).unwrap_or_else(|| Value::String(text.to_owned()));
             let flag = layers.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| v.clone());
             let sets = layers.sets.iter().rev().filter_map(|set| set.split_once('='));
-            let set = || sets.clone().find(|(own, _)| own.trim() == key).map(|(_, text)| bare(text.trim()));
+            let set = || {
+                sets.clone().find(|(own, _)| own.trim() == key).map(|(_, text)| bare(text.trim()))
+            };
             let file = || parsed.get_ref().iter().find(|(own, _)| own.get_ref() == key);
             flag.or_else(set).or_else(|| file().and_then(|(_, v)| parse_value(text.get(v.span())?)))
         };
@@ -95,7 +99,12 @@ impl Config {
         let agents = agents.unwrap_or(scenario.agents.default);
         let trained = word("init_from").is_some_and(|from| !from.is_empty());
         let algorithm = word("algorithm");
-        let mut table = Self::defaults(&scenario, algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM), agents, trained);
+        let mut table = Self::defaults(
+            &scenario,
+            algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM),
+            agents,
+            trained,
+        );
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], document)?;
         for set in &layers.sets {
@@ -106,19 +115,27 @@ impl Config {
                 message: "write it as key=value".to_owned(),
             })?;
             // Bare words are strings: `network.encoder=mlp` needs no quotes.
-            let value = parse_value(value.trim()).unwrap_or_else(|| Value::String(value.trim().to_owned()));
+            let value =
+                parse_value(value.trim()).unwrap_or_else(|| Value::String(value.trim().to_owned()));
             let keys: Vec<&str> = key.trim().split('.').collect();
             assign(&mut table, &mut places, &keys, value, place)?;
         }
         for (key, value) in &layers.flags {
             let place = Place::Flag(key).to_string();
-            assign(&mut table, &mut places, &key.split('.').collect::<Vec<_>>(), value.clone(), place)?;
+            assign(
+                &mut table,
+                &mut places,
+                &key.split('.').collect::<Vec<_>>(),
+                value.clone(),
+                place,
+            )?;
         }
-        let config: Self = Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
-            place: name.clone(),
-            key: String::new(),
-            message: e.message().to_owned(),
-        })?;
+        let config: Self =
+            Value::Table(table).try_into().map_err(|e: toml::de::Error| Error::Value {
+                place: name.clone(),
+                key: String::new(),
+                message: e.message().to_owned(),
+            })?;
         if let Some((keys, allowed)) = config.out_of_range() {
             // The first key is the one that breaks the rule; another of the rule may be the one that was set.
             let place = keys.iter().find_map(|key| places.get(*key)).unwrap_or(name);
@@ -176,10 +193,11 @@ fn merge(
             merge(table, places, inner, &keys, document)?;
         } else {
             check_key(table, &keys, &place(key.span().start))?;
-            let parsed = parse_value(&document.text[value.span()]).ok_or_else(|| Error::Syntax {
-                place: place(value.span().start),
-                message: "this value cannot be read".to_owned(),
-            })?;
+            let parsed =
+                parse_value(&document.text[value.span()]).ok_or_else(|| Error::Syntax {
+                    place: place(value.span().start),
+                    message: "this value cannot be read".to_owned(),
+                })?;
             assign(table, places, &keys, parsed, place(value.span().start))?;
         }
     }
@@ -205,7 +223,11 @@ fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
                 let similar = nearest(&name, valid.keys().map(String::as_str))
                     .or_else(|| nearest(key, here.keys().map(String::as_str)))
                     .map(str::to_owned);
-                return Err(Error::UnknownKey { place: place.to_owned(), key: name, nearest: similar });
+                return Err(Error::UnknownKey {
+                    place: place.to_owned(),
+                    key: name,
+                    nearest: similar,
+                });
             }
         }
     }
@@ -214,7 +236,13 @@ fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
 
 /// Sets a key and checks its type, so that a bad value is reported where it stands; ranges are checked at the end, since
 /// some depend on other keys.
-fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, place: String) -> Result<(), Error> {
+fn assign(
+    table: &mut Table,
+    places: &mut SetAt,
+    keys: &[&str],
+    value: Value,
+    place: String,
+) -> Result<(), Error> {
     check_key(table, keys, &place)?;
     let (last, folders) = keys.split_last().expect("a key has a name");
     let mut here = &mut *table;
@@ -227,11 +255,13 @@ fn assign(table: &mut Table, places: &mut SetAt, keys: &[&str], value: Value, pl
     };
     here.insert((*last).to_owned(), value);
     let bad = |message: String| Error::Value { place: place.clone(), key: keys.join("."), message };
-    let config: Config =
-        Value::Table(table.clone()).try_into().map_err(|e: toml::de::Error| bad(with_nearest(e.message())))?;
+    let config: Config = Value::Table(table.clone())
+        .try_into()
+        .map_err(|e: toml::de::Error| bad(with_nearest(e.message())))?;
     if !algo::NAMES.contains(&config.algorithm.as_str()) {
-        let similar =
-            nearest(&config.algorithm, algo::NAMES).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+        let similar = nearest(&config.algorithm, algo::NAMES)
+            .map(|n| format!("; did you mean `{n}`?"))
+            .unwrap_or_default();
         return Err(bad(format!(
             "there is no algorithm `{}` (there are {}){similar}",
             config.algorithm,
@@ -248,7 +278,10 @@ fn with_nearest(message: &str) -> String {
     let mut quoted = message.split('`').skip(1).step_by(2);
     let word = quoted.next().filter(|_| message.starts_with("unknown variant"));
     let similar = word.and_then(|word| nearest(word, quoted));
-    similar.map_or_else(|| message.to_owned(), |similar| format!("{message}; did you mean `{similar}`?"))
+    similar.map_or_else(
+        || message.to_owned(),
+        |similar| format!("{message}; did you mean `{similar}`?"),
+    )
 }
 
 /// What can be wrong with a configuration.
@@ -292,7 +325,9 @@ pub enum Error {
         message: String,
     },
     /// Nothing says which scenario to run.
-    #[error("no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml")]
+    #[error(
+        "no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml"
+    )]
     NoScenario,
     /// The scenario is not valid.
     #[error(transparent)]
@@ -312,9 +347,14 @@ mod tests {
     }
 
     fn resolve_on(scenario: &str, text: &str, sets: &[&str]) -> Result<Config, Error> {
-        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
+        let scenario =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{scenario}.xml"));
         let layers = Layers {
-            document: Document { name: "c.toml".to_owned(), text: text.to_owned(), generated: false },
+            document: Document {
+                name: "c.toml".to_owned(),
+                text: text.to_owned(),
+                generated: false,
+            },
             sets: sets.iter().map(|s| (*s).to_owned()).collect(),
             flags: vec![("scenario", Value::String(scenario.display().to_string()))],
         };
@@ -329,18 +369,26 @@ mod tests {
     #[test]
     fn the_page_of_settings_has_all_of_them_with_their_defaults() {
         let defaults = flatten(&toml::from_str(&resolve("", &[]).unwrap().to_toml()).unwrap());
-        let (_, tables) = include_str!("../../docs/settings.md").split_once("## The run\n").unwrap();
-        let quoted = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
+        let (_, tables) =
+            include_str!("../../docs/settings.md").split_once("## The run\n").unwrap();
+        let quoted =
+            |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
         let mut found = BTreeSet::new();
         for row in tables.lines().filter(|line| line.starts_with("| `")) {
             let cells: Vec<&str> = row.split(" | ").collect();
             let said = quoted(cells[1]).into_iter().next();
             for key in quoted(cells[0]).into_iter().filter(|key| !key.starts_with("--")) {
-                let is = plain(defaults.get(&key).unwrap_or_else(|| panic!("`{key}` of the page is no setting")));
+                let is = plain(
+                    defaults
+                        .get(&key)
+                        .unwrap_or_else(|| panic!("`{key}` of the page is no setting")),
+                );
                 let same = match &said {
                     // A file has no default.
                     None => key == "scenario" || is.is_empty(),
-                    Some(said) => *said == is || said.parse::<f64>().is_ok_and(|said| is.parse() == Ok(said)),
+                    Some(said) => {
+                        *said == is || said.parse::<f64>().is_ok_and(|said| is.parse() == Ok(said))
+                    }
                 };
                 assert!(same, "{key}: {said:?} on the page, {is} by default");
                 assert!(found.insert(key.clone()), "{key}: twice on the page");
@@ -352,8 +400,11 @@ mod tests {
 
     #[test]
     fn later_layers_win() {
-        let config =
-            resolve("seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n", &["ppo.gamma=1", "network.encoder=mlp"]).unwrap();
+        let config = resolve(
+            "seed = 3\n[ppo]\ngamma = 0.5\nepochs = 2\n",
+            &["ppo.gamma=1", "network.encoder=mlp"],
+        )
+        .unwrap();
         assert_eq!((config.seed, config.ppo.gamma, config.ppo.epochs), (3, 1.0, 2));
         assert_eq!(config.network.encoder, settings::EncoderKind::Mlp);
     }
@@ -384,27 +435,39 @@ mod tests {
         // What is written down is not changed.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
         // All sizes search in the same way.
-        let searched = |c: &Config| (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma);
+        let searched = |c: &Config| {
+            (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma)
+        };
         assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.99); 3]);
         assert_eq!(four.train.validation_episodes, 128);
-        let shared = |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
-        assert_eq!(["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared), [0.06, 0.06, 0.0, 0.0]);
+        let shared =
+            |name: &str| resolve(&format!("algorithm = '{name}'"), &[]).unwrap().env.cooperation;
+        assert_eq!(
+            ["mappo", "icp-dec", "icp-sum", "icp-monotonic"].map(shared),
+            [0.06, 0.06, 0.0, 0.0]
+        );
     }
 
     #[test]
     fn vehicles_that_steer_begin_by_imitating() {
-        let teaches = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().train.imitate_steps;
+        let teaches =
+            |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().train.imitate_steps;
         assert_eq!(resolve("", &[]).unwrap().train.imitate_steps, 0);
         assert!(teaches(&[]) > 0);
         assert_eq!(teaches(&["init_from=runs/any"]), 0, "a trained policy can drive");
         assert_eq!(teaches(&["algorithm=maddpg"]), 0);
-        let refused =
-            resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"]).expect_err("replays");
+        let refused = resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"])
+            .expect_err("replays");
         assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
         let five = resolve_on("parking_lot", "", &[]).unwrap();
         assert_eq!((five.exploration.correlation, five.train.envs), (0.8, 25));
-        let lasts = |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps;
-        assert!(lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0, "methods that replay get worse as it fades");
+        let lasts = |sets: &[&str]| {
+            resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps
+        };
+        assert!(
+            lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0,
+            "methods that replay get worse as it fades"
+        );
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
@@ -420,7 +483,10 @@ mod tests {
     fn a_trained_policy_begins_with_less_noise() {
         let start = |sets: &[&str]| resolve("", sets).unwrap().exploration.log_std_start;
         let noise = settings::Exploration::default();
-        assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
+        assert_eq!(
+            (start(&[]), start(&["init_from="])),
+            (noise.log_std_start, noise.log_std_start)
+        );
         assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
         assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
     }
@@ -445,17 +511,28 @@ mod tests {
             message("seed = 1\n\n[ppo]\n  gama = 0.9\n", &[]),
             "c.toml:4:3: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
         );
-        assert_eq!(message("[ppo]\ngamma = 1.5\n", &[]), "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1");
+        assert_eq!(
+            message("[ppo]\ngamma = 1.5\n", &[]),
+            "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1"
+        );
         assert!(
-            message("[ppo]\ngamma = \"x\"\n", &[]).starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type")
+            message("[ppo]\ngamma = \"x\"\n", &[])
+                .starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type")
         );
         assert!(message("[ppo\n", &[]).starts_with("c.toml:1:"));
         assert!(
             message("", &["iwol.mask=soft"])
                 .starts_with("--set iwol.mask=soft: bad value for `iwol.mask`: unknown variant")
         );
-        assert_eq!(message("", &["gamma"]), "--set gamma: bad value for `gamma`: write it as key=value");
-        assert!(message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"), "{}", message("", &["gamma=1"]));
+        assert_eq!(
+            message("", &["gamma"]),
+            "--set gamma: bad value for `gamma`: write it as key=value"
+        );
+        assert!(
+            message("", &["gamma=1"]).contains("did you mean `ppo.gamma`?"),
+            "{}",
+            message("", &["gamma=1"])
+        );
         assert_eq!(
             message("[iwol]\nmessage = 6\n", &[]),
             "c.toml:2:11: bad value for `iwol.heads`: allowed: a divisor of iwol.message"
@@ -471,12 +548,19 @@ mod tests {
             "--set env.signal_distance=20: bad value for `env.signal_distance`: allowed: 30, the default, unless \
              env.intention is signalled: otherwise no vehicle has an indicator"
         );
-        assert!(message("", &["env.intention=signalled", "env.signal_distance=0"]).contains("allowed: 1 to 200"));
-        let signalled = resolve("", &["env.intention=signalled", "env.signal_distance=20"]).unwrap();
+        assert!(
+            message("", &["env.intention=signalled", "env.signal_distance=0"])
+                .contains("allowed: 1 to 200")
+        );
+        let signalled =
+            resolve("", &["env.intention=signalled", "env.signal_distance=20"]).unwrap();
         assert_eq!(signalled.env.signal_distance, 20.0);
         assert!(message("", &["env.observation=all"]).contains("unknown variant"));
         assert!(message("", &["env.reward_crash=nan"]).contains("a finite number"));
         assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
-        assert!(message("", &["ppo.target_kl=0.01", "algorithm=commformer"]).contains("0 with CommFormer"));
+        assert!(
+            message("", &["ppo.target_kl=0.01", "algorithm=commformer"])
+                .contains("0 with CommFormer")
+        );
     }
 }

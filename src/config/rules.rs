@@ -7,13 +7,18 @@ use crate::scenario::{Intention, Lidar, Observation};
 impl Config {
     /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
     pub(super) fn out_of_range(&self) -> Option<(&'static [&'static str], &'static str)> {
-        let (t, n, p, x, i, e) = (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
+        let (t, n, p, x, i, e) =
+            (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
         let (c, former) = (&self.channel, &self.commformer);
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
         // A rollout's observations alone must fit into memory.
-        let samples = t.envs.saturating_mul(t.segment).saturating_mul(t.growth).saturating_mul(self.agents as usize);
+        let samples = t
+            .envs
+            .saturating_mul(t.segment)
+            .saturating_mul(t.growth)
+            .saturating_mul(self.agents as usize);
         let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
         let heads = self.transformer.heads;
         let able = algo::capabilities(&self.algorithm).ok();
@@ -36,10 +41,18 @@ impl Config {
                 "1 with MADDPG, which learns from replayed steps",
             ),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
-            (&["train.validation_episodes"], (1..=100_000).contains(&t.validation_episodes), "1 to 100000"),
+            (
+                &["train.validation_episodes"],
+                (1..=100_000).contains(&t.validation_episodes),
+                "1 to 100000",
+            ),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
             (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
-            (&["train.imitate_speed"], (0.1..=100.0).contains(&t.imitate_speed), "0.1 to 100 (m/s)"),
+            (
+                &["train.imitate_speed"],
+                (0.1..=100.0).contains(&t.imitate_speed),
+                "0.1 to 100 (m/s)",
+            ),
             (
                 &["train.imitate_steps", "algorithm"],
                 t.imitate_steps == 0 || able.is_none_or(|able| able.on_policy),
@@ -50,8 +63,16 @@ impl Config {
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
             (&["train.stop_validations"], (1..=1000).contains(&t.stop_validations), "1 to 1000"),
             (&["simulation.processes"], self.simulation.processes <= 1024, "0 to 1024"),
-            (&["simulation.timeout"], (0.1..=86_400.0).contains(&self.simulation.timeout), "0.1 to 86400"),
-            (&["network.hidden"], (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0, "an even number, 2 to 4096"),
+            (
+                &["simulation.timeout"],
+                (0.1..=86_400.0).contains(&self.simulation.timeout),
+                "0.1 to 86400",
+            ),
+            (
+                &["network.hidden"],
+                (2..=4096).contains(&n.hidden) && n.hidden % 2 == 0,
+                "an even number, 2 to 4096",
+            ),
             (&["network.extra_layers"], n.extra_layers <= 16, "0 to 16"),
             (&["network.token_width"], (1..=1024).contains(&n.token_width), "1 to 1024"),
             (
@@ -81,7 +102,11 @@ impl Config {
             (&["ppo.max_grad_norm"], finite_positive(p.max_grad_norm), "above 0"),
             (&["ppo.value_norm_beta"], (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
             (&["exploration.log_std_start"], (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
-            (&["exploration.log_std_explore"], (-20.0..=5.0).contains(&x.log_std_explore), "-20 to 5"),
+            (
+                &["exploration.log_std_explore"],
+                (-20.0..=5.0).contains(&x.log_std_explore),
+                "-20 to 5",
+            ),
             (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
             (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
@@ -89,7 +114,11 @@ impl Config {
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
             (&["iwol.message"], (1..=4096).contains(&i.message), "1 to 4096"),
-            (&["iwol.heads", "iwol.message"], i.heads >= 1 && i.message % i.heads == 0, "a divisor of iwol.message"),
+            (
+                &["iwol.heads", "iwol.message"],
+                i.heads >= 1 && i.message % i.heads == 0,
+                "a divisor of iwol.message",
+            ),
             (&["iwol.temperature"], finite_positive(i.temperature), "above 0"),
             (&["iwol.slope"], i.slope.is_finite(), "a finite number"),
             (&["iwol.graph_bias"], i.graph_bias.is_finite(), "a finite number"),
@@ -103,10 +132,15 @@ impl Config {
                 "a divisor of network.hidden",
             ),
             (&["magic.lambda_world"], finite_range(self.magic.lambda_world), "0 or more"),
-            (&["commformer.sparsity"], former.sparsity > 0.0 && share(former.sparsity), "above 0, to 1"),
+            (
+                &["commformer.sparsity"],
+                former.sparsity > 0.0 && share(former.sparsity),
+                "above 0, to 1",
+            ),
             (
                 &["commformer.graph_every", "ppo.epochs", "algorithm"],
-                (2..=p.epochs.max(2)).contains(&former.graph_every) || self.algorithm != "commformer",
+                (2..=p.epochs.max(2)).contains(&former.graph_every)
+                    || self.algorithm != "commformer",
                 "2 to ppo.epochs: in every so many passes over a rollout, one trains the graph",
             ),
             (
@@ -123,7 +157,11 @@ impl Config {
             (&["maddpg.updates"], (1..=100_000).contains(&self.maddpg.updates), "1 to 100000"),
             (&["maddpg.n_step"], (1..=1000).contains(&self.maddpg.n_step), "1 to 1000"),
             (&["maddpg.action_penalty"], finite_positive(self.maddpg.action_penalty), "above 0"),
-            (&["maddpg.target_rate"], self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate), "above 0, to 1"),
+            (
+                &["maddpg.target_rate"],
+                self.maddpg.target_rate > 0.0 && share(self.maddpg.target_rate),
+                "above 0, to 1",
+            ),
             (
                 &["network.encoder", "algorithm"],
                 !recurrent || able.is_none_or(|able| able.recurrent),
@@ -143,7 +181,8 @@ impl Config {
             (&["env.signal_distance"], (1.0..=200.0).contains(&e.signal_distance), "1 to 200"),
             (
                 &["env.signal_distance", "env.intention"],
-                e.intention == Intention::Signalled || e.signal_distance == Observation::SIGNAL_DISTANCE,
+                e.intention == Intention::Signalled
+                    || e.signal_distance == Observation::SIGNAL_DISTANCE,
                 "30, the default, unless env.intention is signalled: otherwise no vehicle has an indicator",
             ),
             (&["env.conflict_streams"], e.conflict_streams <= 16, "0 to 16"),

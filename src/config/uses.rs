@@ -31,7 +31,8 @@ impl Config {
             // How many learn is known once the scenario is set up.
             Ok(())
         };
-        let unfit = as_many.and_then(|()| algo::check_channel(&self.algorithm, &asked.channel)).err();
+        let unfit =
+            as_many.and_then(|()| algo::check_channel(&self.algorithm, &asked.channel)).err();
         unfit.map(|unfit| unfit.to_string())
     }
 }

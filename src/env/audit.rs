@@ -99,7 +99,8 @@ fn touches_junction(task: &Task, slot: &Slot, which: fn(&JunctionStretch) -> boo
 fn bent_meets(a: &Slot, b: &Slot) -> bool {
     let [length, width] = a.size;
     let at: Stance = (&a.pose).into();
-    let front = [at.middle[0] + at.along[0] * length / 2.0, at.middle[1] + at.along[1] * length / 2.0];
+    let front =
+        [at.middle[0] + at.along[0] * length / 2.0, at.middle[1] + at.along[1] * length / 2.0];
     let front = Stance { middle: front, ..at };
     separation((front, [0.0; 2]), ((&b.pose).into(), b.size)) <= length + width / 2.0
 }
@@ -124,13 +125,17 @@ impl Ours {
         mut reported: impl Iterator<Item = &'a Collision>,
     ) -> Self {
         let [a, b] = pair.map(|(_, slot)| slot);
-        let overlap = |p: &Pose, q: &Pose, more: f64| boxes_overlap((p, grown(a, more)), (q, grown(b, more)));
-        let centred = |slot: &Slot| Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
+        let overlap =
+            |p: &Pose, q: &Pose, more: f64| boxes_overlap((p, grown(a, more)), (q, grown(b, more)));
+        let centred = |slot: &Slot| {
+            Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral)
+        };
         let front_inside = |slot: &Slot| {
             let front = slot.s + slot.size[0] / 2.0;
             task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
         };
-        let touches = |slot: &Slot, which: fn(&JunctionStretch) -> bool| touches_junction(task, slot, which);
+        let touches =
+            |slot: &Slot, which: fn(&JunctionStretch) -> bool| touches_junction(task, slot, which);
         let of_pair = |slot: u32| pair.iter().any(|(other, _)| *other == slot);
         if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
             Ours::Unregulated
@@ -138,7 +143,9 @@ impl Ours {
             Ours::BetweenSteps
         } else if !overlap(&centred(a), &centred(b), 0.0) {
             Ours::LateralOffset
-        } else if (touches(a, |_| true) || touches(b, |_| true)) && !(front_inside(a) && front_inside(b)) {
+        } else if (touches(a, |_| true) || touches(b, |_| true))
+            && !(front_inside(a) && front_inside(b))
+        {
             Ours::JunctionEdge
         } else if !overlap(&a.pose, &b.pose, -NEAR) {
             Ours::Touching
@@ -169,7 +176,10 @@ impl Sumos {
             Sumos::Ended
         } else if boxes_overlap((&a.pose, grown(a, NEAR)), (&b.pose, grown(b, NEAR))) {
             Sumos::Touching
-        } else if steer && (in_junction(a) || in_junction(b)) && (bent_meets(a, b) || bent_meets(b, a)) {
+        } else if steer
+            && (in_junction(a) || in_junction(b))
+            && (bent_meets(a, b) || bent_meets(b, a))
+        {
             Sumos::Bent
         } else {
             Sumos::Other

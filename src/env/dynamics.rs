@@ -102,7 +102,10 @@ mod tests {
         assert_eq!(speed(0.5, -1.0), 0.0);
         assert_eq!(speed(0.0, 0.0), 0.0);
         assert_eq!(speed(22.2, 1.0), 22.222);
-        assert_eq!(advance(&control, &vehicle, 5.0, f64::NAN), advance(&control, &vehicle, 5.0, 0.0));
+        assert_eq!(
+            advance(&control, &vehicle, 5.0, f64::NAN),
+            advance(&control, &vehicle, 5.0, 0.0)
+        );
         // From 10 m/s under full throttle: five substeps of 0.02 s, each at its new speed.
         let way: f64 = (1..=5).map(|k| 0.02 * (10.0 + 2.909 * 0.02 * f64::from(k))).sum();
         assert!((advance(&control, &vehicle, 10.0, 1.0).0 - way).abs() < 1e-12);

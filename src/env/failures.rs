@@ -60,7 +60,8 @@ fn add(to: &mut BTreeMap<String, u32>, from: &BTreeMap<String, u32>) {
 fn most(counts: &BTreeMap<String, u32>) -> String {
     let mut counts: Vec<_> = counts.iter().collect();
     counts.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
-    let parts: Vec<String> = counts.iter().take(6).map(|(name, count)| format!("{name} {count}")).collect();
+    let parts: Vec<String> =
+        counts.iter().take(6).map(|(name, count)| format!("{name} {count}")).collect();
     parts.join(", ")
 }
 
@@ -130,11 +131,18 @@ impl Failures {
             lines.push(format!("crossing: {}", most(&self.routes)));
         }
         if self.out_of_road > 0 {
-            let routes = if self.off_road.is_empty() { String::new() } else { format!(": {}", most(&self.off_road)) };
+            let routes = if self.off_road.is_empty() {
+                String::new()
+            } else {
+                format!(": {}", most(&self.off_road))
+            };
             lines.push(format!("{} vehicles left the road{routes}", self.out_of_road));
         }
         if self.unfinished > 0 {
-            lines.push(format!("{} vehicles had not arrived when their episode was cut off", self.unfinished));
+            lines.push(format!(
+                "{} vehicles had not arrived when their episode was cut off",
+                self.unfinished
+            ));
         }
         lines
     }

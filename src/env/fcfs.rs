@@ -36,11 +36,16 @@ pub(super) struct Free {
 }
 
 impl Free {
-    pub(super) const ALL: Self = Self { way: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
+    pub(super) const ALL: Self =
+        Self { way: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
 
     /// The nearer of each.
     pub(super) fn min(self, other: Self) -> Self {
-        Self { way: self.way.min(other.way), slow: self.slow.min(other.slow), blocked: self.blocked.min(other.blocked) }
+        Self {
+            way: self.way.min(other.way),
+            slow: self.slow.min(other.slow),
+            blocked: self.blocked.min(other.blocked),
+        }
     }
 }
 
@@ -83,8 +88,11 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
             let [close, soon] = passing(Course::new(routes, own, speed), course, HORIZON);
             if close > close_to { speed * HORIZON * (1.0 - soon) } else { f64::INFINITY }
         };
-        let before =
-            |at: f64| Free { way: way(DRIVING, at, TOO_CLOSE), slow: way(DRIVING / 2.0, at, TOO_CLOSE), ..Free::ALL };
+        let before = |at: f64| Free {
+            way: way(DRIVING, at, TOO_CLOSE),
+            slow: way(DRIVING / 2.0, at, TOO_CLOSE),
+            ..Free::ALL
+        };
         match standing(&place) {
             Standing::Behind => Free::ALL,
             Standing::Ahead => before(other.speed),
@@ -99,7 +107,12 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
         };
         !knowledge.candidates(j).take(*k).any(same)
     };
-    knowledge.candidates(j).enumerate().filter(new).map(|(_, place)| on(place)).fold(Free::ALL, Free::min)
+    knowledge
+        .candidates(j)
+        .enumerate()
+        .filter(new)
+        .map(|(_, place)| on(place))
+        .fold(Free::ALL, Free::min)
 }
 
 /// Which vehicles brake now: for one that comes before them, is ahead, or stands in their way.
@@ -141,7 +154,11 @@ fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) ->
 /// that one's turn, if it is before its own: otherwise each of them would wait for the other. One
 /// that may take several routes is in the way of another if it is so for any route that the other
 /// may take. `blocked` is scratch.
-pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &mut Vec<(usize, usize)>) {
+pub(super) fn inherit(
+    knowledge: Knowledge<'_>,
+    turns: &mut Vec<u32>,
+    blocked: &mut Vec<(usize, usize)>,
+) {
     let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;
     turns.clear();
@@ -149,15 +166,19 @@ pub(super) fn inherit(knowledge: Knowledge<'_>, turns: &mut Vec<u32>, blocked: &
     turns.extend(slots.iter().map(|slot| slot.turn.wrapping_sub(1)));
     let drives = |i: usize| slots[i].status == Status::Active;
     let stands_in_the_way = |i: usize, j: usize| {
-        let waits_behind = |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
+        let waits_behind =
+            |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
         // Where it stands is the same on all of its routes.
         let own = knowledge.candidates(i).next().unwrap_or_else(|| Candidate::of(&slots[i]));
         let course = Course::on(routes, own, slots[i].size, 0.0);
-        !knowledge.candidates(i).any(waits_behind) && knowledge.closest(course, j, DRIVING, BLOCKED)[0] > IN_THE_WAY
+        !knowledge.candidates(i).any(waits_behind)
+            && knowledge.closest(course, j, DRIVING, BLOCKED)[0] > IN_THE_WAY
     };
     blocked.clear();
     for i in (0..slots.len()).filter(|&i| drives(i)) {
-        let near = |&j: &usize| j != i && drives(j) && traffic.distance(i, j) < FAR && stands_in_the_way(i, j);
+        let near = |&j: &usize| {
+            j != i && drives(j) && traffic.distance(i, j) < FAR && stands_in_the_way(i, j)
+        };
         blocked.extend((0..slots.len()).filter(near).map(|j| (i, j)));
     }
     // Along chains of any length.
@@ -182,7 +203,8 @@ mod tests {
     use crate::scenario::Scenario;
 
     fn task() -> Task {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
         Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task")
     }
 
@@ -201,7 +223,15 @@ mod tests {
         let path = &task.routes[route].path;
         let ([x, y], heading) = path.at(s);
         let segment = path.project([x, y], 0).2;
-        Slot { status: Status::Active, route, s, segment, pose: Pose { x, y, heading }, size: [4.5, 1.85], ..EMPTY }
+        Slot {
+            status: Status::Active,
+            route,
+            s,
+            segment,
+            pose: Pose { x, y, heading },
+            size: [4.5, 1.85],
+            ..EMPTY
+        }
     }
 
     fn inherited(task: &Task, traffic: &Traffic) -> Vec<u32> {
@@ -213,24 +243,37 @@ mod tests {
     #[test]
     fn turns_go_to_whoever_comes_near_first() {
         let task = task();
-        let at = [("west_straight", 25.0), ("south_straight", 12.0), ("east_straight", 15.0), ("north_straight", 30.0)];
+        let at = [
+            ("west_straight", 25.0),
+            ("south_straight", 12.0),
+            ("east_straight", 15.0),
+            ("north_straight", 30.0),
+        ];
         let mut traffic = traffic(&task, &at);
         traffic.take_turns(&task.routes, None, 20.0);
-        let turns = |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.turn).collect::<Vec<_>>();
+        let turns =
+            |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.turn).collect::<Vec<_>>();
         assert_eq!(turns(&traffic), [0, 1, 2, 0]);
         // Who comes later is behind, however close it gets.
         traffic.slots[0].s += 24.0;
         traffic.take_turns(&task.routes, None, 20.0);
         assert_eq!(turns(&traffic), [3, 1, 2, 0]);
         traffic.refresh();
-        assert_eq!(inherited(&task, &traffic), [2, 0, 1, u32::MAX], "those who have not come near are last");
+        assert_eq!(
+            inherited(&task, &traffic),
+            [2, 0, 1, u32::MAX],
+            "those who have not come near are last"
+        );
     }
 
     #[test]
     fn who_stands_in_the_way_has_the_turn_of_the_one_that_it_blocks() {
         let task = task();
         // The second stands across the way of the first, which came before it; the third is outside, and in nobody's way.
-        let mut traffic = traffic(&task, &[("west_straight", 0.0), ("south_straight", 0.0), ("east_straight", 6.0)]);
+        let mut traffic = traffic(
+            &task,
+            &[("west_straight", 0.0), ("south_straight", 0.0), ("east_straight", 6.0)],
+        );
         let routes = [0, 1].map(|i| traffic.slots[i].route);
         let met = task.routes[routes[0]].meeting(routes[1]).expect("they cross");
         traffic.slots[0] = at(&task, routes[0], met.own - 7.0);

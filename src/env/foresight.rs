@@ -29,7 +29,12 @@ impl<'a> Course<'a> {
     }
 
     /// On a route that it may take.
-    pub(super) fn on(routes: &'a [RouteGeometry], place: Candidate, size: Size, speed: f64) -> Self {
+    pub(super) fn on(
+        routes: &'a [RouteGeometry],
+        place: Candidate,
+        size: Size,
+        speed: f64,
+    ) -> Self {
         Self { path: &routes[place.route].path, place, size, speed }
     }
 
@@ -83,7 +88,8 @@ impl Closest {
             let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
             let far = (dx * dx + dy * dy).sqrt() - reach;
             // Few pairs are so close that it matters how they stand.
-            let apart = if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
+            let apart =
+                if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
             if apart < self.least || apart <= 0.0 {
                 (self.least, self.when) = (apart.max(0.0), time);
             }
@@ -120,19 +126,30 @@ mod tests {
         let points = [[[0.0, 0.0], [100.0, 0.0]], [[50.0, -50.0], [50.0, 50.0]]];
         let paths = points.map(|points| Path::from_points(points, 3.5).expect("two points"));
         let place = |i: usize| Candidate { route: i, s: s[i], lateral: 0.0, segment: 0 };
-        let course = |i: usize| Course { path: &paths[i], place: place(i), size: [4.0, 2.0], speed: speed[i] };
+        let course = |i: usize| Course {
+            path: &paths[i],
+            place: place(i),
+            size: [4.0, 2.0],
+            speed: speed[i],
+        };
         passing(course(0), course(1), HORIZON)
     }
 
     #[test]
     fn a_crossing_is_foreseen_from_the_ways_that_are_left() {
         // They touch when both are 3 m from the crossing.
-        let touching =
-            [([27.0, 27.0], [10.0, 10.0], 2.0), ([37.0, 7.0], [5.0, 20.0], 2.0), ([47.0, 47.0], [0.0, 8.0], 0.0)];
+        let touching = [
+            ([27.0, 27.0], [10.0, 10.0], 2.0),
+            ([37.0, 7.0], [5.0, 20.0], 2.0),
+            ([47.0, 47.0], [0.0, 8.0], 0.0),
+        ];
         for (s, speed, time) in touching {
             let [close, soon] = crossing(s, speed);
             let found = HORIZON * (1.0 - soon);
-            assert!(close == 1.0 && (time..=time + LOOK.2).contains(&found), "{close}, {found} s, and not {time}");
+            assert!(
+                close == 1.0 && (time..=time + LOOK.2).contains(&found),
+                "{close}, {found} s, and not {time}"
+            );
         }
         // One drives by before the other, which stands 2 m beside its way.
         let [close, soon] = crossing([30.0, 45.0], [10.0, 0.0]);

@@ -21,9 +21,14 @@ impl Pose {
     /// Linear interpolation towards `next` (headings the short way round); `t` in 0..=1.
     #[must_use]
     pub fn towards(&self, next: &Pose, t: f64) -> Pose {
-        let turn = (next.heading - self.heading + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
+        let turn = (next.heading - self.heading + std::f64::consts::PI)
+            .rem_euclid(std::f64::consts::TAU)
             - std::f64::consts::PI;
-        Pose { x: self.x + (next.x - self.x) * t, y: self.y + (next.y - self.y) * t, heading: self.heading + turn * t }
+        Pose {
+            x: self.x + (next.x - self.x) * t,
+            y: self.y + (next.y - self.y) * t,
+            heading: self.heading + turn * t,
+        }
     }
 
     /// Centre distance \[m\].
@@ -65,7 +70,8 @@ pub(super) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size
         ((dx * c + dy * s).abs() - along).max((dy * c - dx * s).abs() - across)
     };
     let turned = turned(a.along, b.along);
-    apart(a.along, reaches(turned, a_size, b_size)).max(apart(b.along, reaches(turned, b_size, a_size)))
+    apart(a.along, reaches(turned, a_size, b_size))
+        .max(apart(b.along, reaches(turned, b_size, a_size)))
 }
 
 /// Whether two boxes overlap (separating axes).
@@ -82,7 +88,8 @@ fn turned(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 
 /// Distances of two centres along the axes of one box, below which another box, turned to it, reaches into it \[m\].
 fn reaches([cos, sin]: [f64; 2], own: Size, other: Size) -> [f64; 2] {
-    let [own_l, own_w, half_l, half_w] = [own[0] / 2.0, own[1] / 2.0, other[0] / 2.0, other[1] / 2.0];
+    let [own_l, own_w, half_l, half_w] =
+        [own[0] / 2.0, own[1] / 2.0, other[0] / 2.0, other[1] / 2.0];
     [own_l + half_l * cos + half_w * sin, own_w + half_l * sin + half_w * cos]
 }
 
@@ -104,7 +111,11 @@ pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> O
 }
 
 /// From when to when a point that begins at `at` and moves by `way` in a unit of time is within `half` of zero along every axis.
-pub(super) fn stretch<const N: usize>(at: [f64; N], way: [f64; N], half: [f64; N]) -> Option<[f64; 2]> {
+pub(super) fn stretch<const N: usize>(
+    at: [f64; N],
+    way: [f64; N],
+    half: [f64; N],
+) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for ((at, way), half) in at.into_iter().zip(way).zip(half) {
         if way.abs() < 1e-12 {
@@ -161,7 +172,9 @@ mod tests {
         }
         let n = polygon.len();
         (0..n)
-            .map(|i| polygon[i][0] * polygon[(i + 1) % n][1] - polygon[(i + 1) % n][0] * polygon[i][1])
+            .map(|i| {
+                polygon[i][0] * polygon[(i + 1) % n][1] - polygon[(i + 1) % n][0] * polygon[i][1]
+            })
             .sum::<f64>()
             .abs()
             / 2.0
@@ -213,7 +226,9 @@ mod tests {
         let a = Pose { x: 0.0, y: 0.0, heading: 3.0 };
         let b = Pose { x: 2.0, y: 0.0, heading: -3.0 };
         let middle = a.towards(&b, 0.5);
-        assert!((middle.heading.rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI).abs() < 1e-9);
+        assert!(
+            (middle.heading.rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI).abs() < 1e-9
+        );
         assert_eq!(middle.x, 1.0);
     }
 }

@@ -91,17 +91,25 @@ impl Forks {
             for b in 0..a {
                 if labels[a] != labels[b] && begin_alike(&routes[a], &routes[b]) {
                     let (kept, gone) = (labels[a].min(labels[b]), labels[a].max(labels[b]));
-                    labels.iter_mut().filter(|label| **label == gone).for_each(|label| *label = kept);
+                    labels
+                        .iter_mut()
+                        .filter(|label| **label == gone)
+                        .for_each(|label| *label = kept);
                 }
             }
         }
-        let like = |a: usize| (0..routes.len()).filter(|&b| labels[b] == labels[a]).collect::<Vec<_>>();
+        let like =
+            |a: usize| (0..routes.len()).filter(|&b| labels[b] == labels[a]).collect::<Vec<_>>();
         let alike: Vec<Vec<usize>> = (0..routes.len()).map(like).collect();
         let together = |(a, alike): (usize, &Vec<usize>)| {
             alike.iter().map(|&b| common_length(&routes[a].path, &routes[b].path)).collect()
         };
         let together = alike.iter().enumerate().map(together).collect();
-        Self { alike, together, passages: routes.iter().map(|route| passages(net, &route.path)).collect() }
+        Self {
+            alike,
+            together,
+            passages: routes.iter().map(|route| passages(net, &route.path)).collect(),
+        }
     }
 
     /// How far a vehicle can drive along both candidate routes until their paths part \[m\]; 0
@@ -137,7 +145,8 @@ fn common_length(a: &Path, b: &Path) -> f64 {
 
 fn passages(net: &Net, path: &Path) -> Vec<Passage> {
     let stretches: Vec<(usize, f64, f64)> = path.lane_stretches().collect();
-    let is_road = |k: &usize| net.edges[net.lanes[stretches[*k].0].edge].function == EdgeFunction::Normal;
+    let is_road =
+        |k: &usize| net.edges[net.lanes[stretches[*k].0].edge].function == EdgeFunction::Normal;
     let roads: Vec<usize> = (0..stretches.len()).filter(is_road).collect();
     let passage = |pair: &[usize]| {
         let [(lane, _, from), (next, to, _)] = [stretches[pair[0]], stretches[pair[1]]];
@@ -201,7 +210,10 @@ impl Intentions {
         let slots = task.slots();
         Some(Self {
             most,
-            tracked: vec![Tracked { candidate: none, apart: 0.0, open: false, agrees: false }; slots * most],
+            tracked: vec![
+                Tracked { candidate: none, apart: 0.0, open: false, agrees: false };
+                slots * most
+            ],
             counts: vec![0; slots],
             queues: vec![Vec::with_capacity(slots); task.routes.len()],
             sees_indicator: vec![false; slots * slots],
@@ -234,7 +246,14 @@ impl Intentions {
             for (entry, &route) in tracked.iter_mut().zip(alike) {
                 let hint = (!begins).then_some(entry.candidate.segment);
                 let geometry = &task.routes[route];
-                *entry = locate(geometry, route, slot, traffic.stance(j), hint, steers && j < task.agents);
+                *entry = locate(
+                    geometry,
+                    route,
+                    slot,
+                    traffic.stance(j),
+                    hint,
+                    steers && j < task.agents,
+                );
             }
             close_parted(tracked);
             if let Some(distance) = signals {
@@ -262,7 +281,8 @@ impl Intentions {
     /// route is known.
     pub(super) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
         let open = self.of(slot).iter().filter(|entry| entry.open);
-        open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s)).min_by(f64::total_cmp)
+        open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s))
+            .min_by(f64::total_cmp)
     }
 
     /// Finds out which agents see which indicators.
@@ -293,7 +313,8 @@ fn locate(
 ) -> Tracked {
     let path = if on_path { &geometry.path } else { geometry.lanes() };
     let centre = [slot.pose.x, slot.pose.y];
-    let (s, lateral, segment) = hint.map_or_else(|| path.nearest(centre), |hint| path.project(centre, hint));
+    let (s, lateral, segment) =
+        hint.map_or_else(|| path.nearest(centre), |hint| path.project(centre, hint));
     let s = if on_path { s } else { geometry.on_way(s) };
     let outside = (-s).max(s - geometry.path.length()) - slot.size[0];
     let candidate = Candidate { route, s, lateral, segment };
@@ -346,7 +367,8 @@ fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
         let third = k != i && k != j && body.status != Status::Empty;
         third
             && traffic.distance(i, k) <= distance + half[0] + half[1]
-            && to_box(from, traffic.stance(k), half)(along).is_some_and(|to_body| to_body < distance)
+            && to_box(from, traffic.stance(k), half)(along)
+                .is_some_and(|to_body| to_body < distance)
     };
     !traffic.slots.iter().enumerate().any(hides)
 }
@@ -368,7 +390,11 @@ impl<'a> Knowledge<'a> {
     }
 
     /// What everybody knows: all routes, less what the scenario hides.
-    pub(super) fn public(task: &'a Task, traffic: &'a Traffic, intentions: Option<&'a Intentions>) -> Self {
+    pub(super) fn public(
+        task: &'a Task,
+        traffic: &'a Traffic,
+        intentions: Option<&'a Intentions>,
+    ) -> Self {
         let hidden = intentions.map(|intentions| (intentions, &task.forks));
         Self { hidden, ..Self::full(&task.routes, traffic) }
     }
@@ -379,7 +405,10 @@ impl<'a> Knowledge<'a> {
     }
 
     /// The routes that the vehicle of a slot may take, in ascending order: one at least.
-    pub(super) fn candidates(self, slot: usize) -> impl Iterator<Item = Candidate> + Clone + use<'a> {
+    pub(super) fn candidates(
+        self,
+        slot: usize,
+    ) -> impl Iterator<Item = Candidate> + Clone + use<'a> {
         let tracked = self.hidden.map_or(&[][..], |(intentions, _)| intentions.of(slot));
         let known = tracked.is_empty().then(|| Candidate::of(&self.traffic.slots[slot]));
         let reads = !tracked.is_empty() && self.sees_indicator(slot);
@@ -404,24 +433,45 @@ impl<'a> Knowledge<'a> {
 
     /// The closest passing of a course and the vehicle of a slot at a speed \[m/s\], on any of its
     /// candidate routes, as [`passing`](super::foresight::passing) has it.
-    pub(super) fn closest(self, course: Course<'_>, slot: usize, speed: f64, horizon: f64) -> [f64; 2] {
+    pub(super) fn closest(
+        self,
+        course: Course<'_>,
+        slot: usize,
+        speed: f64,
+        horizon: f64,
+    ) -> [f64; 2] {
         let mut closest = Closest::within(horizon);
         for (place, common) in self.branches(slot) {
             // Up to there it was looked for on an earlier route.
-            let from = if common > 0.0 && speed <= 0.0 { f64::INFINITY } else { common / speed.max(f64::MIN_POSITIVE) };
-            closest.look(course, Course::on(self.routes, place, self.traffic.slots[slot].size, speed), from);
+            let from = if common > 0.0 && speed <= 0.0 {
+                f64::INFINITY
+            } else {
+                common / speed.max(f64::MIN_POSITIVE)
+            };
+            closest.look(
+                course,
+                Course::on(self.routes, place, self.traffic.slots[slot].size, speed),
+                from,
+            );
         }
         closest.told()
     }
 
     /// Positions \[m\] and slots of the vehicles that may be on a route, furthest along first.
-    pub(super) fn on_route(self, route: usize) -> impl Iterator<Item = (f64, usize)> + Clone + use<'a> {
+    pub(super) fn on_route(
+        self,
+        route: usize,
+    ) -> impl Iterator<Item = (f64, usize)> + Clone + use<'a> {
         let (known, open) = match self.hidden {
             None => (&self.traffic.by_route[route][..], &[][..]),
             Some((intentions, _)) => (&[][..], &intentions.queues[route][..]),
         };
-        let open = open.iter().filter(move |entry| entry.agrees || !self.sees_indicator(entry.slot));
-        known.iter().map(move |&j| (self.traffic.slots[j].s, j)).chain(open.map(|entry| (entry.s, entry.slot)))
+        let open =
+            open.iter().filter(move |entry| entry.agrees || !self.sees_indicator(entry.slot));
+        known
+            .iter()
+            .map(move |&j| (self.traffic.slots[j].s, j))
+            .chain(open.map(|entry| (entry.s, entry.slot)))
     }
 
     fn sees_indicator(self, slot: usize) -> bool {

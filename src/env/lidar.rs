@@ -60,7 +60,13 @@ impl<'a> Beams<'a> {
 
     /// Ends beams within `wide` radians counter-clockwise from `first`, which counts from straight ahead, where `hit` says for their
     /// direction: nowhere nearer than `nearest`.
-    fn between(&mut self, first: f64, wide: f64, nearest: f64, hit: impl Fn([f64; 2]) -> Option<f64>) {
+    fn between(
+        &mut self,
+        first: f64,
+        wide: f64,
+        nearest: f64,
+        hit: impl Fn([f64; 2]) -> Option<f64>,
+    ) {
         // Conversion rounds towards zero, and is quicker than `f64::ceil`.
         let up = |x: f64| x as i64 + i64::from(x > (x as i64) as f64);
         let count = self.along.len() as i64;
@@ -90,8 +96,14 @@ impl<'a> Beams<'a> {
         // The beams that may hit it: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
         let middle = self.bearing(there);
         let clear = apart * apart - reach * reach;
-        let wide = if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
-        self.between(middle - wide, 2.0 * wide, apart - reach, to_box(self.from.middle, body, half));
+        let wide =
+            if clear > 0.0 { (reach / clear.sqrt() + SLACK).min(TAU / 2.0) } else { TAU / 2.0 };
+        self.between(
+            middle - wide,
+            2.0 * wide,
+            apart - reach,
+            to_box(self.from.middle, body, half),
+        );
     }
 
     /// Ends beams at kerbs and lines.
@@ -113,7 +125,8 @@ impl<'a> Beams<'a> {
                 return;
             }
             // Who is on the left of a line sees it go counter-clockwise.
-            let [first, last] = if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end));
+            let [first, last] =
+                if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end));
             let wide = last - first + SLACK;
             let wide = if wide < 0.0 { wide + TAU } else { wide };
             self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
@@ -133,7 +146,9 @@ fn bearing([x, y]: [f64; 2]) -> f64 {
     let (along, across) = (x.abs(), y.abs());
     let ratio = along.min(across) / along.max(across).max(f64::MIN_POSITIVE);
     let square = ratio * ratio;
-    let octant = (((-0.046_496_474_9 * square + 0.159_314_22) * square - 0.327_622_764) * square + 1.0) * ratio;
+    let octant = (((-0.046_496_474_9 * square + 0.159_314_22) * square - 0.327_622_764) * square
+        + 1.0)
+        * ratio;
     let quadrant = if across > along { TAU / 4.0 - octant } else { octant };
     let half = if x < 0.0 { TAU / 2.0 - quadrant } else { quadrant };
     half.copysign(y)
@@ -144,7 +159,11 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 /// Tells the distance from a point along a unit vector to a box \[m\]; 0 from inside.
-pub(super) fn to_box(from: [f64; 2], target: Stance, half: [f64; 2]) -> impl Fn([f64; 2]) -> Option<f64> {
+pub(super) fn to_box(
+    from: [f64; 2],
+    target: Stance,
+    half: [f64; 2],
+) -> impl Fn([f64; 2]) -> Option<f64> {
     let [cos, sin] = target.along;
     let own = move |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
     let at = own([from[0] - target.middle[0], from[1] - target.middle[1]]);

@@ -133,7 +133,12 @@ impl Features {
         let mut joined = self.clone();
         let shift = self.len();
         joined.list.extend_from_slice(&other.list);
-        joined.groups.extend(other.groups.iter().map(|group| Group { offset: group.offset + shift, ..group.clone() }));
+        joined.groups.extend(
+            other
+                .groups
+                .iter()
+                .map(|group| Group { offset: group.offset + shift, ..group.clone() }),
+        );
         joined
     }
 
@@ -144,10 +149,20 @@ impl Features {
             return;
         }
         let presence = features.iter().position(|f| f.0 == "present");
-        self.groups.push(Group { name: name.to_owned(), offset: self.len(), width: features.len(), count, presence });
+        self.groups.push(Group {
+            name: name.to_owned(),
+            offset: self.len(),
+            width: features.len(),
+            count,
+            presence,
+        });
         for token in 0..count {
             for &(feature, unit, low, high) in features {
-                let name = if count == 1 { format!("{name}.{feature}") } else { format!("{name}_{token}.{feature}") };
+                let name = if count == 1 {
+                    format!("{name}.{feature}")
+                } else {
+                    format!("{name}_{token}.{feature}")
+                };
                 self.list.push(Feature { name, unit: unit.to_owned(), low, high });
             }
         }

@@ -67,13 +67,21 @@ const TURN: [(&str, &str, f32, f32); 1] =
 
 /// Of all of them.
 const FREE: [(&str, &str, f32, f32); 3] = [
-    ("free", "15 m, until too close to one whose turn is before the agent's, is ahead, or is a wreck", 0.0, 1.0),
+    (
+        "free",
+        "15 m, until too close to one whose turn is before the agent's, is ahead, or is a wreck",
+        0.0,
+        1.0,
+    ),
     ("free_slow", "the same at half the speed", 0.0, 1.0),
     ("free_blocked", "15 m, to where one whose turn is after the agent's stands now", 0.0, 1.0),
 ];
 
 /// Describes encounters.
-pub(super) fn describe_encounters(features: &mut Features, Encounters { count, foresight, turns }: Encounters) {
+pub(super) fn describe_encounters(
+    features: &mut Features,
+    Encounters { count, foresight, turns }: Encounters,
+) {
     let (seen, flags) = ENCOUNTER.split_at(8);
     let foreseen: &[_] = if foresight > 0.0 { &FORESEEN } else { &[] };
     let turn: &[_] = if turns { &TURN } else { &[] };
@@ -217,7 +225,13 @@ struct View<'a> {
 
 /// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where
 /// agents are told of them. Of others' routes the agent learns what `knowledge` has.
-pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: usize, out: &mut [f32]) {
+pub(super) fn write(
+    task: &Task,
+    knowledge: Knowledge<'_>,
+    turns: &[u32],
+    slot: usize,
+    out: &mut [f32],
+) {
     let (scenario, routes, traffic) = (&task.scenario, &task.routes[..], knowledge.traffic);
     let knowledge = knowledge.to(slot);
     let own = &traffic.slots[slot];
@@ -265,7 +279,9 @@ pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: 
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    put_encounters(&mut w, knowledge, turns, slot, Encounters::of(&scenario.observation), |j| view.seen(j));
+    put_encounters(&mut w, knowledge, turns, slot, Encounters::of(&scenario.observation), |j| {
+        view.seen(j)
+    });
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -279,7 +295,8 @@ pub(super) fn write(task: &Task, knowledge: Knowledge<'_>, turns: &[u32], slot: 
 
 impl View<'_> {
     fn seen(&self, j: usize) -> bool {
-        j != self.slot && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
+        j != self.slot
+            && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
     }
 
     /// The nearest vehicles.
@@ -290,7 +307,9 @@ impl View<'_> {
         let mut nearest = [(f64::INFINITY, usize::MAX); 16];
         let k = self.scenario.observation.neighbours.min(nearest.len());
         if k > 0 {
-            for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j)) {
+            for j in (0..traffic.slots.len())
+                .filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j))
+            {
                 let d = traffic.distance(self.slot, j);
                 if d < nearest[k - 1].0 {
                     let at = nearest[..k].partition_point(|entry| entry.0 <= d);
@@ -317,13 +336,21 @@ impl View<'_> {
             };
             let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
             let (other_sin, other_cos) = other.pose.heading.sin_cos();
-            let (vx, vy) = (other.speed * other_cos - own.speed * cos, other.speed * other_sin - own.speed * sin);
+            let (vx, vy) = (
+                other.speed * other_cos - own.speed * cos,
+                other.speed * other_sin - own.speed * sin,
+            );
             let (forward, left) = (dx * cos + dy * sin, dy * cos - dx * sin);
             w.put([forward / FAR, left / FAR]);
             if by_bearing {
                 w.put([forward / NEAR, left / NEAR]);
             }
-            w.put([(vx * cos + vy * sin) / SPEED, (vy * cos - vx * sin) / SPEED, moving(other.status), 1.0]);
+            w.put([
+                (vx * cos + vy * sin) / SPEED,
+                (vy * cos - vx * sin) / SPEED,
+                moving(other.status),
+                1.0,
+            ]);
         }
     }
 
@@ -335,8 +362,11 @@ impl View<'_> {
         let mut ahead = 0;
         let mut leader: Option<(f64, usize)> = None;
         let route = &self.routes[own.route];
-        let gap_on = |place: Candidate| route.shared_position(place.route, place.s).map(|s| s - own.s);
-        for j in (0..traffic.slots.len()).filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j)) {
+        let gap_on =
+            |place: Candidate| route.shared_position(place.route, place.s).map(|s| s - own.s);
+        for j in (0..traffic.slots.len())
+            .filter(|&j| traffic.slots[j].status != Status::Empty && self.seen(j))
+        {
             let gaps = self.knowledge.candidates(j).filter_map(gap_on).filter(|&gap| gap > 0.0);
             if let Some(gap) = gaps.min_by(f64::total_cmp) {
                 ahead += 1;
@@ -352,14 +382,22 @@ impl View<'_> {
         let other = &traffic.slots[j];
         let gap = centre_gap - f64::midpoint(own.size[0], other.size[0]);
         let closing = (other.speed - own.speed) / 10.0;
-        w.put([f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]);
+        w.put([
+            f64::from(ahead) / COUNT,
+            gap / 10.0,
+            gap / FAR,
+            closing,
+            moving(other.status),
+            1.0,
+        ]);
     }
 
     /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere. A
     /// vehicle whose route is hidden is in the stream of each route that it could still take, but
     /// only once among those that the agent does not meet.
     fn put_streams(&self, w: &mut Writer) {
-        let (traffic, knowledge, settings) = (self.traffic, self.knowledge, &self.scenario.observation);
+        let (traffic, knowledge, settings) =
+            (self.traffic, self.knowledge, &self.scenario.observation);
         let own = &traffic.slots[self.slot];
         let route = &self.routes[own.route];
         for stream in 0..settings.conflict_streams {
@@ -371,15 +409,23 @@ impl View<'_> {
             let approaching = || {
                 // Queues are sorted by position, furthest first: next to the conflict point first.
                 let queue = knowledge.on_route(conflict.route);
-                queue.map(|(s, j)| (conflict.other - s, j)).filter(|&(u, j)| u > -CLEARED && self.seen(j))
+                queue
+                    .map(|(s, j)| (conflict.other - s, j))
+                    .filter(|&(u, j)| u > -CLEARED && self.seen(j))
             };
-            w.put([own_distance / FAR, own_distance / NEAR, approaching().count() as f64 / COUNT, 1.0]);
+            w.put([
+                own_distance / FAR,
+                own_distance / NEAR,
+                approaching().count() as f64 / COUNT,
+                1.0,
+            ]);
             put_vehicles(w, traffic, approaching(), settings.stream_vehicles);
         }
         let distances = route.apart.iter().flat_map(|&r| {
             let to_conflict = move |(s, j): (f64, usize)| (self.routes[r].to_first_conflict(s), j);
             let listed = move |j: usize| {
-                let before = |place: Candidate| place.route < r && route.apart.contains(&place.route);
+                let before =
+                    |place: Candidate| place.route < r && route.apart.contains(&place.route);
                 knowledge.candidates(j).any(before)
             };
             knowledge.on_route(r).filter(move |&(_, j)| !listed(j)).map(to_conflict)
@@ -399,7 +445,11 @@ pub(super) struct Encounters {
 
 impl Encounters {
     fn of(settings: &Observation) -> Self {
-        Self { count: settings.encounters, foresight: settings.foresight, turns: settings.turns > 0.0 }
+        Self {
+            count: settings.encounters,
+            foresight: settings.foresight,
+            turns: settings.turns > 0.0,
+        }
     }
 }
 
@@ -423,7 +473,9 @@ pub(super) fn put_encounters(
         if j == slot || other.status == Status::Empty || !seen(j) {
             continue;
         }
-        let met = knowledge.candidates(j).filter_map(|place| meet(&routes[own.route], own, &place, other));
+        let met = knowledge
+            .candidates(j)
+            .filter_map(|place| meet(&routes[own.route], own, &place, other));
         // Of equally soon ones the first, and so the one on the route with the smallest number.
         let first = met.min_by(|a, b| a.0.max(a.1).total_cmp(&b.0.max(b.1)));
         let Some((own_way, other_way, ahead)) = first else { continue };
@@ -452,7 +504,9 @@ pub(super) fn put_encounters(
             sin,
         ]);
         if foresight > 0.0 {
-            let at_speed = |speed| knowledge.closest(Course::new(routes, own, speed), j, other.speed, foresight);
+            let at_speed = |speed| {
+                knowledge.closest(Course::new(routes, own, speed), j, other.speed, foresight)
+            };
             let foreseen = at_speed(own.speed);
             w.put(foreseen);
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
@@ -472,8 +526,14 @@ pub(super) fn put_encounters(
 /// Where an agent on `route` next meets another vehicle on one of that vehicle's candidate routes:
 /// the distances of both to that place \[m\], and whether the other is ahead on the agent's own
 /// route.
-fn meet(route: &RouteGeometry, own: &Slot, place: &Candidate, other: &Slot) -> Option<(f64, f64, bool)> {
-    let ahead = route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
+fn meet(
+    route: &RouteGeometry,
+    own: &Slot,
+    place: &Candidate,
+    other: &Slot,
+) -> Option<(f64, f64, bool)> {
+    let ahead =
+        route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
     if let Some(way) = ahead {
         return Some((way - f64::midpoint(own.size[0], other.size[0]), 0.0, true));
     }
@@ -481,7 +541,12 @@ fn meet(route: &RouteGeometry, own: &Slot, place: &Candidate, other: &Slot) -> O
     Some((met.own - own.s, met.other - place.s, false))
 }
 
-fn put_vehicles(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, usize)>, count: usize) {
+fn put_vehicles(
+    w: &mut Writer,
+    traffic: &Traffic,
+    vehicles: impl Iterator<Item = (f64, usize)>,
+    count: usize,
+) {
     let mut written = 0;
     for (u, j) in vehicles.take(count) {
         let other = &traffic.slots[j];

@@ -47,7 +47,13 @@ pub(super) struct Order {
 impl Order {
     /// Episodes `first, first + stride, …` below `end` of the stream `seed`.
     pub(super) fn new(seed: Seed, first: u64, stride: u64, end: u64) -> Self {
-        Self { seed: seed.child("replay"), stride, end, replay: 0.0, position: Position::before(first) }
+        Self {
+            seed: seed.child("replay"),
+            stride,
+            end,
+            replay: 0.0,
+            position: Position::before(first),
+        }
     }
 
     pub(super) fn with_replay(self, replay: f64) -> Self {
@@ -56,7 +62,10 @@ impl Order {
 
     /// Goes on with `episode` and those that follow it in the stream.
     pub(super) fn go_to(&mut self, episode: u64) {
-        self.position = Position { failed: std::mem::take(&mut self.position.failed), ..Position::before(episode) };
+        self.position = Position {
+            failed: std::mem::take(&mut self.position.failed),
+            ..Position::before(episode)
+        };
     }
 
     /// Takes back the begin of `episode`: it comes next.
@@ -129,7 +138,10 @@ mod tests {
         order.begin();
         order.repeat(2);
         assert_eq!(order.position, Position::before(2));
-        assert_eq!(play(&mut order, 9, |_| false), [(2, false), (5, false), (8, false), (11, false)]);
+        assert_eq!(
+            play(&mut order, 9, |_| false),
+            [(2, false), (5, false), (8, false), (11, false)]
+        );
         assert_eq!(order.position.failed, [0; 0]);
     }
 
@@ -139,10 +151,21 @@ mod tests {
         let hard = |episode: u64| episode != 8 && episode != 40;
         let begun = play(&mut order, 400, hard);
         let fresh: Vec<u64> = begun.iter().filter(|b| !b.1).map(|b| b.0).collect();
-        assert!(fresh.iter().copied().eq((0..fresh.len() as u64).map(|k| 4 * k)), "nothing of the stream is left out");
+        assert!(
+            fresh.iter().copied().eq((0..fresh.len() as u64).map(|k| 4 * k)),
+            "nothing of the stream is left out"
+        );
         let again = |episode| begun.iter().filter(|b| b.1 && b.0 == episode).count();
-        assert!(begun.iter().all(|b| !b.1 || b.0 == 8 || b.0 == 40), "what was solved is not replayed");
-        assert!(again(8) > 60 && again(40) > 60 && again(8) + again(40) < 240, "{} {}", again(8), again(40));
+        assert!(
+            begun.iter().all(|b| !b.1 || b.0 == 8 || b.0 == 40),
+            "what was solved is not replayed"
+        );
+        assert!(
+            again(8) > 60 && again(40) > 60 && again(8) + again(40) < 240,
+            "{} {}",
+            again(8),
+            again(40)
+        );
         assert_eq!(order.position.failed.len(), 2);
         play(&mut order, 100, |_| true);
         assert_eq!(order.position.failed, [0; 0], "solved ones are forgotten");

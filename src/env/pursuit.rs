@@ -34,7 +34,8 @@ pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
     let segments = route.points.len().saturating_sub(1);
     // The route turns back between the end of one segment and the beginning of another.
     let turns = |&(i, j): &(usize, usize)| {
-        (heading(j) - heading(i)).cos() < -0.99 && route.cumulative[j] - route.cumulative[i + 1] < PI * least
+        (heading(j) - heading(i)).cos() < -0.99
+            && route.cumulative[j] - route.cumulative[i + 1] < PI * least
     };
     let (i, j) = (0..segments).flat_map(|i| (i + 1..segments).map(move |j| (i, j))).find(turns)?;
     let ([x, y], [u, v], heading) = (route.points[i + 1], route.points[j], heading(i));

@@ -74,7 +74,8 @@ impl Strip {
         let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
         let own = |x: f64, y: f64| [(x * dx + y * dy) / length, (y * dx - x * dy) / length];
         let at = own(from[0] - f64::midpoint(a[0], b[0]), from[1] - f64::midpoint(a[1], b[1]));
-        let between = stretch(at, own(along[0], along[1]), [length / 2.0, reach]).map(|[_, leave]| leave);
+        let between =
+            stretch(at, own(along[0], along[1]), [length / 2.0, reach]).map(|[_, leave]| leave);
         Some([circle(0), circle(1), between].into_iter().flatten().fold(0.0, f64::max))
     }
 }
@@ -118,7 +119,11 @@ impl Road {
     ///
     /// # Errors
     /// [`Error::Long`].
-    pub(super) fn new(net: &Net, [length, width]: Size, termination: &Termination) -> Result<Self, Error> {
+    pub(super) fn new(
+        net: &Net,
+        [length, width]: Size,
+        termination: &Termination,
+    ) -> Result<Self, Error> {
         let border = termination.border;
         let mut road = Self {
             strips: Vec::new(),
@@ -144,7 +149,11 @@ impl Road {
         let lengths = road.strips.iter().map(|strip| &strip.ends).chain(&road.lines);
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
         if metres.is_nan() || metres > LONGEST {
-            return Err(Error::Long { net: net.path.display().to_string(), metres, limit: LONGEST });
+            return Err(Error::Long {
+                net: net.path.display().to_string(),
+                metres,
+                limit: LONGEST,
+            });
         }
         for i in 0..road.strips.len() {
             let Strip { ends, half, .. } = road.strips[i];
@@ -184,7 +193,9 @@ impl Road {
             if !normal && edge.function != EdgeFunction::Internal {
                 continue;
             }
-            let alone = |joined: &HashSet<usize>| normal && !edge.lanes.clone().any(|lane| joined.contains(&lane));
+            let alone = |joined: &HashSet<usize>| {
+                normal && !edge.lanes.clone().any(|lane| joined.contains(&lane))
+            };
             let (begins, ends) = (alone(&reached), alone(&left));
             for lane in net.lanes[edge.lanes.clone()].iter().filter(|lane| !lane.is_sidewalk()) {
                 let half = lane.width / 2.0;
@@ -232,7 +243,8 @@ impl Road {
             parallel(&lane.shape, lane.width / 2.0)
         };
         let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
-        let normal = |edge: &&Edge| edge.function == EdgeFunction::Normal && !broken.contains(&edge.id);
+        let normal =
+            |edge: &&Edge| edge.function == EdgeFunction::Normal && !broken.contains(&edge.id);
         for (i, edge) in net.edges.iter().enumerate().filter(|(_, edge)| normal(edge)) {
             let line = left(edge);
             let back = |other: &Edge| {
@@ -240,7 +252,8 @@ impl Road {
                 near(other[0], line[line.len() - 1]) && near(other[other.len() - 1], line[0])
             };
             let mut others = net.edges[..i].iter().filter(normal);
-            if others.any(|other| (&other.from, &other.to) == (&edge.to, &edge.from) && back(other)) {
+            if others.any(|other| (&other.from, &other.to) == (&edge.to, &edge.from) && back(other))
+            {
                 self.line(&line);
             }
         }
@@ -292,14 +305,19 @@ impl Road {
         let mut margins = [range; 4];
         self.lines_around([pose.x, pose.y], (length + ahead).hypot(width + range), |line| {
             let [a, b] = line.map(own);
-            for (part, [from, to]) in [[-length, length], [length, length + ahead]].into_iter().enumerate() {
+            for (part, [from, to]) in
+                [[-length, length], [length, length + ahead]].into_iter().enumerate()
+            {
                 let [low, high] = if a[0] <= b[0] { [a, b] } else { [b, a] };
                 if high[0] < from || low[0] > to {
                     continue;
                 }
                 let slope = (high[1] - low[1]) / (high[0] - low[0]).max(1e-9);
-                let at = |x: f64| (low[1] + (x - low[0]) * slope).clamp(low[1].min(high[1]), low[1].max(high[1]));
-                let [one, other] = if high[0] - low[0] < 1e-9 { [low[1], high[1]] } else { [from, to].map(at) };
+                let at = |x: f64| {
+                    (low[1] + (x - low[0]) * slope).clamp(low[1].min(high[1]), low[1].max(high[1]))
+                };
+                let [one, other] =
+                    if high[0] - low[0] < 1e-9 { [low[1], high[1]] } else { [from, to].map(at) };
                 let (least, most) = (one.min(other), one.max(other));
                 if most > 0.0 {
                     margins[2 * part] = margins[2 * part].min((least - width).max(0.0));
@@ -327,8 +345,9 @@ impl Road {
         };
         // Corners, and between them points at both sides, which meet a convex kerb first.
         let beyond_kerb = || {
-            let mut parts =
-                [-1.0, -0.5, 0.0, 0.5, 1.0].into_iter().flat_map(|along| [part(along, 1.0), part(along, -1.0)]);
+            let mut parts = [-1.0, -0.5, 0.0, 0.5, 1.0]
+                .into_iter()
+                .flat_map(|along| [part(along, 1.0), part(along, -1.0)]);
             parts.any(|part| !self.on_lane(part) && !self.beyond_end(part))
         };
         !self.on_lane([pose.x, pose.y])
@@ -361,14 +380,16 @@ impl Road {
             [dx * cos + dy * sin, dy * cos - dx * sin]
         };
         let [a, b] = line.map(own);
-        stretch(a, [b[0] - a[0], b[1] - a[1]], self.half).is_some_and(|[from, to]| from <= 1.0 && to >= 0.0)
+        stretch(a, [b[0] - a[0], b[1] - a[1]], self.half)
+            .is_some_and(|[from, to]| from <= 1.0 && to >= 0.0)
     }
 }
 
 /// Ways over junctions that lead along their outside, the road's border to their right.
 fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
     let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
-    let joins = net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
+    let joins =
+        net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
     let ways = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
     ways.filter(|way| {
         let border = parallel(&way.shape, -way.width / 2.0);
@@ -394,7 +415,10 @@ fn parallel(points: &[Point], offset: f64) -> Vec<Point> {
         let after = normal(points[i.min(last - 1)], points[i.min(last - 1) + 1]);
         // At a bend, the point where both parallels meet.
         let scale = offset / (1.0 + before[0] * after[0] + before[1] * after[1]).max(0.1);
-        [points[i][0] + scale * (before[0] + after[0]), points[i][1] + scale * (before[1] + after[1])]
+        [
+            points[i][0] + scale * (before[0] + after[0]),
+            points[i][1] + scale * (before[1] + after[1]),
+        ]
     };
     (0..points.len()).map(beside).collect()
 }
@@ -415,7 +439,8 @@ fn cells_along([a, b]: [Point; 2], margin: f64) -> BTreeSet<[i32; 2]> {
     for k in 0..=steps as u32 {
         let t = f64::from(k) / steps;
         let [x, y] = [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
-        let ([i0, j0], [i1, j1]) = (cell_of([x - reach, y - reach]), cell_of([x + reach, y + reach]));
+        let ([i0, j0], [i1, j1]) =
+            (cell_of([x - reach, y - reach]), cell_of([x + reach, y + reach]));
         cells.extend((i0..=i1).flat_map(|i| (j0..=j1).map(move |j| [i, j])));
     }
     cells
@@ -424,7 +449,8 @@ fn cells_along([a, b]: [Point; 2], margin: f64) -> BTreeSet<[i32; 2]> {
 /// Distance of a point from a segment \[m\].
 fn distance([a, b]: [Point; 2], p: Point) -> f64 {
     let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-    let along = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
+    let along =
+        ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
     let t = along.clamp(0.0, 1.0);
     (p[0] - a[0] - t * dx).hypot(p[1] - a[1] - t * dy)
 }
@@ -445,16 +471,22 @@ mod tests {
     }
 
     fn road() -> Road {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-        Road::new(&Net::load(&path).expect("the shipped net is valid"), [LENGTH, WIDTH], &ends_at(Border::Line))
-            .expect("a small net")
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        Road::new(
+            &Net::load(&path).expect("the shipped net is valid"),
+            [LENGTH, WIDTH],
+            &ends_at(Border::Line),
+        )
+        .expect("a small net")
     }
 
     #[test]
     fn a_vehicle_may_stray_as_far_as_measured() {
         let road = road();
         // Eastbound, in the middle of its arm, whose centre line is y = 0 in the shipped net's coordinates plus an offset.
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
         let net = Net::load(&path).unwrap();
         let edge = net.edge_index("west_in").unwrap();
         let lane = &net.lanes[net.edges[edge].lanes.start];
@@ -471,7 +503,8 @@ mod tests {
     /// The lines of a road with two lanes are to the right of the right one and to the left of the left one.
     #[test]
     fn margins_tell_on_which_side_a_line_is_and_how_close() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection_turns/two_lanes.net.xml");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("sumo_nets/intersection_turns/two_lanes.net.xml");
         let net = Net::load(&path).expect("the shipped net is valid");
         let road = Road::new(&net, [LENGTH, WIDTH], &ends_at(Border::Line)).expect("a small net");
         let edge = &net.edges[net.edge_index("west_in").unwrap()];
@@ -481,7 +514,9 @@ mod tests {
             road.margins(&Pose { x, y: lane.shape[0][1] + lateral, heading: 0.0 }, 4.0, 2.0)
         };
         let free = (right.width - WIDTH) / 2.0 - TOUCH;
-        let close = |found: [f64; 4], expected: [f64; 4]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6);
+        let close = |found: [f64; 4], expected: [f64; 4]| {
+            found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6)
+        };
         for lateral in [0.0, 0.3, -0.5] {
             let [above, below] = [margins(left, lateral), margins(right, lateral)];
             assert!(close(above, [free - lateral, 2.0, free - lateral, 2.0]), "{above:?}");
@@ -518,23 +553,28 @@ mod tests {
     #[test]
     fn no_line_crosses_a_way_over_the_junction() {
         let road = road();
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
         let net = Net::load(&path).unwrap();
         for [from, to] in [["west_in", "east_out"], ["south_in", "north_out"]] {
             let way = net.route_path(&[from.to_owned(), to.to_owned()]).unwrap();
             for k in 0..=(way.length() / 0.5) as usize {
                 let ([x, y], heading) = way.at(0.5 * k as f64);
-                assert!(!road.left_by(&Pose { x, y, heading }), "on the way from {from} to {to}, at {x} {y}");
+                assert!(
+                    !road.left_by(&Pose { x, y, heading }),
+                    "on the way from {from} to {to}, at {x} {y}"
+                );
             }
         }
     }
 
     #[test]
     fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
         let net = Net::load(&path).unwrap();
-        let [kerbs, lines] =
-            [Border::Kerb, Border::Line].map(|border| Road::new(&net, [LENGTH, WIDTH], &ends_at(border)).unwrap());
+        let [kerbs, lines] = [Border::Kerb, Border::Line]
+            .map(|border| Road::new(&net, [LENGTH, WIDTH], &ends_at(border)).unwrap());
         let up = std::f64::consts::FRAC_PI_2;
         // (x, y, heading, left by kerbs, left by lines)
         let places = [
@@ -551,19 +591,25 @@ mod tests {
         ];
         for (x, y, heading, by_kerbs, by_lines, what) in places {
             let pose = Pose { x, y, heading };
-            assert_eq!([kerbs.left_by(&pose), lines.left_by(&pose)], [by_kerbs, by_lines], "{what}");
+            assert_eq!(
+                [kerbs.left_by(&pose), lines.left_by(&pose)],
+                [by_kerbs, by_lines],
+                "{what}"
+            );
         }
     }
 
     /// The parking lot as it was measured on the paper's simulator.
     #[test]
     fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
         let net = Net::load(&path).unwrap();
         let broken = ["east_in", "east_out"].map(String::from).to_vec();
         let whole = ends_at(Border::Kerb);
         let measured = Termination { broken_lines: broken, ..whole.clone() };
-        let [whole, measured] = [whole, measured].map(|t| Road::new(&net, [LENGTH, WIDTH], &t).unwrap());
+        let [whole, measured] =
+            [whole, measured].map(|t| Road::new(&net, [LENGTH, WIDTH], &t).unwrap());
         // (x, y, heading in degrees, out of the road)
         let places = [
             (45.5, 1.75, 0.0, false, "over the broken line between lot and junction"),
@@ -582,18 +628,26 @@ mod tests {
             let pose = Pose { x, y, heading: f64::to_radians(heading) };
             assert_eq!(measured.left_by(&pose), out, "{what}");
         }
-        assert!(whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }), "a whole line must not be touched");
+        assert!(
+            whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }),
+            "a whole line must not be touched"
+        );
         // Where the last space meets the curve out of the lot, the kerb is convex: there is a place
         // at which all corners are on lanes, and a side is not.
         let corners_only = |pose: &Pose| {
             let (sin, cos) = pose.heading.sin_cos();
             let corner = |a: f64, b: f64| {
                 let (along, across) = (a * LENGTH / 2.0, b * WIDTH / 2.0);
-                measured.on_lane([pose.x + along * cos - across * sin, pose.y + along * sin + across * cos])
+                measured.on_lane([
+                    pose.x + along * cos - across * sin,
+                    pose.y + along * sin + across * cos,
+                ])
             };
             [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].iter().all(|&(a, b)| corner(a, b))
         };
-        let poses = (0..40).flat_map(|i| (0..40).map(move |j| [38.0 + 0.1 * f64::from(i), 4.0 + 0.1 * f64::from(j)]));
+        let poses = (0..40).flat_map(|i| {
+            (0..40).map(move |j| [38.0 + 0.1 * f64::from(i), 4.0 + 0.1 * f64::from(j)])
+        });
         let poses = poses.map(|[x, y]| Pose { x, y, heading: -std::f64::consts::FRAC_PI_4 });
         let hit = poses.filter(|pose| corners_only(pose) && measured.left_by(pose)).count();
         assert!(hit > 0, "no side meets the kerb first");

@@ -80,7 +80,13 @@ impl RouteGeometry {
     }
 
     /// Where a vehicle at `other` on `route` next meets one at `own` on this one, both at most `cleared` metres past it.
-    pub fn next_meeting(&self, own: f64, route: usize, other: f64, cleared: f64) -> Option<Conflict> {
+    pub fn next_meeting(
+        &self,
+        own: f64,
+        route: usize,
+        other: f64,
+        cleared: f64,
+    ) -> Option<Conflict> {
         let ahead = |met: &&Conflict| met.own - own >= -cleared && met.other - other >= -cleared;
         self.meetings[route].iter().find(ahead).copied()
     }
@@ -93,11 +99,18 @@ impl RouteGeometry {
 
 /// Route number `a` of `paths`, some of which lead around their lanes, on whose last edge `arrival_pos` is the finish, for vehicles of
 /// this size.
-pub(super) fn geometry(paths: &[Path], detoured: &[bool], a: usize, arrival_pos: f64, size: Size) -> RouteGeometry {
+pub(super) fn geometry(
+    paths: &[Path],
+    detoured: &[bool],
+    a: usize,
+    arrival_pos: f64,
+    size: Size,
+) -> RouteGeometry {
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
-    let shared: Vec<Vec<Shared>> = (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
+    let shared: Vec<Vec<Shared>> =
+        (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
     let mut meetings = vec![Vec::new(); paths.len()];
     for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
         let met = if detoured[a] || detoured[b] {
@@ -106,9 +119,11 @@ pub(super) fn geometry(paths: &[Path], detoured: &[bool], a: usize, arrival_pos:
             let first = first_meeting(path, other, &shared[b]);
             first.or_else(|| near_miss(path, other, &shared[b])).into_iter().collect()
         };
-        meetings[b] = met.into_iter().map(|(own, other)| Conflict { route: b, own, other }).collect();
+        meetings[b] =
+            met.into_iter().map(|(own, other)| Conflict { route: b, own, other }).collect();
     }
-    let mut conflicts: Vec<Conflict> = meetings.iter().filter_map(|met| met.first().copied()).collect();
+    let mut conflicts: Vec<Conflict> =
+        meetings.iter().filter_map(|met| met.first().copied()).collect();
     let apart = (0..paths.len()).filter(|&b| b != a && meetings[b].is_empty()).collect();
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
     let ways = shared.into_iter().zip(paths).zip(&meetings);
@@ -148,11 +163,22 @@ fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> 
     let beside = |line: &Path, points: &Path| {
         let near = |(point, &at): (&[f64; 2], &f64)| {
             let (s, lateral, _) = line.nearest(*point);
-            ((0.0..=line.length()).contains(&s) && lateral.abs() < APART).then_some((lateral.abs(), s, at))
+            ((0.0..=line.length()).contains(&s) && lateral.abs() < APART).then_some((
+                lateral.abs(),
+                s,
+                at,
+            ))
         };
-        points.points.iter().zip(&points.cumulative).filter_map(near).min_by(|x, y| x.0.total_cmp(&y.0))
+        points
+            .points
+            .iter()
+            .zip(&points.cumulative)
+            .filter_map(near)
+            .min_by(|x, y| x.0.total_cmp(&y.0))
     };
-    let both = || beside(own, other).into_iter().chain(beside(other, own).map(|(gap, s, at)| (gap, at, s)));
+    let both = || {
+        beside(own, other).into_iter().chain(beside(other, own).map(|(gap, s, at)| (gap, at, s)))
+    };
     if driven { both().min_by(|x, y| x.0.total_cmp(&y.0)).map(|(_, s, at)| (s, at)) } else { None }
 }
 
@@ -170,15 +196,23 @@ fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec
     let in_the_way = |s: f64, shift: f64| {
         let (there, grown) = (pose(other, s), size.map(|x| x + MARGIN));
         let reach = (2.0 * size[0] / STEP) as i32;
-        (-reach..=reach).any(|k| boxes_overlap((&pose(own, s + shift + f64::from(k) * STEP), size), (&there, grown)))
+        (-reach..=reach).any(|k| {
+            boxes_overlap((&pose(own, s + shift + f64::from(k) * STEP), size), (&there, grown))
+        })
     };
     let one = |s: f64, shift: f64| pose(other, s).distance(&pose(own, s + shift)) < CLOSE;
     let (end, own_end) = (other.length(), own.length());
     let extend = |mut stretch: Shared| {
-        while stretch.to < end && stretch.to + stretch.shift < own_end && in_the_way(stretch.to, stretch.shift) {
+        while stretch.to < end
+            && stretch.to + stretch.shift < own_end
+            && in_the_way(stretch.to, stretch.shift)
+        {
             stretch.to += STEP;
         }
-        while stretch.from > 0.0 && stretch.from + stretch.shift > 0.0 && one(stretch.from, stretch.shift) {
+        while stretch.from > 0.0
+            && stretch.from + stretch.shift > 0.0
+            && one(stretch.from, stretch.shift)
+        {
             stretch.from -= STEP;
         }
         stretch
@@ -213,7 +247,9 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
             }
             let [a, b] = [own.points[i - 1], own.points[i]];
             let [c, d] = [other.points[j - 1], other.points[j]];
-            if let Some((t, u)) = crossing(a, b, c, d).or_else(|| overlap(a, b, c, d).map(|lies| lies[0])) {
+            if let Some((t, u)) =
+                crossing(a, b, c, d).or_else(|| overlap(a, b, c, d).map(|lies| lies[0]))
+            {
                 let found = (along(own, i, t), along(other, j, u));
                 // Two routes that fork from one lane touch at the fork; that is no meeting.
                 let fork = shared.iter().any(|k| (found.1 - k.to).abs() < 0.5);
@@ -246,8 +282,11 @@ fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> V
         let here = pose(own, s);
         let (at, gap, _) = other.nearest([here.x, here.y]);
         let gap = gap.abs();
-        let common = shared.iter().any(|k| (k.from..=k.to).contains(&at) && (at + k.shift - s).abs() < 2.0 * STEP);
-        let touch = |k: i32| boxes_overlap((&here, size), (&pose(other, at + f64::from(k) * STEP), size));
+        let common = shared
+            .iter()
+            .any(|k| (k.from..=k.to).contains(&at) && (at + k.shift - s).abs() < 2.0 * STEP);
+        let touch =
+            |k: i32| boxes_overlap((&here, size), (&pose(other, at + f64::from(k) * STEP), size));
         let near = gap < APART || gap < diagonal && (-reach..=reach).any(touch);
         forked = common || forked && near;
         if near && !forked {
@@ -262,7 +301,8 @@ fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> V
 
 /// Of places and the gaps there, the one with the smallest and others at this spacing from it.
 fn spaced(places: &[(f64, (f64, f64))], spacing: usize) -> impl Iterator<Item = (f64, f64)> {
-    let nearest = (0..places.len()).min_by(|&i, &j| places[i].0.total_cmp(&places[j].0)).unwrap_or(0);
+    let nearest =
+        (0..places.len()).min_by(|&i, &j| places[i].0.total_cmp(&places[j].0)).unwrap_or(0);
     places.iter().skip(nearest % spacing).step_by(spacing).map(|(_, place)| *place)
 }
 
@@ -275,7 +315,8 @@ fn way_out(own: &Path, other: &Path) -> Option<(f64, f64)> {
     for i in 1..own.points.len() {
         let reached = end.map_or(0.0, |(s, _)| s);
         let common = (1..other.points.len()).rev().find_map(|j| {
-            let lies = overlap(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j])?;
+            let lies =
+                overlap(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j])?;
             let [first, last] = lies.map(|(t, u)| (along(own, i, t), along(other, j, u)));
             (last.1 < first.1 && first.0 <= reached + GAP && last.0 > reached + GAP).then_some(last)
         });

@@ -168,14 +168,21 @@ impl Traffic {
             }
         }
         for queue in &mut self.by_route {
-            queue.sort_unstable_by(|&a, &b| self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b)));
+            queue.sort_unstable_by(|&a, &b| {
+                self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b))
+            });
         }
     }
 
     /// Gives turns to those who have come within `near` metres of where their ways first meet
     /// others', the closest first. Of a vehicle whose route is hidden, the distance is that to the
     /// first conflict point on any route that it could still take.
-    pub(super) fn take_turns(&mut self, routes: &[RouteGeometry], intentions: Option<&Intentions>, near: f64) {
+    pub(super) fn take_turns(
+        &mut self,
+        routes: &[RouteGeometry],
+        intentions: Option<&Intentions>,
+        near: f64,
+    ) {
         let way = |j: usize, slot: &Slot| {
             let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
             hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))

@@ -26,7 +26,8 @@ const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
 ];
-const COUNTS: [(&str, &str, f32, f32); 2] = [("moving", "12 vehicles", 0.0, 1.0), ("wrecks", "4 vehicles", 0.0, 1.0)];
+const COUNTS: [(&str, &str, f32, f32); 2] =
+    [("moving", "12 vehicles", 0.0, 1.0), ("wrecks", "4 vehicles", 0.0, 1.0)];
 
 pub(super) fn describe(scenario: &Scenario) -> Features {
     let mut features = Features::default();
@@ -91,24 +92,44 @@ pub(super) fn write(task: &Task, traffic: &Traffic, time_left: f64, slot: usize,
             continue;
         };
         let queue = &traffic.by_route[conflict.route];
-        let approaching = queue.iter().map(|&j| (conflict.other - traffic.slots[j].s, j)).filter(|v| v.0 > -CLEARED);
+        let approaching = queue
+            .iter()
+            .map(|&j| (conflict.other - traffic.slots[j].s, j))
+            .filter(|v| v.0 > -CLEARED);
         put(&mut w, traffic, approaching, PER_STREAM);
         put_counts(&mut w, traffic, queue.iter().copied());
     }
     if scenario.observation.encounters > 0 {
         put_encounters(&mut w, Knowledge::full(routes, traffic), &[], slot, MET, |_| true);
     }
-    let apart = || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
-    put(&mut w, traffic, apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)), PER_STREAM);
+    let apart =
+        || route.apart.iter().flat_map(|&r| traffic.by_route[r].iter().map(move |&j| (r, j)));
+    put(
+        &mut w,
+        traffic,
+        apart().map(|(r, j)| (routes[r].to_first_conflict(traffic.slots[j].s), j)),
+        PER_STREAM,
+    );
     put_counts(&mut w, traffic, apart().map(|(_, j)| j));
     debug_assert_eq!(w.at, w.out.len());
 }
 
-fn put(w: &mut Writer, traffic: &Traffic, vehicles: impl Iterator<Item = (f64, usize)>, count: usize) {
+fn put(
+    w: &mut Writer,
+    traffic: &Traffic,
+    vehicles: impl Iterator<Item = (f64, usize)>,
+    count: usize,
+) {
     let mut written = 0;
     for (distance, j) in vehicles.take(count) {
         let other = &traffic.slots[j];
-        w.put([distance / 50.0, other.speed.max(0.0) / SPEED, other.action, moving(other.status), 1.0]);
+        w.put([
+            distance / 50.0,
+            other.speed.max(0.0) / SPEED,
+            other.action,
+            moving(other.status),
+            1.0,
+        ]);
         written += 1;
     }
     w.skip((count - written) * VEHICLE.len());

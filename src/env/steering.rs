@@ -192,7 +192,11 @@ mod tests {
     }
 
     /// Motions after each interval, under actions (steering, throttle).
-    fn drive(reverse: bool, speed: f64, actions: impl IntoIterator<Item = [f64; 2]>) -> Vec<Motion> {
+    fn drive(
+        reverse: bool,
+        speed: f64,
+        actions: impl IntoIterator<Item = [f64; 2]>,
+    ) -> Vec<Motion> {
         let (control, steering, vehicle) = law(reverse);
         let next = |motion: &mut Motion, [steer, throttle]: [f64; 2]| {
             *motion = motion.advance(&control, &steering, &vehicle, steer, throttle);
@@ -356,7 +360,9 @@ mod tests {
     #[test]
     fn low_speed_radii_are_the_measured_ones() {
         let (_, steering, _) = law(true);
-        for (steer, radius) in [(0.1, 35.6), (0.2, 17.8), (0.3, 11.8), (0.5, 7.08), (0.7, 5.05), (1.0, 3.55)] {
+        for (steer, radius) in
+            [(0.1, 35.6), (0.2, 17.8), (0.3, 11.8), (0.5, 7.08), (0.7, 5.05), (1.0, 3.55)]
+        {
             let turned = Steering { max_angle: steer * steering.max_angle, ..steering };
             close(&format!("steering {steer}"), least_radius(&turned), radius, 0.01 * radius);
             let slow = held(true, 0.3, [steer, -1e-9], 10);

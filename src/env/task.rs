@@ -99,22 +99,26 @@ impl Task {
         let choice = scenario.net_for(vehicles)?;
         let agents = scenario.traffic.learners(vehicles);
         let demand = Demand::load(&scenario.traffic.files)?;
-        let place_mix = scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
+        let place_mix =
+            scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
         let capacity = if demand.sources.is_empty() { 0 } else { scenario.traffic.capacity };
         let net = Net::load(&choice.file)?;
         let mut paths = Vec::with_capacity(scenario.routes.len());
         for route in &scenario.routes {
             paths.push(net.route_path_from(&route.edges, route.lane)?);
         }
-        let mut route_ids: Vec<String> = scenario.routes.iter().map(|route| route.id.clone()).collect();
-        let mut route_edges: Vec<Vec<String>> = scenario.routes.iter().map(|route| route.edges.clone()).collect();
+        let mut route_ids: Vec<String> =
+            scenario.routes.iter().map(|route| route.id.clone()).collect();
+        let mut route_edges: Vec<Vec<String>> =
+            scenario.routes.iter().map(|route| route.edges.clone()).collect();
         let mut demand_routes = Vec::with_capacity(demand.routes.len());
         let mut walk_ends = Vec::with_capacity(demand.routes.len());
         for route in &demand.routes {
             let Laid { path, edges, walk } = route.lay(&net)?;
             // Walks have no lanes, but edges and sides of them.
             let same = |(other, at): (&Path, &Vec<String>)| {
-                other.lanes == path.lanes && (walk.is_none() || *at == edges && other.points == path.points)
+                other.lanes == path.lanes
+                    && (walk.is_none() || *at == edges && other.points == path.points)
             };
             let known = paths.iter().zip(&route_edges).position(same);
             walk_ends.push(walk);
@@ -150,7 +154,8 @@ impl Task {
                 }
                 if let Some(&last) = paths[a].lanes.last() {
                     let lanes = net.carriageway(&net.edges[net.lanes[last].edge]);
-                    let beside = |lanes: Range<usize>| lanes.map(|lane| net.lanes[lane].width).sum::<f64>();
+                    let beside =
+                        |lanes: Range<usize>| lanes.map(|lane| net.lanes[lane].width).sum::<f64>();
                     // Lanes are counted from the right.
                     route.finish[0] -= beside(lanes.start..last);
                     route.finish[1] += beside(last + 1..lanes.end);
@@ -163,7 +168,8 @@ impl Task {
         let forks = Forks::new(&net, &routes);
         let end = |route: &crate::scenario::Route| route.edges.last().cloned();
         let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
-        let reserved = scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
+        let reserved =
+            scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
         let junctions = paths.iter().map(|path| junction_stretches(&net, path)).collect();
         let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for point in paths.iter().flat_map(|path| &path.points) {
@@ -178,7 +184,8 @@ impl Task {
         let needed = scenario.control.steering.is_some()
             || scenario.observation.lidar.beams > 0
             || scenario.observation.borders > 0.0;
-        let road = needed.then(|| Road::new(&net, [length, width], &scenario.termination)).transpose()?;
+        let road =
+            needed.then(|| Road::new(&net, [length, width], &scenario.termination)).transpose()?;
         let spec = EnvSpec {
             agents: agents as usize,
             actions: actions(&scenario.control),
@@ -222,7 +229,11 @@ impl Task {
 
     /// Vehicles at spawn places that SUMO drives.
     pub(super) fn placed(&self) -> usize {
-        let capacity = if self.demand.sources.is_empty() { 0 } else { self.scenario.traffic.capacity as usize };
+        let capacity = if self.demand.sources.is_empty() {
+            0
+        } else {
+            self.scenario.traffic.capacity as usize
+        };
         self.others - capacity
     }
 
@@ -335,9 +346,12 @@ impl Task {
 /// find a speed: steering has less noise, and a wheel that is held wrong for long leads off the
 /// road, so its noise is independent from step to step.
 fn actions(control: &Control) -> Vec<ActionDimension> {
-    let steer = ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
-    let throttle =
-        ActionDimension { initial_mean: control.initial_throttle as f32, ..ActionDimension::named("throttle") };
+    let steer =
+        ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
+    let throttle = ActionDimension {
+        initial_mean: control.initial_throttle as f32,
+        ..ActionDimension::named("throttle")
+    };
     if control.steering.is_some() { vec![steer, throttle] } else { vec![throttle] }
 }
 

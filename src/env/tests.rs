@@ -41,18 +41,26 @@ impl Rails {
                     assert!(self.vehicles[slot as usize].take().is_some(), "slot {slot} is empty");
                 }
                 Command::SetSpeed { slot, speed, .. } => {
-                    let vehicle = self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
-                    assert!((0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed), "speed {speed}");
+                    let vehicle =
+                        self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
+                    assert!(
+                        (0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed),
+                        "speed {speed}"
+                    );
                     vehicle.2 = speed;
                 }
                 Command::SpeedMode { slot, .. } | Command::KeepLane { slot, .. } => {
                     assert!(self.vehicles[slot as usize].is_some());
                 }
                 Command::Depart { slot, departure, .. } => {
-                    assert!(slot as usize >= self.task.agents + self.task.placed(), "slot {slot} is not theirs");
+                    assert!(
+                        slot as usize >= self.task.agents + self.task.placed(),
+                        "slot {slot} is not theirs"
+                    );
                     let vehicle = &mut self.vehicles[slot as usize];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
-                    let route = self.task.demand_routes[self.task.demand.sources[departure as usize].route];
+                    let route =
+                        self.task.demand_routes[self.task.demand.sources[departure as usize].route];
                     *vehicle = Some((route, 5.0, 10.0));
                 }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
@@ -252,7 +260,11 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
         let (way, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
         v = speed;
         let expected = way + 0.1 * v / (80.0 / 3.6);
-        assert!((f64::from(frame.reward[0]) - expected).abs() < 1e-5, "{} {expected}", frame.reward[0]);
+        assert!(
+            (f64::from(frame.reward[0]) - expected).abs() < 1e-5,
+            "{} {expected}",
+            frame.reward[0]
+        );
         total += expected;
     }
     assert_eq!(frames[end].reward[0], 10.0);
@@ -302,7 +314,9 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
             if world.frame().terminated[i] > 0.0 {
                 crashed_at[i] = (world.frame().reward[i] < 0.0).then_some(step);
             }
-            if let (Some(at), true, false) = (crashed_at[i], on_road[i], rails.vehicles[i].is_some()) {
+            if let (Some(at), true, false) =
+                (crashed_at[i], on_road[i], rails.vehicles[i].is_some())
+            {
                 // 2.5 s are 25 further steps; the vehicle goes with the exchange after them.
                 assert_eq!(step - at, 26, "slot {i}");
                 wrecks_gone += 1;
@@ -321,9 +335,13 @@ fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRe
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
     exchange(&mut world, &mut rails, &vec![0.0; agents as usize]);
-    let start: Vec<(usize, f64)> = rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
-    let place = |(route, s): (usize, f64)| start.iter().filter(|other| other.0 == route && other.1 > s).count();
-    let actions: Vec<f32> = start.iter().map(|&at| f32::from(u8::from(drives(at.0, place(at))))).collect();
+    let start: Vec<(usize, f64)> =
+        rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
+    let place = |(route, s): (usize, f64)| {
+        start.iter().filter(|other| other.0 == route && other.1 > s).count()
+    };
+    let actions: Vec<f32> =
+        start.iter().map(|&at| f32::from(u8::from(drives(at.0, place(at))))).collect();
     loop {
         exchange(&mut world, &mut rails, &actions);
         if let Some(record) = world.take_finished() {
@@ -341,18 +359,32 @@ fn failures_say_how_a_crash_came_about() {
     assert_eq!((failures.upstream, failures.unfinished, failures.out_of_road), (3, 13, 0));
     assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
     let text = failures.describe().join("\n");
-    for part in ["3 vehicles crashed: 0 % crossing", "67 % with one on their own", "33 % into a wreck", "100 % of them"]
-    {
+    for part in [
+        "3 vehicles crashed: 0 % crossing",
+        "67 % with one on their own",
+        "33 % into a wreck",
+        "100 % of them",
+    ] {
         assert!(text.contains(part), "{text}");
     }
-    assert!(text.contains("13 vehicles had not arrived") && !text.contains("left the road"), "{text}");
+    assert!(
+        text.contains("13 vehicles had not arrived") && !text.contains("left the road"),
+        "{text}"
+    );
 
     // The first of two routes that cross.
     let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));
     let failures = &record.failures;
     let names = [2, 1].map(|route| task.scenario.routes[route].id.clone());
-    assert_eq!(failures.routes.keys().collect::<Vec<_>>(), [&format!("{} × {}", names[0], names[1])], "{failures:?}");
-    assert_eq!((failures.crossing, failures.rear_end, failures.wreck, failures.upstream), (2, 0, 0, 0));
+    assert_eq!(
+        failures.routes.keys().collect::<Vec<_>>(),
+        [&format!("{} × {}", names[0], names[1])],
+        "{failures:?}"
+    );
+    assert_eq!(
+        (failures.crossing, failures.rear_end, failures.wreck, failures.upstream),
+        (2, 0, 0, 0)
+    );
     assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
 
     let both = failures.clone().plus(failures);
@@ -377,7 +409,10 @@ fn episodes_may_have_fewer_agents() {
         let frame = world.frame();
         if frame.start {
             crew = frame.active.iter().filter(|&&active| active > 0.0).count();
-            assert!(frame.active[..crew].iter().all(|&active| active > 0.0), "the first slots are theirs");
+            assert!(
+                frame.active[..crew].iter().all(|&active| active > 0.0),
+                "the first slots are theirs"
+            );
             assert_eq!(rails.vehicles.iter().flatten().count(), crew);
             reward = 0.0;
         }
@@ -387,7 +422,11 @@ fn episodes_may_have_fewer_agents() {
         }
         reward += frame.reward.iter().map(|&r| f64::from(r)).sum::<f64>() / crew as f64;
         if let Some(record) = world.take_finished() {
-            assert!((record.reward - reward).abs() < 1e-3 * reward.abs().max(1.0), "{} {reward}", record.reward);
+            assert!(
+                (record.reward - reward).abs() < 1e-3 * reward.abs().max(1.0),
+                "{} {reward}",
+                record.reward
+            );
             let shares = [record.success, record.crash].map(|share| share * crew as f64);
             assert!(shares.iter().all(|share| (share - share.round()).abs() < 1e-9));
             assert!((3..=8).contains(&crew));
@@ -437,15 +476,28 @@ fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
 fn features_are_named_once_and_covered_by_their_groups() {
     for agents in [4, 48] {
         let task = task(agents, |_| {});
-        for features in [&task.spec.observation, &task.spec.state, &task.spec.observation.join(&task.spec.state)] {
+        for features in [
+            &task.spec.observation,
+            &task.spec.state,
+            &task.spec.observation.join(&task.spec.state),
+        ] {
             let covered: usize = features.groups.iter().map(|g| g.width * g.count).sum();
             assert_eq!(covered, features.len());
-            assert!(features.groups.windows(2).all(|g| g[0].offset + g[0].width * g[0].count == g[1].offset));
+            assert!(
+                features
+                    .groups
+                    .windows(2)
+                    .all(|g| g[0].offset + g[0].width * g[0].count == g[1].offset)
+            );
         }
         let names: HashSet<_> = task.spec.observation.list.iter().map(|f| &f.name).collect();
         assert_eq!(names.len(), task.spec.observation.len());
     }
-    assert_eq!(task(4, |_| {}).spec.state, task(48, |_| {}).spec.state, "the state does not grow with the agents");
+    assert_eq!(
+        task(4, |_| {}).spec.state,
+        task(48, |_| {}).spec.state,
+        "the state does not grow with the agents"
+    );
 }
 
 /// `both` shows what `nearest` shows and then what `conflict` shows, whatever happens; none depends on the number of agents.
@@ -453,7 +505,9 @@ fn features_are_named_once_and_covered_by_their_groups() {
 fn observation_groups_show_the_same_traffic() {
     for agents in [4, 8, 48] {
         let of = |groups| task(agents, |scenario| scenario.observation.groups = groups);
-        let tasks = [ObservationGroups::Nearest, ObservationGroups::Conflict, ObservationGroups::Both].map(of);
+        let tasks =
+            [ObservationGroups::Nearest, ObservationGroups::Conflict, ObservationGroups::Both]
+                .map(of);
         let widths = tasks.each_ref().map(|task| task.spec.observation.len());
         assert_eq!(widths, [32, 67, 91]);
         let ego = tasks[0].spec.observation.groups[0].width;
@@ -463,7 +517,8 @@ fn observation_groups_show_the_same_traffic() {
         }
         let mut seen = 0;
         for step in 0..150 {
-            let actions: Vec<f32> = (0..agents).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
+            let actions: Vec<f32> =
+                (0..agents).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
             for (world, rails) in &mut worlds {
                 exchange(world, rails, &actions);
             }
@@ -486,11 +541,17 @@ fn observation_groups_show_the_same_traffic() {
 fn neighbours_come_in_the_order_that_is_asked_for() {
     let orders = [NeighbourOrder::Distance, NeighbourOrder::Bearing];
     let tasks = orders.map(|order| {
-        task(16, |s| (s.observation.groups, s.observation.neighbour_order) = (ObservationGroups::Nearest, order))
+        task(16, |s| {
+            (s.observation.groups, s.observation.neighbour_order) =
+                (ObservationGroups::Nearest, order)
+        })
     });
     let groups = tasks.each_ref().map(|task| {
         let groups = &task.spec.observation.groups;
-        (task.spec.observation.len(), groups.iter().find(|group| group.name == "neighbour").expect("seen"))
+        (
+            task.spec.observation.len(),
+            groups.iter().find(|group| group.name == "neighbour").expect("seen"),
+        )
     });
     let mut worlds = tasks.each_ref().map(|task| (world(task, 5), Rails::new(task)));
     for (world, _) in &mut worlds {
@@ -498,19 +559,23 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
     }
     let mut differ = 0;
     for step in 0..120 {
-        let actions: Vec<f32> = (0..16).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
+        let actions: Vec<f32> =
+            (0..16).map(|i| if (step / 20 + i) % 3 == 0 { -0.2 } else { 0.9 }).collect();
         for (world, rails) in &mut worlds {
             exchange(world, rails, &actions);
         }
         for i in 0..16 {
             let seen = [0, 1].map(|order| {
                 let (width, group) = groups[order];
-                let all = &worlds[order].0.frame().observation[i * width + group.offset..][..group.count * group.width];
+                let all = &worlds[order].0.frame().observation[i * width + group.offset..]
+                    [..group.count * group.width];
                 let there = all.chunks(group.width).filter(|one| one[group.width - 1] > 0.0);
                 // By bearing, position is told on a second scale, too.
                 let one = |one: &[f32]| {
                     assert!(
-                        order == 0 || one[0].abs() > 0.29 || (one[2] / one[0] - 50.0 / 15.0).abs() < 1e-3,
+                        order == 0
+                            || one[0].abs() > 0.29
+                            || (one[2] / one[0] - 50.0 / 15.0).abs() < 1e-3,
                         "{one:?}"
                     );
                     [&one[..2], &one[group.width - 4..]].concat()
@@ -520,12 +585,18 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
             let [near, around] = &seen;
             let far = |one: &Vec<f32>| one[0].hypot(one[1]);
             let behind = |one: &Vec<f32>| one[1].atan2(one[0]).abs();
-            assert!(near.is_sorted_by(|a, b| far(a) <= far(b) + 1e-5), "step {step}, agent {i}: {near:?}");
+            assert!(
+                near.is_sorted_by(|a, b| far(a) <= far(b) + 1e-5),
+                "step {step}, agent {i}: {near:?}"
+            );
             // Whose directions differ clearly come by direction, others by distance.
             let apart = |a: &Vec<f32>, b: &Vec<f32>| behind(a) - behind(b) > 15.1_f32.to_radians();
             assert!(around.is_sorted_by(|a, b| !apart(a, b)), "step {step}, agent {i}: {around:?}");
             let leader = near.iter().find(|one| behind(one) < 14.9_f32.to_radians());
-            assert!(leader.is_none_or(|leader| around.first() == Some(leader)), "step {step}, agent {i}: {around:?}");
+            assert!(
+                leader.is_none_or(|leader| around.first() == Some(leader)),
+                "step {step}, agent {i}: {around:?}"
+            );
             assert!(
                 near.len() == around.len() && near.iter().all(|one| around.contains(one)),
                 "step {step}, agent {i}"
@@ -553,7 +624,8 @@ fn a_reserved_destination_is_one_vehicles() {
         });
         let routes: Vec<_> = added.collect();
         assert_eq!(routes.len(), 11);
-        let ends: Vec<_> = routes.iter().filter(|r| r.reserved).filter_map(|r| r.edges.last()).collect();
+        let ends: Vec<_> =
+            routes.iter().filter(|r| r.reserved).filter_map(|r| r.edges.last()).collect();
         assert_eq!((ends.len(), ends.iter().collect::<HashSet<_>>().len()), (3, 3), "{ends:?}");
         drawn.extend(routes.iter().map(|route| route.id.clone()));
     }
@@ -644,7 +716,10 @@ fn first_come_first_served_brings_all_home() {
             records.extend(world.take_finished());
         }
         let home = records.iter().filter(|record| record.success == 1.0).count();
-        assert!(if gives_way { home == 10 } else { home < 5 }, "{agents} agents, {gives_way}: {home} of 10");
+        assert!(
+            if gives_way { home == 10 } else { home < 5 },
+            "{agents} agents, {gives_way}: {home} of 10"
+        );
     }
 }
 
@@ -654,8 +729,11 @@ fn agents_are_told_what_the_rule_goes_by() {
     let task = task(8, |s| s.observation.turns = 50.0);
     let (mut world, mut rails) = (world(&task, 11), Rails::new(&task));
     world.reset(0);
-    let named = |name: &str| task.spec.observation.list.iter().position(|f| f.name.ends_with(name)).expect("a feature");
-    let [free, slow, blocked, entry] = ["free", "free_slow", "free_blocked", "to_entry_near"].map(named);
+    let named = |name: &str| {
+        task.spec.observation.list.iter().position(|f| f.name.ends_with(name)).expect("a feature")
+    };
+    let [free, slow, blocked, entry] =
+        ["free", "free_slow", "free_blocked", "to_entry_near"].map(named);
     let (width, mut actions, mut told) = (task.spec.observation.len(), [0.0; 8], [0; 2]);
     for _ in 0..600 {
         world.pursue(Pursuit { speed: 6.0, gives_way: true }, &mut actions);
@@ -668,7 +746,8 @@ fn agents_are_told_what_the_rule_goes_by() {
             let above = |x: f64, least: f64| x > least + 1e-4;
             let outside = seen[entry] >= 0.0 && below(at(entry), braking);
             let something = at(free).min(at(slow)) < 15.0;
-            let waits = below(at(free), braking + 4.0) || below(at(blocked), 4.0) || outside && something;
+            let waits =
+                below(at(free), braking + 4.0) || below(at(blocked), 4.0) || outside && something;
             let entered = seen[entry] < 0.0 || above(at(entry), braking);
             let drives = above(at(free), braking + 4.0) && above(at(blocked), 4.0) && entered;
             assert!(!waits || actions[i] == -1.0, "{seen:?}");

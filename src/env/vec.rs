@@ -90,7 +90,11 @@ impl VecEnv {
     ///
     /// # Panics
     /// When `states` are not as many as the worlds.
-    pub fn restore(task: &Arc<Task>, options: &VecOptions, states: &[WorldState]) -> Result<Self, Error> {
+    pub fn restore(
+        task: &Arc<Task>,
+        options: &VecOptions,
+        states: &[WorldState],
+    ) -> Result<Self, Error> {
         assert_eq!(states.len(), options.worlds, "one state per world");
         let mut env = Self::idle(task, options)?;
         let width = task.agents * task.spec.actions.len();
@@ -108,7 +112,8 @@ impl VecEnv {
                     world.reset(states[e].episode);
                 } else if t > wait {
                     let from = (t - wait - 1) * width;
-                    actions[e * width..(e + 1) * width].copy_from_slice(&states[e].actions[from..from + width]);
+                    actions[e * width..(e + 1) * width]
+                        .copy_from_slice(&states[e].actions[from..from + width]);
                 }
             }
             env.step(&actions)?;
@@ -139,9 +144,17 @@ impl VecEnv {
                 let failed = |source| Error::Sumo { world: first, episode: 0, step: 0, source };
                 let simulation = sumo::start(hosting.backend, config).map_err(failed)?;
                 let world = |e: usize| {
-                    let (episode, stride) = (options.episodes.start + e as u64, options.worlds as u64);
-                    World::new(Arc::clone(task), options.driver, options.seed, episode, stride, options.episodes.end)
-                        .with_replay(options.replay)
+                    let (episode, stride) =
+                        (options.episodes.start + e as u64, options.worlds as u64);
+                    World::new(
+                        Arc::clone(task),
+                        options.driver,
+                        options.seed,
+                        episode,
+                        stride,
+                        options.episodes.end,
+                    )
+                    .with_replay(options.replay)
                 };
                 Ok(Host {
                     simulation,
@@ -178,7 +191,8 @@ impl VecEnv {
 
     /// Resets so far.
     pub fn resets(&self) -> Resets {
-        let (loads, restarts) = (self.hosts.iter().map(|h| h.loads).sum(), self.hosts.iter().map(|h| h.restarts).sum());
+        let (loads, restarts) =
+            (self.hosts.iter().map(|h| h.loads).sum(), self.hosts.iter().map(|h| h.restarts).sum());
         Resets { respawns: self.worlds().map(World::respawns).sum(), loads, restarts }
     }
 
@@ -233,7 +247,8 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         let text = panic.downcast_ref::<&str>().map(ToString::to_string);
         text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
     };
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
+    catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
 }
 
 /// An error with its causes, as one line.
@@ -245,7 +260,8 @@ fn chain(error: &Error) -> String {
 impl Host {
     /// First half of the exchange.
     fn act(&mut self, actions: &[f32], width: usize) -> Result<(), Error> {
-        let stale = |world: &World| world.is_between_episodes() && (world.respawns() > 0 || self.seeded);
+        let stale =
+            |world: &World| world.is_between_episodes() && (world.respawns() > 0 || self.seeded);
         if self.forgetful && self.worlds.iter().any(stale) {
             if self.seeded {
                 self.simulation.reseed(self.worlds[0].simulator_seed());
@@ -275,9 +291,9 @@ impl Host {
                 }
                 Ok(())
             }
-            Ok(Some(vanished)) => {
-                self.fail(vanished).map(|error| tracing::warn!("{}; that world's episode is dropped", chain(&error)))
-            }
+            Ok(Some(vanished)) => self
+                .fail(vanished)
+                .map(|error| tracing::warn!("{}; that world's episode is dropped", chain(&error))),
             Err(error) => {
                 let error = self.fail(error)?;
                 let (first, last) = (self.first, self.first + self.worlds.len() - 1);
@@ -296,7 +312,11 @@ impl Host {
     /// Gives the failure back if it is the first since an episode was played to its end, and may be got over.
     fn fail(&mut self, error: Error) -> Result<Error, Error> {
         self.failures += 1;
-        if self.failures > 1 || matches!(error, Error::Panicked { .. }) { Err(error) } else { Ok(error) }
+        if self.failures > 1 || matches!(error, Error::Panicked { .. }) {
+            Err(error)
+        } else {
+            Ok(error)
+        }
     }
 
     fn renew(&mut self) -> Result<(), Error> {
@@ -330,7 +350,12 @@ impl Host {
 
     fn place(&self, source: sumo::Error) -> Error {
         let world = &self.worlds[0];
-        Error::Sumo { world: self.first, episode: world.episode(), step: world.step_count(), source }
+        Error::Sumo {
+            world: self.first,
+            episode: world.episode(),
+            step: world.step_count(),
+            source,
+        }
     }
 }
 
@@ -376,7 +401,9 @@ mod tests {
                         let place = self.places[(world * 8 + slot) as usize].replace(state);
                         assert!(place.is_none(), "slot {slot} of world {world} holds a vehicle");
                     }
-                    Command::Remove { world, slot } => self.places[(world * 8 + slot) as usize] = None,
+                    Command::Remove { world, slot } => {
+                        self.places[(world * 8 + slot) as usize] = None
+                    }
                     _ => {}
                 }
             }
@@ -410,10 +437,12 @@ mod tests {
     }
 
     fn scripted(script: &[Answer]) -> VecEnv {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        let path =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
         let task = Arc::new(Task::new(&Scenario::load(&path).unwrap(), 8).unwrap());
         let worlds = (0..2).map(|e| {
-            let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), e, 2, u64::MAX);
+            let mut world =
+                World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), e, 2, u64::MAX);
             world.reset(e);
             world
         });
@@ -456,7 +485,10 @@ mod tests {
             env.step(&[0.0; 16]).unwrap();
         }
         let finished = env.take_finished();
-        assert_eq!(finished.iter().map(|r| (r.episode, r.interrupted)).collect::<Vec<_>>(), [(1, true)]);
+        assert_eq!(
+            finished.iter().map(|r| (r.episode, r.interrupted)).collect::<Vec<_>>(),
+            [(1, true)]
+        );
         env.step(&[0.0; 16]).unwrap();
         assert_eq!((episodes(&env), env.resets().loads), (vec![0, 3], 0));
         assert_eq!(env.worlds().map(World::step_count).collect::<Vec<_>>(), [3, 0]);
@@ -479,7 +511,10 @@ mod tests {
             env.step(&[0.0; 16]).unwrap();
             env.step(&[0.0; 16]).unwrap();
             let error = env.step(&[0.0; 16]).unwrap_err();
-            assert!(matches!(error, Error::Vanished { slot: 0, .. } | Error::Sumo { .. }), "{error}");
+            assert!(
+                matches!(error, Error::Vanished { slot: 0, .. } | Error::Sumo { .. }),
+                "{error}"
+            );
         }
     }
 }

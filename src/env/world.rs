@@ -126,7 +126,14 @@ pub struct World {
 impl World {
     /// A world that plays episodes `first, first + stride, …` below `end` of the stream `seed`. It is idle until
     /// [`World::reset`], and again when there are no more.
-    pub fn new(task: Arc<Task>, driver: Driver, seed: Seed, first: u64, stride: u64, end: u64) -> Self {
+    pub fn new(
+        task: Arc<Task>,
+        driver: Driver,
+        seed: Seed,
+        first: u64,
+        stride: u64,
+        end: u64,
+    ) -> Self {
         let n = task.agents;
         let (o, s) = (task.spec.observation.len(), task.spec.state.len());
         Self {
@@ -147,7 +154,10 @@ impl World {
                 active: vec![0.0; n],
                 start: false,
                 reward: vec![0.0; n],
-                sharing: vec![0.0; if task.scenario.reward.share_range.is_finite() { n * n } else { 0 }],
+                sharing: vec![
+                    0.0;
+                    if task.scenario.reward.share_range.is_finite() { n * n } else { 0 }
+                ],
                 terminated: vec![0.0; n],
                 truncated: vec![0.0; n],
                 interrupted: false,
@@ -265,9 +275,19 @@ impl World {
     pub fn state(&self) -> WorldState {
         let position = self.order.position.clone();
         if self.interrupted {
-            return WorldState { episode: position.next, actions: Vec::new(), interrupted: true, position };
+            return WorldState {
+                episode: position.next,
+                actions: Vec::new(),
+                interrupted: true,
+                position,
+            };
         }
-        WorldState { episode: self.episode, actions: self.actions.clone(), interrupted: false, position }
+        WorldState {
+            episode: self.episode,
+            actions: self.actions.clone(),
+            interrupted: false,
+            position,
+        }
     }
 
     /// Lets the coming exchange start `episode`, whatever is on the road now.
@@ -315,7 +335,11 @@ impl World {
         }
         let intentions = self.intentions.as_ref();
         let turns = self.task.scenario.observation.turns;
-        self.traffic.take_turns(&self.task.routes, intentions, if turns > 0.0 { turns } else { TURNS });
+        self.traffic.take_turns(
+            &self.task.routes,
+            intentions,
+            if turns > 0.0 { turns } else { TURNS },
+        );
         if turns > 0.0 {
             let knowledge = Knowledge::public(&self.task, &self.traffic, intentions);
             fcfs::inherit(knowledge, &mut self.turns, &mut self.blocked);
@@ -334,14 +358,21 @@ impl World {
             self.frame.active[i] = f32::from(u8::from(present && !horizon));
             acting += u32::from(present && !horizon);
         }
-        physical_mask(&self.poses, &self.present, self.task.scenario.communication.range, &mut self.frame.comm);
+        physical_mask(
+            &self.poses,
+            &self.present,
+            self.task.scenario.communication.range,
+            &mut self.frame.comm,
+        );
         if !self.frame.sharing.is_empty() {
             let range = self.task.scenario.reward.share_range;
             physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
         }
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
-        let (task, traffic, turns, present) = (&*self.task, &self.traffic, &self.turns, &self.present);
-        let time_left = 1.0 - f64::from(self.step) / f64::from(self.task.scenario.termination.horizon);
+        let (task, traffic, turns, present) =
+            (&*self.task, &self.traffic, &self.turns, &self.present);
+        let time_left =
+            1.0 - f64::from(self.step) / f64::from(self.task.scenario.termination.horizon);
         let knowledge = Knowledge::public(task, traffic, self.intentions.as_ref());
         let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
             if present[i] {
@@ -356,7 +387,11 @@ impl World {
         let looks = &task.scenario.observation;
         if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.turns > 0.0 {
             // Fewer are not worth another core's while.
-            let views = seen.par_chunks_exact_mut(o).zip(known.par_chunks_exact_mut(s)).enumerate().with_min_len(16);
+            let views = seen
+                .par_chunks_exact_mut(o)
+                .zip(known.par_chunks_exact_mut(s))
+                .enumerate()
+                .with_min_len(16);
             views.for_each(|(i, (seen, known))| view(i, seen, known));
         } else {
             let views = seen.chunks_exact_mut(o).zip(known.chunks_exact_mut(s)).enumerate();
@@ -381,7 +416,8 @@ impl World {
     pub(super) fn send(&mut self, slot: usize, route: usize) {
         let slot = &mut self.traffic.slots[slot];
         slot.route = route;
-        (slot.s, slot.lateral, slot.segment) = self.task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
+        (slot.s, slot.lateral, slot.segment) =
+            self.task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
     }
 
     /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
@@ -440,14 +476,16 @@ impl World {
         self.distance += self.traffic.driven_by_agents(self.task.agents);
         loitering::watch(&self.task, &mut self.traffic.slots);
         let task = &*self.task;
-        let of_agents = |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < task.agents;
+        let of_agents =
+            |c: &Collision| c.world == world && (c.collider.min(c.victim) as usize) < task.agents;
         for collision in snapshot.collisions.iter().filter(|c| of_agents(c)) {
             let (a, b) = (collision.collider, collision.victim);
             let slots = &self.traffic.slots;
             self.pairs.sumo(a, b, || Sumos::reason(task, &slots[a as usize], &slots[b as usize]));
         }
         let scenario = &task.scenario;
-        let wreck_steps = (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
+        let wreck_steps =
+            (scenario.termination.wreck_time / scenario.control.interval).round() as u32;
         let mut sum = 0.0;
         let agents = self.traffic.slots[..task.agents].iter_mut().enumerate();
         for (i, slot) in agents.filter(|(_, slot)| slot.status == Status::Active) {
@@ -458,7 +496,8 @@ impl World {
                 arrived: slot.s >= route.arrival
                     && (!steers || (route.finish[0]..=route.finish[1]).contains(&slot.lateral)),
                 out_of_road: if steers {
-                    slot.track == Track::Lost || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
+                    slot.track == Track::Lost
+                        || task.road.as_ref().is_some_and(|road| road.left_by(&slot.pose))
                 } else {
                     slot.lateral.abs() > (lane - scenario.vehicle.width) / 2.0 - BORDER_MARGIN
                 },
@@ -467,7 +506,14 @@ impl World {
             slot.fate = fate;
             if let Some(Partner { route: other, same_way, wreck }) = self.partners[i] {
                 let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
-                slot.crash = Some(Crash { other, same_way, wreck, step: self.step, speed: slot.speed, upstream });
+                slot.crash = Some(Crash {
+                    other,
+                    same_way,
+                    wreck,
+                    step: self.step,
+                    speed: slot.speed,
+                    upstream,
+                });
             }
             // The first that applies replaces the step's reward.
             let reward = if fate.arrived {
@@ -480,7 +526,8 @@ impl World {
                 let way = slot.s - self.positions[i];
                 // In any direction: a vehicle that steers may slide, and drive backwards.
                 let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
-                let reward = scenario.reward.progress * way + scenario.reward.speed * speed / Reward::SPEED_UNIT;
+                let reward = scenario.reward.progress * way
+                    + scenario.reward.speed * speed / Reward::SPEED_UNIT;
                 let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
                 if off { scenario.routes[slot.route].off_lane * reward } else { reward }
             };
@@ -519,14 +566,17 @@ impl World {
                 }
                 let half = |k: usize| f64::midpoint(slots[k].size[0], slots[k].size[1]);
                 let reach = half(i) + half(j);
-                let travelled = slots[i].pose.distance(&slots[i].before) + slots[j].pose.distance(&slots[j].before);
+                let travelled = slots[i].pose.distance(&slots[i].before)
+                    + slots[j].pose.distance(&slots[j].before);
                 if slots[i].pose.distance(&slots[j].pose) > reach + travelled {
                     continue;
                 }
                 let hit = (1..=SUBSTEPS).any(|k| {
                     let t = f64::from(k) / f64::from(SUBSTEPS);
-                    let (a, b) =
-                        (slots[i].before.towards(&slots[i].pose, t), slots[j].before.towards(&slots[j].pose, t));
+                    let (a, b) = (
+                        slots[i].before.towards(&slots[i].pose, t),
+                        slots[j].before.towards(&slots[j].pose, t),
+                    );
                     boxes_overlap((&a, slots[i].size), (&b, slots[j].size))
                 });
                 if hit {
@@ -534,17 +584,28 @@ impl World {
                     self.crashes += u32::from(drives(i) || drives(j));
                     let on_way = |a: usize, b: usize| {
                         let way = &self.task.routes[slots[a].route];
-                        way.shared_position(slots[b].route, slots[b].s).is_some_and(|s| s >= slots[a].s)
+                        way.shared_position(slots[b].route, slots[b].s)
+                            .is_some_and(|s| s >= slots[a].s)
                     };
                     let same_way = on_way(i, j) || on_way(j, i);
-                    self.partners[i].get_or_insert(Partner { route: slots[j].route, same_way, wreck: !moving(j) });
-                    self.partners[j].get_or_insert(Partner { route: slots[i].route, same_way, wreck: !moving(i) });
+                    self.partners[i].get_or_insert(Partner {
+                        route: slots[j].route,
+                        same_way,
+                        wreck: !moving(j),
+                    });
+                    self.partners[j].get_or_insert(Partner {
+                        route: slots[i].route,
+                        same_way,
+                        wreck: !moving(i),
+                    });
                     // SUMO has other shapes for pedestrians, so that there is nothing to compare.
                     if j >= agents || self.is_pedestrian(&slots[i]) {
                         continue;
                     }
                     let of_world = || snapshot.collisions.iter().filter(|c| c.world == world);
-                    let reason = || Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world());
+                    let reason = || {
+                        Ours::reason(&self.task, [i, j].map(|k| (k as u32, &slots[k])), of_world())
+                    };
                     self.pairs.ours(j as u32, i as u32, reason);
                 }
             }
@@ -554,7 +615,8 @@ impl World {
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
         let n = self.crew as f64;
         let slots = &self.traffic.slots[..self.task.agents];
-        let share = |flag: fn(&Slot) -> bool| slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
+        let share =
+            |flag: fn(&Slot) -> bool| slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
         let success = share(|slot| slot.fate.arrived);
         let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
         let routes = &self.task.route_ids;

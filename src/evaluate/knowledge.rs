@@ -97,11 +97,19 @@ struct TargetSums {
 impl Sums {
     /// Adds the samples of one decision: `observation [E, N, O]` and `active [E, N]` of worlds that
     /// play these episodes.
-    pub(super) fn add(&mut self, all: &[Reconstruction], observation: &Tensor, active: &Tensor, episodes: &[u64]) {
+    pub(super) fn add(
+        &mut self,
+        all: &[Reconstruction],
+        observation: &Tensor,
+        active: &Tensor,
+        episodes: &[u64],
+    ) {
         if all.is_empty() {
             return;
         }
-        let rows = |x: &Tensor, chosen: &Tensor| x.flatten(0, 1).index_select(0, chosen).to_kind(Kind::Double);
+        let rows = |x: &Tensor, chosen: &Tensor| {
+            x.flatten(0, 1).index_select(0, chosen).to_kind(Kind::Double)
+        };
         let parity: Vec<i64> = episodes.iter().map(|episode| (episode % 2) as i64).collect();
         let parity = Tensor::from_slice(&parity).unsqueeze(-1);
         for half in 0..2 {
@@ -111,10 +119,15 @@ impl Sums {
                 continue;
             }
             let worlds = Vec::<bool>::try_from(here.any_dim(1, false)).expect("flags");
-            let playing = episodes.iter().zip(worlds).filter(|(_, plays)| *plays).map(|(episode, _)| *episode);
+            let playing = episodes
+                .iter()
+                .zip(worlds)
+                .filter(|(_, plays)| *plays)
+                .map(|(episode, _)| *episode);
             self.episodes[half].extend(playing);
             let x = rows(observation, &chosen);
-            let x = Tensor::cat(&[&Tensor::ones([x.size()[0], 1], (Kind::Double, x.device())), &x], 1);
+            let x =
+                Tensor::cat(&[&Tensor::ones([x.size()[0], 1], (Kind::Double, x.device())), &x], 1);
             let transposed = x.tr();
             accumulate(&mut self.observations[half], transposed.matmul(&x));
             for Reconstruction { name, found, truth } in all {
@@ -125,10 +138,13 @@ impl Sums {
                     squares: sum(target.square()),
                     errors: sum((prediction - target).square()),
                 };
-                let place = self.targets.iter().position(|known| known.name == *name).unwrap_or_else(|| {
-                    self.targets.push(Target { name, halves: [None, None] });
-                    self.targets.len() - 1
-                });
+                let place =
+                    self.targets.iter().position(|known| known.name == *name).unwrap_or_else(
+                        || {
+                            self.targets.push(Target { name, halves: [None, None] });
+                            self.targets.len() - 1
+                        },
+                    );
                 match &mut self.targets[place].halves[half] {
                     Some(known) => {
                         known.products += sums.products;
@@ -147,17 +163,20 @@ impl Sums {
 
     fn knowledge(&self, target: &Target) -> Knowledge {
         let (mut count, mut sums): (f64, Option<Moments>) = (0.0, None);
-        let halves =
-            [0, 1].map(|half| Some(Moments::new(self.observations[half].as_ref()?, target.halves[half].as_ref()?)));
+        let halves = [0, 1].map(|half| {
+            Some(Moments::new(self.observations[half].as_ref()?, target.halves[half].as_ref()?))
+        });
         for half in halves.iter().flatten() {
             count += half.count;
             sums = Some(sums.map_or_else(|| half.clone(), |sums| sums.plus(half)));
         }
-        let (errors, variances) = sums.map_or_else(Default::default, |sums| (sums.errors(), sums.variances()));
+        let (errors, variances) =
+            sums.map_or_else(Default::default, |sums| (sums.errors(), sums.variances()));
         let features = errors.len().max(1) as f64;
         let error = errors.iter().sum::<f64>() / features;
         let explained = explained(&errors, &variances, &vec![true; errors.len()]).unwrap_or(0.0);
-        let enough = self.episodes.iter().all(|episodes| episodes.len() >= FEWEST_EPISODES) && count > 0.0;
+        let enough =
+            self.episodes.iter().all(|episodes| episodes.len() >= FEWEST_EPISODES) && count > 0.0;
         let probe = match &halves {
             [Some(fit), Some(test)] if enough => Probe::new(fit, test),
             _ => None,
@@ -176,7 +195,9 @@ fn accumulate(sum: &mut Option<Tensor>, more: Tensor) {
 /// 1 − errors / variances, summed over the chosen features; `None` where there is nothing to
 /// explain.
 fn explained(errors: &[f64], variances: &[f64], chosen: &[bool]) -> Option<f64> {
-    let sum = |values: &[f64]| values.iter().zip(chosen).filter(|(_, chosen)| **chosen).map(|(v, _)| v).sum::<f64>();
+    let sum = |values: &[f64]| {
+        values.iter().zip(chosen).filter(|(_, chosen)| **chosen).map(|(v, _)| v).sum::<f64>()
+    };
     let variance = sum(variances);
     (variance > 0.0).then(|| 1.0 - sum(errors) / variance)
 }
@@ -243,13 +264,15 @@ fn fit(moments: &Moments) -> Option<DMatrix<f64>> {
     let (n, targets) = (moments.count, moments.products.ncols());
     let mean = |i: usize| moments.gram[(0, i)] / n;
     let covariance = |i: usize, j: usize| moments.gram[(i, j)] / n - mean(i) * mean(j);
-    let varying: Vec<usize> = (1..moments.gram.nrows()).filter(|&i| covariance(i, i) > CONSTANT).collect();
+    let varying: Vec<usize> =
+        (1..moments.gram.nrows()).filter(|&i| covariance(i, i) > CONSTANT).collect();
     if varying.is_empty() || n < FEWEST_SAMPLES * varying.len() as f64 {
         return None;
     }
     let scale: Vec<f64> = varying.iter().map(|&i| covariance(i, i).sqrt()).collect();
     let correlation = DMatrix::from_fn(varying.len(), varying.len(), |a, b| {
-        covariance(varying[a], varying[b]) / (scale[a] * scale[b]) + if a == b { RIDGE } else { 0.0 }
+        covariance(varying[a], varying[b]) / (scale[a] * scale[b])
+            + if a == b { RIDGE } else { 0.0 }
     });
     let cross = DMatrix::from_fn(varying.len(), targets, |a, k| {
         (moments.products[(varying[a], k)] / n - mean(varying[a]) * moments.mean(k)) / scale[a]
@@ -277,14 +300,19 @@ impl Probe {
         let predicted = &test.gram * &weights;
         let mean_square = |k: usize| {
             let own = weights.column(k);
-            let square = test.squares[k] - 2.0 * own.dot(&test.products.column(k)) + own.dot(&predicted.column(k));
+            let square = test.squares[k] - 2.0 * own.dot(&test.products.column(k))
+                + own.dot(&predicted.column(k));
             (square / test.count).max(0.0)
         };
         let probed: Vec<f64> = (0..variances.len()).map(mean_square).collect();
-        let varies: Vec<bool> =
-            variances.iter().zip(&fitted_variances).map(|(a, b)| *a > CONSTANT && *b > CONSTANT).collect();
-        let open: Vec<bool> =
-            (0..variances.len()).map(|k| varies[k] && 1.0 - probed[k] / variances[k] < DETERMINED).collect();
+        let varies: Vec<bool> = variances
+            .iter()
+            .zip(&fitted_variances)
+            .map(|(a, b)| *a > CONSTANT && *b > CONSTANT)
+            .collect();
+        let open: Vec<bool> = (0..variances.len())
+            .map(|k| varies[k] && 1.0 - probed[k] / variances[k] < DETERMINED)
+            .collect();
         let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count();
         Some(Self {
             samples: test.count as u64,
@@ -321,7 +349,8 @@ mod tests {
             one[0]
         };
         for round in 0..rounds {
-            let episodes: Vec<u64> = (0..WORLDS as u64).map(|world| WORLDS as u64 * round + world).collect();
+            let episodes: Vec<u64> =
+                (0..WORLDS as u64).map(|world| WORLDS as u64 * round + world).collect();
             for _ in 0..steps {
                 let mut all: [Vec<f32>; 3] = Default::default();
                 for &episode in &episodes {
@@ -330,10 +359,17 @@ mod tests {
                         all.iter_mut().zip(sample).for_each(|(all, one)| all.extend(one));
                     }
                 }
-                let [observation, truth, found] =
-                    all.map(|values| Tensor::from_slice(&values).view([WORLDS as i64, AGENTS as i64, -1]));
-                let active = Tensor::ones([WORLDS as i64, AGENTS as i64], (Kind::Float, tch::Device::Cpu));
-                sums.add(&[Reconstruction { name: "world", found, truth }], &observation, &active, &episodes);
+                let [observation, truth, found] = all.map(|values| {
+                    Tensor::from_slice(&values).view([WORLDS as i64, AGENTS as i64, -1])
+                });
+                let active =
+                    Tensor::ones([WORLDS as i64, AGENTS as i64], (Kind::Float, tch::Device::Cpu));
+                sums.add(
+                    &[Reconstruction { name: "world", found, truth }],
+                    &observation,
+                    &active,
+                    &episodes,
+                );
             }
         }
         let [only] = &sums.finish()[..] else { panic!("one target") };
@@ -341,7 +377,10 @@ mod tests {
     }
 
     fn close(found: f64, expected: f64, tolerance: f64) {
-        assert!((found - expected).abs() <= tolerance, "{found} is not within {tolerance} of {expected}");
+        assert!(
+            (found - expected).abs() <= tolerance,
+            "{found} is not within {tolerance} of {expected}"
+        );
     }
 
     #[test]
@@ -350,7 +389,11 @@ mod tests {
         // observed. The decoder says the last of these exactly, and nothing about the others.
         let found = knowledge(4, 20, |_, normal| {
             let [a, b, hidden] = [normal(), normal(), normal()];
-            [vec![a, b, 0.5], vec![a, 0.3 * a - 2.0 * b + 1.0, 0.25, hidden], vec![0.0, 0.0, 0.25, hidden]]
+            [
+                vec![a, b, 0.5],
+                vec![a, 0.3 * a - 2.0 * b + 1.0, 0.25, hidden],
+                vec![0.0, 0.0, 0.25, hidden],
+            ]
         });
         let probe = found.probe.clone().expect("enough samples");
         assert_eq!((probe.features, probe.undetermined, probe.samples), (3, 1, 4 * 8 * 20 * 2));

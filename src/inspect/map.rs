@@ -26,7 +26,8 @@ const SAME: f64 = 1.0;
 /// A scenario with a number of agents, from above.
 pub fn picture(task: &Task, net: &Net) -> Picture {
     let meetings = meetings(task);
-    let counted = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
+    let counted =
+        |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
     let mut picture = Picture::new(format!(
         "{}: {}, {}, {}",
         task.scenario.name,
@@ -49,7 +50,11 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     }
     for route in task.routes.iter().filter(|route| !route.is_walked()) {
         let ([x, y], heading) = route.path.at(route.arrival);
-        picture.line(&across([x, y], heading, route.path.widths.last().copied().unwrap_or(0.0)), 2.0 * LINE, FINISH);
+        picture.line(
+            &across([x, y], heading, route.path.widths.last().copied().unwrap_or(0.0)),
+            2.0 * LINE,
+            FINISH,
+        );
     }
     let pose = |place: &SpawnPlace| {
         let path = &task.routes[place.routes[0]].path;
@@ -57,7 +62,8 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         Pose { x, y, heading }
     };
     let poses: Vec<Pose> = task.places.iter().map(pose).collect();
-    let from_middle = |p: &&Pose| (p.x - f64::midpoint(left, right)).hypot(p.y - f64::midpoint(bottom, top));
+    let from_middle =
+        |p: &&Pose| (p.x - f64::midpoint(left, right)).hypot(p.y - f64::midpoint(bottom, top));
     if let Some(one) = poses.iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b))) {
         picture.circle([one.x, one.y], task.scenario.communication.range, Some(LINE), RADIO);
     }
@@ -71,7 +77,10 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     picture.explain(ROUTES[0], "routes, in colours in turn");
     picture.explain(FINISH, "finish of a route");
     picture.explain(MEETING, "where routes cross or merge");
-    picture.explain(RADIO, format!("radio range of one vehicle, {} m", task.scenario.communication.range));
+    picture.explain(
+        RADIO,
+        format!("radio range of one vehicle, {} m", task.scenario.communication.range),
+    );
     picture
 }
 
@@ -176,7 +185,10 @@ mod tests {
         assert_eq!(cut(&inside, &window), [inside.to_vec()]);
         // In, out at the right, and in again from the top.
         let line = [[-5.0, 5.0], [15.0, 5.0], [15.0, 20.0], [5.0, 20.0], [5.0, 8.0]];
-        assert_eq!(cut(&line, &window), [vec![[0.0, 5.0], [10.0, 5.0]], vec![[5.0, 10.0], [5.0, 8.0]]]);
+        assert_eq!(
+            cut(&line, &window),
+            [vec![[0.0, 5.0], [10.0, 5.0]], vec![[5.0, 10.0], [5.0, 8.0]]]
+        );
         assert!(cut(&[[11.0, 0.0], [11.0, 10.0]], &window).is_empty());
     }
 }

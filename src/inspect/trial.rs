@@ -68,7 +68,13 @@ impl Trial {
     ///
     /// # Errors
     /// When the scenario does not take so many agents, or SUMO fails.
-    pub fn run(scenario: &Scenario, agents: u32, steps: u32, seed: Seed, hosting: &Hosting) -> Result<Self, Error> {
+    pub fn run(
+        scenario: &Scenario,
+        agents: u32,
+        steps: u32,
+        seed: Seed,
+        hosting: &Hosting,
+    ) -> Result<Self, Error> {
         let task = Arc::new(Task::new(scenario, agents)?);
         let options = VecOptions {
             worlds: 1,
@@ -125,7 +131,9 @@ impl Trial {
             let world = env.worlds().next().expect("one world");
             if world.step_count() == 1 {
                 let crashed = world.agents().filter(|agent| agent.fate.crashed);
-                trial.collided_at_once.extend(crashed.map(|agent| scenario.routes[agent.route].id.clone()));
+                trial
+                    .collided_at_once
+                    .extend(crashed.map(|agent| scenario.routes[agent.route].id.clone()));
             }
         }
         trial.steps_per_second = f64::from(steps) / begin.elapsed().as_secs_f64().max(1e-9);
@@ -160,9 +168,14 @@ impl Trial {
         }
         for (what, ranges) in [("observation", &self.observation), ("state", &self.state)] {
             let names = |wanted: &dyn Fn(&Range) -> bool| -> Vec<String> {
-                ranges.iter().filter(|range| wanted(range)).map(|range| range.name.clone()).collect()
+                ranges
+                    .iter()
+                    .filter(|range| wanted(range))
+                    .map(|range| range.name.clone())
+                    .collect()
             };
-            let strange = names(&|range| !range.finite || range.least < range.low || range.most > range.high);
+            let strange =
+                names(&|range| !range.finite || range.least < range.low || range.most > range.high);
             if !strange.is_empty() {
                 findings.push(finding(
                     Severity::Error,
@@ -204,7 +217,8 @@ impl Trial {
     fn constant(&self) -> Vec<String> {
         let group = |range: &Range| range.name.split('.').next().unwrap_or_default().to_owned();
         let groups = self.observation.chunk_by(|a, b| group(a) == group(b));
-        let still = groups.filter(|group| group.iter().all(|range| range.finite && range.least >= range.most));
+        let still = groups
+            .filter(|group| group.iter().all(|range| range.finite && range.least >= range.most));
         still.filter_map(|ranges| ranges.first().map(group)).collect()
     }
 }

@@ -31,7 +31,10 @@ impl SelfAttention {
     /// # Panics
     /// If `heads` does not divide `width`.
     pub fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init) -> Self {
-        assert!(heads > 0 && width % heads == 0, "{heads} attention heads do not divide a width of {width}");
+        assert!(
+            heads > 0 && width % heads == 0,
+            "{heads} attention heads do not divide a width of {width}"
+        );
         let qkv = Linear::fused(path.sub("qkv"), width, width, 3, init);
         SelfAttention { heads, qkv, out: Linear::new(path.sub("out"), width, width, init) }
     }
@@ -46,16 +49,21 @@ impl SelfAttention {
     /// `place: [B]` asks, to `[B, width]`; the mask has one row, `[B, 1, 1, T]`.
     pub fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, tokens, _) = x.size3().expect("tokens are [B, T, width]");
-        let [queries, keys, values] = self.project(&self.qkv.forward(&x.flatten(0, 1)).view([batch, tokens, -1]));
-        let asks = place.view([batch, 1, 1, 1]).expand([batch, self.heads, 1, queries.size()[3]], false);
+        let [queries, keys, values] =
+            self.project(&self.qkv.forward(&x.flatten(0, 1)).view([batch, tokens, -1]));
+        let asks =
+            place.view([batch, 1, 1, 1]).expand([batch, self.heads, 1, queries.size()[3]], false);
         let mixed = Self::mix(&queries.gather(2, &asks, false), &keys, &values, mask);
         self.out.forward(&mixed.squeeze_dim(1))
     }
 
     /// Queries, keys and values, each `[B, heads, T, d]`, of `[B, T, 3 · width]`.
     fn project(&self, qkv: &Tensor) -> [Tensor; 3] {
-        let (batch, tokens, width) = qkv.size3().expect("queries, keys and values are [B, T, 3 · width]");
-        let split = qkv.view([batch, tokens, 3, self.heads, width / (3 * self.heads)]).permute([2, 0, 3, 1, 4]);
+        let (batch, tokens, width) =
+            qkv.size3().expect("queries, keys and values are [B, T, 3 · width]");
+        let split = qkv
+            .view([batch, tokens, 3, self.heads, width / (3 * self.heads)])
+            .permute([2, 0, 3, 1, 4]);
         split.unbind(0).try_into().expect("three of them")
     }
 
@@ -119,18 +127,26 @@ mod tests {
             let logits = draw(1).set_requires_grad(true);
             let found = softmax(&(&logits + cut.to_kind(Kind::Float) * -1e30));
 
-            let weights = logits.detach().to_kind(Kind::Double).exp() * cut.logical_not().to_kind(Kind::Double);
+            let weights = logits.detach().to_kind(Kind::Double).exp()
+                * cut.logical_not().to_kind(Kind::Double);
             let expected = &weights / weights.sum_dim_intlist(-1, true, Kind::Double);
             let worst = (&found - &expected).abs().max().double_value(&[]);
             assert!(worst < 1e-6, "{keys} keys: {worst}");
-            assert_eq!(found.masked_select(&cut).abs().sum(Kind::Float).double_value(&[]), 0.0, "{keys} keys");
+            assert_eq!(
+                found.masked_select(&cut).abs().sum(Kind::Float).double_value(&[]),
+                0.0,
+                "{keys} keys"
+            );
 
             let along = draw(2);
             (&found * &along).sum(Kind::Float).backward();
             let mean = (&expected * &along).sum_dim_intlist(-1, true, Kind::Double);
             let worst = (logits.grad() - expected * (along - mean)).abs().max().double_value(&[]);
             assert!(worst < 1e-5, "gradient, {keys} keys: {worst}");
-            assert_eq!(logits.grad().masked_select(&cut).abs().sum(Kind::Float).double_value(&[]), 0.0);
+            assert_eq!(
+                logits.grad().masked_select(&cut).abs().sum(Kind::Float).double_value(&[]),
+                0.0
+            );
         }
     }
 
@@ -147,10 +163,22 @@ mod tests {
             let (logits, values, along) = (draw(2, keys), draw(3, 4), draw(4, 4));
             let weights = graph_softmax(&logits, &graph);
             let closed = graph.detach().lt(0.5);
-            assert_eq!(weights.masked_select(&closed).abs().sum(Kind::Float).double_value(&[]), 0.0);
+            assert_eq!(
+                weights.masked_select(&closed).abs().sum(Kind::Float).double_value(&[]),
+                0.0
+            );
             let other = logits.where_self(&closed.logical_not(), &(&logits * 3.0 - 1.0));
-            assert!(graph_softmax(&other, &graph).equal(&weights), "a closed edge's logit changes nothing");
-            assert!((&weights - softmax(&logits.masked_fill(&closed, -1e30))).abs().max().double_value(&[]) < 1e-6);
+            assert!(
+                graph_softmax(&other, &graph).equal(&weights),
+                "a closed edge's logit changes nothing"
+            );
+            assert!(
+                (&weights - softmax(&logits.masked_fill(&closed, -1e30)))
+                    .abs()
+                    .max()
+                    .double_value(&[])
+                    < 1e-6
+            );
 
             let out = weights.matmul(&values);
             (&out * &along).sum(Kind::Float).backward();
@@ -160,7 +188,10 @@ mod tests {
             let expected = logits.exp() / sum * (change - mean);
             let worst = (graph.grad() - &expected).abs().max().double_value(&[]);
             assert!(worst < 1e-4, "{keys}: {worst}");
-            assert!(graph.grad().masked_select(&closed).abs().min().double_value(&[]) > 0.0, "closed ones too");
+            assert!(
+                graph.grad().masked_select(&closed).abs().min().double_value(&[]) > 0.0,
+                "closed ones too"
+            );
         }
     }
 
@@ -173,7 +204,8 @@ mod tests {
             2,
             Init::Orthogonal(1.0),
         );
-        let x = Tensor::from_slice(&Init::Uniform(1.0).sample(&[20, 8], &mut Seed::new(4).rng())).view([20, 8]);
+        let x = Tensor::from_slice(&Init::Uniform(1.0).sample(&[20, 8], &mut Seed::new(4).rng()))
+            .view([20, 8]);
         let bias = Tensor::zeros([1, 1, 20, 20], (Kind::Float, tch::Device::Cpu));
         let _ = bias.select(3, 7).fill_(-1e30);
         let read = |x: &Tensor| layer.forward(x, &Packing::full(1, 20), Mask::Add(&bias));

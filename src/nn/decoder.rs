@@ -23,7 +23,8 @@ pub struct Reach {
 impl Reach {
     /// Those are seen where `seen: [B, N, N]` is not 0 (row = reader). Everybody must see somebody, usually itself.
     pub fn of(seen: &Tensor) -> Self {
-        let bias = seen.zeros_like().masked_fill(&seen.le(0.5), f64::NEG_INFINITY).unsqueeze(1).detach();
+        let bias =
+            seen.zeros_like().masked_fill(&seen.le(0.5), f64::NEG_INFINITY).unsqueeze(1).detach();
         Self { bias, graph: None }
     }
 
@@ -32,14 +33,18 @@ impl Reach {
     /// pair.
     pub fn over(graph: &Tensor, relation: &Tensor) -> Self {
         let graph = graph.unsqueeze(1);
-        Self { bias: graph.zeros_like().detach(), graph: Some((graph, relation.detach().unsqueeze(1))) }
+        Self {
+            bias: graph.zeros_like().detach(),
+            graph: Some((graph, relation.detach().unsqueeze(1))),
+        }
     }
 
     /// The same without those who come later in the sequence.
     #[must_use]
     pub fn causal(&self) -> Self {
         let later = Tensor::ones_like(&self.bias).triu(1).gt(0.5);
-        let graph = self.graph.as_ref().map(|(graph, relation)| (graph.tril(0), relation.shallow_clone()));
+        let graph =
+            self.graph.as_ref().map(|(graph, relation)| (graph.tril(0), relation.shallow_clone()));
         Self { bias: self.bias.masked_fill(&later, f64::NEG_INFINITY), graph }
     }
 
@@ -53,7 +58,10 @@ impl Reach {
     #[must_use]
     pub fn up_to(&self, i: i64) -> Self {
         let cut = |x: &Tensor| x.narrow(2, i, 1).narrow(3, 0, i + 1);
-        Self { bias: cut(&self.bias), graph: self.graph.as_ref().map(|(graph, relation)| (cut(graph), cut(relation))) }
+        Self {
+            bias: cut(&self.bias),
+            graph: self.graph.as_ref().map(|(graph, relation)| (cut(graph), cut(relation))),
+        }
     }
 }
 
@@ -85,7 +93,10 @@ impl Attention {
     /// # Panics
     /// If `heads` does not divide `width`.
     pub fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init, related: bool) -> Self {
-        assert!(heads > 0 && width % heads == 0, "{heads} attention heads do not divide a width of {width}");
+        assert!(
+            heads > 0 && width % heads == 0,
+            "{heads} attention heads do not divide a width of {width}"
+        );
         Self {
             heads,
             query: Linear::new(path.sub("query"), width, width, init),
@@ -109,17 +120,31 @@ impl Attention {
 
     /// What `queries: [B, Q, W]` make of a sequence, `[B, Q, W]`; `relations: [2, W]` are the embeddings of both kinds of
     /// relation, which attention without relations does not read.
-    pub fn forward(&self, queries: &Tensor, among: &KeysValues, reach: &Reach, relations: Option<&Tensor>) -> Tensor {
+    pub fn forward(
+        &self,
+        queries: &Tensor,
+        among: &KeysValues,
+        reach: &Reach,
+        relations: Option<&Tensor>,
+    ) -> Tensor {
         self.out.forward(&self.mix(queries, among, reach, relations))
     }
 
     /// The heads' results side by side, before the output layer.
-    fn mix(&self, queries: &Tensor, among: &KeysValues, reach: &Reach, relations: Option<&Tensor>) -> Tensor {
+    fn mix(
+        &self,
+        queries: &Tensor,
+        among: &KeysValues,
+        reach: &Reach,
+        relations: Option<&Tensor>,
+    ) -> Tensor {
         let KeysValues(keys, values) = among;
         let query = self.split(&self.query.forward(queries));
         let scale = 1.0 / (query.size()[3] as f64).sqrt();
         let mut logits = (&query * scale).matmul(&keys.transpose(-2, -1));
-        if let (Some(layer), Some(embeddings), Some((_, kinds))) = (&self.relations, relations, &reach.graph) {
+        if let (Some(layer), Some(embeddings), Some((_, kinds))) =
+            (&self.relations, relations, &reach.graph)
+        {
             // (q + a)(k + b) for both kinds, of which a pair has one. The reference scales twice.
             let both = layer.forward(embeddings).chunk(2, -1);
             let of = |kind: i64| {
@@ -227,7 +252,9 @@ impl Decoder {
         let embed = Linear::new(path.sub("embed"), actions, width, Init::Orthogonal(SQRT_2));
         let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
         let mut below = path.sub("blocks");
-        let blocks = (0..blocks).map(|i| Block::new(below.sub(i), width, heads, init, relations.is_some())).collect();
+        let blocks = (0..blocks)
+            .map(|i| Block::new(below.sub(i), width, heads, init, relations.is_some()))
+            .collect();
         Self {
             embed,
             embed_norm,
@@ -241,7 +268,13 @@ impl Decoder {
     /// The next agents of a sequence, after those that have `decoded` so far, who join them: `previous: [B, Q, A]` is what each of
     /// them is told of the action before its own (zeros for the first one), `representation: [B, Q, W]` what it knows. Gives
     /// `[B, Q, W]` for the action head. All at once, with the actions that were taken, is the same as one after another.
-    pub fn forward(&self, previous: &Tensor, representation: &Tensor, reach: &Reach, decoded: &mut Decoded) -> Tensor {
+    pub fn forward(
+        &self,
+        previous: &Tensor,
+        representation: &Tensor,
+        reach: &Reach,
+        decoded: &mut Decoded,
+    ) -> Tensor {
         decoded.0.resize_with(self.blocks.len(), || None);
         let mut x = self.embed_norm.forward(&self.embed.forward(previous).gelu("none"));
         for (block, remembered) in self.blocks.iter().zip(&mut decoded.0) {
@@ -266,7 +299,9 @@ impl Dropout {
 
     fn forward(&self, x: &Tensor) -> Tensor {
         let mut rng = self.rng.borrow_mut();
-        let kept = |_| if rng.random::<f64>() < self.rate { 0.0 } else { (1.0 / (1.0 - self.rate)) as f32 };
+        let kept = |_| {
+            if rng.random::<f64>() < self.rate { 0.0 } else { (1.0 / (1.0 - self.rate)) as f32 }
+        };
         let kept: Vec<f32> = (0..x.numel()).map(kept).collect();
         x * Tensor::from_slice(&kept).view_as(x).to_device(x.device())
     }
@@ -301,9 +336,17 @@ impl RelationBlock {
 
     /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation. What the heads, the attention and both
     /// layers of the perceptron bring may be dropped.
-    pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor, dropout: Option<&Dropout>) -> Tensor {
-        let dropped = |x: Tensor| dropout.map_or_else(|| x.shallow_clone(), |dropout| dropout.forward(&x));
-        let mixed = dropped(self.attention.mix(x, &self.attention.keys_values(x), reach, Some(relations)));
+    pub fn forward(
+        &self,
+        x: &Tensor,
+        reach: &Reach,
+        relations: &Tensor,
+        dropout: Option<&Dropout>,
+    ) -> Tensor {
+        let dropped =
+            |x: Tensor| dropout.map_or_else(|| x.shallow_clone(), |dropout| dropout.forward(&x));
+        let mixed =
+            dropped(self.attention.mix(x, &self.attention.keys_values(x), reach, Some(relations)));
         let x = self.attention_norm.forward(&(x + dropped(self.attention.out.forward(&mixed))));
         let inner = dropped(self.up.forward(&x).relu());
         self.mlp_norm.forward(&(&x + dropped(self.down.forward(&inner))))
@@ -331,8 +374,10 @@ mod tests {
         for related in [false, true] {
             let mut params = Params::new(Device::Cpu);
             let mut rng = Seed::new(1).rng();
-            let table = related.then(|| params.root(&mut rng).create("relations", &[2, 8], Init::Normal(1.0)));
-            let decoder = Decoder::new(params.root(&mut rng).sub("decoder"), 2, 8, 2, 2, table.as_ref());
+            let table = related
+                .then(|| params.root(&mut rng).create("relations", &[2, 8], Init::Normal(1.0)));
+            let decoder =
+                Decoder::new(params.root(&mut rng).sub("decoder"), 2, 8, 2, 2, table.as_ref());
             tch::no_grad(|| {
                 for (name, tensor) in params.named() {
                     if name.ends_with("weight") && tensor.dim() == 2 {
@@ -343,13 +388,18 @@ mod tests {
             let (actions, known) = (uniform(&[3, AGENTS, 2], 2), uniform(&[3, AGENTS, 8], 3));
             let seen = uniform(&[3, AGENTS, AGENTS], 4).gt(-0.3).to_kind(Kind::Float);
             let graph = crate::nn::graph::with_self_loops(&seen);
-            let reach = if related { Reach::over(&graph, &seen) } else { Reach::of(&graph) }.causal();
+            let reach =
+                if related { Reach::over(&graph, &seen) } else { Reach::of(&graph) }.causal();
             let all = decoder.forward(&actions, &known, &reach, &mut Decoded::default());
             let mut decoded = Decoded::default();
             for i in 0..AGENTS {
                 let of = |x: &Tensor| x.narrow(1, i, 1);
-                let one = decoder.forward(&of(&actions), &of(&known), &reach.up_to(i), &mut decoded);
-                assert!((one - of(&all)).abs().max().double_value(&[]) < 1e-5, "{related} agent {i}");
+                let one =
+                    decoder.forward(&of(&actions), &of(&known), &reach.up_to(i), &mut decoded);
+                assert!(
+                    (one - of(&all)).abs().max().double_value(&[]) < 1e-5,
+                    "{related} agent {i}"
+                );
             }
             let later = actions.copy();
             let _ = later.select(1, 3).fill_(9.0);
@@ -365,7 +415,10 @@ mod tests {
         let drop = |seed: u64| Dropout::new(0.1, Seed::new(seed).rng()).forward(&x);
         let y = drop(1);
         let gone = y.eq(0.0).to_kind(Kind::Float).mean(Kind::Float).double_value(&[]);
-        assert!((gone - 0.1).abs() < 0.02 && (y.mean(Kind::Float).double_value(&[]) - 1.0).abs() < 0.02, "{gone}");
+        assert!(
+            (gone - 0.1).abs() < 0.02 && (y.mean(Kind::Float).double_value(&[]) - 1.0).abs() < 0.02,
+            "{gone}"
+        );
         assert!(drop(1).equal(&y) && !drop(2).equal(&y));
     }
 }

@@ -43,21 +43,40 @@ impl Entity {
     /// # Panics
     /// If there is no group, if a group is empty or its flag lies outside of its tokens, or if the heads do not divide
     /// the token width.
-    pub fn new(mut path: Path<'_>, groups: &[TokenGroup], width: i64, heads: i64, hidden: i64) -> Self {
+    pub fn new(
+        mut path: Path<'_>,
+        groups: &[TokenGroup],
+        width: i64,
+        heads: i64,
+        hidden: i64,
+    ) -> Self {
         let valid = |g: &TokenGroup| {
-            g.offset >= 0 && g.width > 0 && g.count > 0 && g.presence.is_none_or(|p| (0..g.width).contains(&p))
+            g.offset >= 0
+                && g.width > 0
+                && g.count > 0
+                && g.presence.is_none_or(|p| (0..g.width).contains(&p))
         };
-        assert!(!groups.is_empty() && groups.iter().all(valid), "token groups are not sound: {groups:?}");
+        assert!(
+            !groups.is_empty() && groups.iter().all(valid),
+            "token groups are not sound: {groups:?}"
+        );
         let mut embed = path.sub("embed");
         let groups = groups
             .iter()
             .enumerate()
-            .map(|(i, group)| (*group, Linear::new(embed.sub(i), group.width, width, Init::Orthogonal(SQRT_2))))
+            .map(|(i, group)| {
+                (*group, Linear::new(embed.sub(i), group.width, width, Init::Orthogonal(SQRT_2)))
+            })
             .collect();
         Entity {
             groups,
             embed_norm: LayerNorm::new(path.sub("embed_norm"), width),
-            attention: SelfAttention::new(path.sub("attention"), width, heads, Init::Orthogonal(1.0)),
+            attention: SelfAttention::new(
+                path.sub("attention"),
+                width,
+                heads,
+                Init::Orthogonal(1.0),
+            ),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
             out: Linear::new(path.sub("out"), 2 * width, hidden, Init::Orthogonal(SQRT_2)),
             out_norm: LayerNorm::new(path.sub("out_norm"), hidden),
@@ -85,8 +104,8 @@ impl Entity {
         let (packing, tokens) = (Packing::full(batch, count), x.flatten(0, 1));
 
         let hidden_keys = present.logical_not().unsqueeze(1).unsqueeze(1);
-        let bias =
-            Tensor::zeros(hidden_keys.size(), (Kind::Float, x.device())).masked_fill(&hidden_keys, f64::NEG_INFINITY);
+        let bias = Tensor::zeros(hidden_keys.size(), (Kind::Float, x.device()))
+            .masked_fill(&hidden_keys, f64::NEG_INFINITY);
         let change = self.attention.forward(&tokens, &packing, Mask::Add(&bias));
         let x = self.attention_norm.forward(&(tokens + change)).view([batch, count, width]);
 
@@ -116,7 +135,10 @@ mod tests {
     }
 
     fn encode(observation: [f32; 11]) -> Vec<f32> {
-        Vec::try_from(encoder().forward(&Tensor::from_slice(&observation).view([1, 11])).reshape([-1])).unwrap()
+        Vec::try_from(
+            encoder().forward(&Tensor::from_slice(&observation).view([1, 11])).reshape([-1]),
+        )
+        .unwrap()
     }
 
     #[test]

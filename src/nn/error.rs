@@ -9,19 +9,25 @@ use tch::Tensor;
 #[non_exhaustive]
 pub enum Error {
     /// The tensors to load lack one that the network has.
-    #[error("tensor `{name}` is missing; the weights are of another network or of another configuration")]
+    #[error(
+        "tensor `{name}` is missing; the weights are of another network or of another configuration"
+    )]
     Missing {
         /// Name of the tensor in the network.
         name: String,
     },
     /// The tensors to load hold one that the network does not have.
-    #[error("tensor `{name}` is not part of this network; the weights are of another network or configuration")]
+    #[error(
+        "tensor `{name}` is not part of this network; the weights are of another network or configuration"
+    )]
     Unexpected {
         /// Name of the superfluous tensor.
         name: String,
     },
     /// A tensor to load has another shape than the network's tensor of that name.
-    #[error("tensor `{name}` has shape {found:?}, but this network needs {expected:?}; check the configuration")]
+    #[error(
+        "tensor `{name}` has shape {found:?}, but this network needs {expected:?}; check the configuration"
+    )]
     Shape {
         /// Name of the tensor.
         name: String,
@@ -43,5 +49,9 @@ pub enum Error {
 /// # Errors
 /// [`Error::NonFinite`], naming `what`, if any element is NaN or infinite.
 pub fn ensure_finite(what: &str, tensor: &Tensor) -> Result<(), Error> {
-    if tensor.isfinite().all().int64_value(&[]) != 0 { Ok(()) } else { Err(Error::NonFinite { what: what.to_owned() }) }
+    if tensor.isfinite().all().int64_value(&[]) != 0 {
+        Ok(())
+    } else {
+        Err(Error::NonFinite { what: what.to_owned() })
+    }
 }

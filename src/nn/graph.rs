@@ -26,11 +26,25 @@ impl CommGraph {
     /// A graph over features of width `inputs`, with a trunk of its own of width `hidden`. `slope` is that of the leaky
     /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `bias` is added to
     /// every score, `temperature` is that of the straight-through gradient.
-    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, slope: f64, bias: f64, temperature: f64) -> Self {
+    pub fn new(
+        mut path: Path<'_>,
+        inputs: i64,
+        hidden: i64,
+        slope: f64,
+        bias: f64,
+        temperature: f64,
+    ) -> Self {
         let base = Mlp::new(path.sub("base"), inputs, hidden, 1);
         let init = Init::XavierNormal(SQRT_2);
         let receiver = path.create("receiver", &[1, hidden], init);
-        CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), slope, bias, temperature }
+        CommGraph {
+            base,
+            receiver,
+            sender: path.create("sender", &[1, hidden], init),
+            slope,
+            bias,
+            temperature,
+        }
     }
 
     /// Scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a packing; `e[b, i, j]` speaks for `i` listening to `j`, and the
@@ -42,7 +56,9 @@ impl CommGraph {
 
     /// What agents `[P, H]` bring to a score as receiver and as sender, `[P, 2]`.
     fn halves(&self, f: &Tensor) -> Tensor {
-        self.base.forward(f).linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>)
+        self.base
+            .forward(f)
+            .linear(&Tensor::cat(&[&self.receiver, &self.sender], 0), None::<Tensor>)
     }
 
     fn leaky(&self, sum: &Tensor) -> Tensor {
@@ -56,7 +72,13 @@ impl CommGraph {
     /// `physical: [B, N, N]` (any kind; 0 cuts) removes edges; agents always listen to themselves, also dead ones.
     /// `noise: [B, N, N]` is logistic (the difference of two Gumbel variables); without it an edge exists where its
     /// probability exceeds one half.
-    pub fn forward(&self, f: &Tensor, packing: &Packing, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
+    pub fn forward(
+        &self,
+        f: &Tensor,
+        packing: &Packing,
+        physical: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> Tensor {
         sample_edges(&self.scores(f, packing), physical, noise, self.temperature)
     }
 
@@ -67,15 +89,22 @@ impl CommGraph {
         let halves = self.halves(&f.flatten(0, 1)).view([rows, agents, 2]);
         let (receivers, senders) = (halves.select(2, 0), halves.select(2, 1));
         let own = place.view([rows, 1]);
-        let heard = self.leaky(&(receivers.gather(1, &own, false) + senders)).gt(0.0).to_kind(Kind::Float);
+        let heard =
+            self.leaky(&(receivers.gather(1, &own, false) + senders)).gt(0.0).to_kind(Kind::Float);
         (heard * physical.squeeze_dim(1)).scatter_value(1, &own, 1.0).unsqueeze(1)
     }
 }
 
 /// A graph from scores, as [`CommGraph::forward`] describes it; all arguments `[B, N, N]`.
-pub fn sample_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>, temperature: f64) -> Tensor {
+pub fn sample_edges(
+    scores: &Tensor,
+    physical: &Tensor,
+    noise: Option<&Tensor>,
+    temperature: f64,
+) -> Tensor {
     let scores = noise.map_or_else(|| scores.shallow_clone(), |noise| scores + noise);
-    let soft = if temperature == 1.0 { scores.sigmoid() } else { (&scores / temperature).sigmoid() };
+    let soft =
+        if temperature == 1.0 { scores.sigmoid() } else { (&scores / temperature).sigmoid() };
     let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
     with_self_loops(&(learned * physical.to_kind(Kind::Float)))
 }
@@ -142,7 +171,10 @@ mod tests {
         let (f, packing) = everyone(&f);
         for noise in [Some(&noise), None] {
             let graph = scheduler().forward(&f, &packing, &physical, noise);
-            assert!((graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0, "values are exactly 0 or 1");
+            assert!(
+                (graph.eq(0.0) + graph.eq(1.0)).all().int64_value(&[]) != 0,
+                "values are exactly 0 or 1"
+            );
             assert!(graph.diagonal(0, 1, 2).eq(1.0).all().int64_value(&[]) != 0, "self loops");
             let off_diagonal: Tensor = 1.0 - Tensor::eye(6, CPU);
             let cut: Tensor = physical.logical_not().to_kind(Kind::Float) * off_diagonal;
@@ -158,18 +190,27 @@ mod tests {
         let (draws, all) = (20_000, Tensor::ones([1, 4, 4], CPU));
         let (f_many, packing) = everyone(&f.expand([draws, 4, 5], false));
         let noise = logistic(&[draws, 4, 4], 5);
-        let frequency = scheduler.forward(&f_many, &packing, &all, Some(&noise)).mean_dim(0, false, Kind::Float);
-        let expected = with_self_loops(&scheduler.scores(&f.get(0), &Packing::full(1, 4)).sigmoid()).get(0);
+        let frequency = scheduler.forward(&f_many, &packing, &all, Some(&noise)).mean_dim(
+            0,
+            false,
+            Kind::Float,
+        );
+        let expected =
+            with_self_loops(&scheduler.scores(&f.get(0), &Packing::full(1, 4)).sigmoid()).get(0);
         let worst = (frequency - expected).abs().max().double_value(&[]);
         assert!(worst < 0.02, "{worst}");
     }
 
     #[test]
     fn the_edge_rate_counts_possible_edges_between_different_agents() {
-        let graph = Tensor::from_slice(&[1_f32, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).view([1, 3, 3]);
-        let physical = Tensor::from_slice(&[1_f32, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 1.0]).view([1, 3, 3]);
+        let graph =
+            Tensor::from_slice(&[1_f32, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).view([1, 3, 3]);
+        let physical =
+            Tensor::from_slice(&[1_f32, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 1.0]).view([1, 3, 3]);
         // Possible: 0-1, 0-2, 1-0, 2-0; open among them: 0-1. The edge 1-2 is not possible.
-        let rates = |physical: &Tensor| Vec::<f32>::try_from(edge_rate(&graph, physical).view([-1])).expect("numbers");
+        let rates = |physical: &Tensor| {
+            Vec::<f32>::try_from(edge_rate(&graph, physical).view([-1])).expect("numbers")
+        };
         assert_eq!(rates(&physical), [0.5, 0.0, 0.0]);
         assert_eq!(rates(&physical.zeros_like()), [0.0; 3]);
     }
@@ -177,10 +218,14 @@ mod tests {
     #[test]
     fn gradient_reaches_the_scores_through_possible_edges_only() {
         let f = uniform(&[50, 3, 5], 7).set_requires_grad(true);
-        let physical = Tensor::from_slice(&[1_f32, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]).view([1, 3, 3]);
+        let physical =
+            Tensor::from_slice(&[1_f32, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]).view([1, 3, 3]);
         let (flat, packing) = everyone(&f);
-        let graph = scheduler().forward(&flat, &packing, &physical, Some(&logistic(&[50, 3, 3], 8)));
-        let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false).remove(0).transpose(0, 1);
+        let graph =
+            scheduler().forward(&flat, &packing, &physical, Some(&logistic(&[50, 3, 3], 8)));
+        let gradient = Tensor::run_backward(&[graph.sum(Kind::Float)], &[&f], false, false)
+            .remove(0)
+            .transpose(0, 1);
         assert!(gradient.get(0).abs().max().double_value(&[]) > 0.0);
         assert_eq!(gradient.get(2).abs().max().double_value(&[]), 0.0, "the third agent is dead");
     }

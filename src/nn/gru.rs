@@ -87,11 +87,15 @@ mod tests {
             assert!(h.allclose(&all.get(t), 1e-6, 1e-6, false));
         }
         // The first of the pair started anew at step 2: nothing before it is seen in its values or gradients.
-        let fresh =
-            gru.sequence(&x.narrow(0, 2, 3), &h0.zeros_like(), &Tensor::ones([3, 2, 1], (Kind::Float, Device::Cpu)));
+        let fresh = gru.sequence(
+            &x.narrow(0, 2, 3),
+            &h0.zeros_like(),
+            &Tensor::ones([3, 2, 1], (Kind::Float, Device::Cpu)),
+        );
         assert!(all.narrow(0, 2, 3).select(1, 0).equal(&fresh.select(1, 0)));
         assert!(!all.narrow(0, 2, 3).select(1, 1).equal(&fresh.select(1, 1)));
-        let gradient = Tensor::run_backward(&[all.get(4).sum(Kind::Float)], &[&h0], false, false).remove(0);
+        let gradient =
+            Tensor::run_backward(&[all.get(4).sum(Kind::Float)], &[&h0], false, false).remove(0);
         assert_eq!(gradient.get(0).abs().max().double_value(&[]), 0.0);
         assert!(gradient.get(1).abs().max().double_value(&[]) > 0.0);
     }

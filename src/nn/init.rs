@@ -32,7 +32,9 @@ impl Init {
             Init::Zeros => vec![0.0; count],
             Init::Constant(value) => vec![value as f32; count],
             Init::Uniform(bound) => (0..count).map(|_| (symmetric(rng) * bound) as f32).collect(),
-            Init::Normal(std) => gaussians(count, rng).into_iter().map(|v| (std * v) as f32).collect(),
+            Init::Normal(std) => {
+                gaussians(count, rng).into_iter().map(|v| (std * v) as f32).collect()
+            }
             Init::XavierNormal(gain) => {
                 let (rows, columns) = matrix(shape);
                 let std = gain * (2.0 / (rows + columns) as f64).sqrt();
@@ -100,8 +102,9 @@ mod tests {
         for (rows, columns) in [(1, 7), (8, 8), (24, 8), (5, 40), (96, 96)] {
             let gain = 1.5;
             let w = Init::Orthogonal(gain).sample(&[rows as i64, columns as i64], &mut rng);
-            let at =
-                |i: usize, k: usize| f64::from(if rows <= columns { w[i * columns + k] } else { w[k * columns + i] });
+            let at = |i: usize, k: usize| {
+                f64::from(if rows <= columns { w[i * columns + k] } else { w[k * columns + i] })
+            };
             let (count, length) = (rows.min(columns), rows.max(columns));
             for i in 0..count {
                 for j in 0..count {
@@ -121,7 +124,11 @@ mod tests {
         let (n, draws) = (4_usize, 4000);
         let (mut sum, mut squares) = (vec![0.0; n * n], vec![0.0; n * n]);
         for _ in 0..draws {
-            for (i, v) in Init::Orthogonal(1.0).sample(&[n as i64, n as i64], &mut rng).into_iter().enumerate() {
+            for (i, v) in Init::Orthogonal(1.0)
+                .sample(&[n as i64, n as i64], &mut rng)
+                .into_iter()
+                .enumerate()
+            {
                 sum[i] += f64::from(v) / f64::from(draws);
                 squares[i] += f64::from(v * v) / f64::from(draws);
             }
@@ -137,7 +144,11 @@ mod tests {
         let variance = w.iter().map(|v| f64::from(v * v)).sum::<f64>() / 2100.0;
         assert!((variance - 0.04).abs() < 0.006, "{variance}");
         let u = Init::Uniform(0.5).sample(&[1000], &mut rng);
-        assert!(u.iter().all(|v| v.abs() <= 0.5) && u.iter().any(|v| *v > 0.45) && u.iter().any(|v| *v < -0.45));
+        assert!(
+            u.iter().all(|v| v.abs() <= 0.5)
+                && u.iter().any(|v| *v > 0.45)
+                && u.iter().any(|v| *v < -0.45)
+        );
         assert_eq!(Init::Constant(-0.5).sample(&[3], &mut rng), [-0.5; 3]);
     }
 }

@@ -39,15 +39,22 @@ impl Scheduler {
     pub fn scores(&self, f: &Tensor, packing: &Packing) -> Tensor {
         let inputs = f.size()[1];
         // The first layer of a pair is a sum of a part of each.
-        let part =
-            |from: i64, shift: Option<&Tensor>| packing.unpack(&f.linear(&self.first.narrow(1, from, inputs), shift));
+        let part = |from: i64, shift: Option<&Tensor>| {
+            packing.unpack(&f.linear(&self.first.narrow(1, from, inputs), shift))
+        };
         let pairs = part(0, Some(&self.shift)).unsqueeze(2) + part(inputs, None).unsqueeze(1);
         let logits = self.third.forward(&self.second.forward(&pairs.relu()).relu());
         logits.select(-1, 1) - logits.select(-1, 0)
     }
 
     /// The graph, as [`CommGraph::forward`](super::CommGraph::forward) gives it, at temperature 1.
-    pub fn forward(&self, f: &Tensor, packing: &Packing, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
+    pub fn forward(
+        &self,
+        f: &Tensor,
+        packing: &Packing,
+        physical: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> Tensor {
         sample_edges(&self.scores(f, packing), physical, noise, 1.0)
     }
 }
@@ -86,7 +93,9 @@ impl GraphAttention {
     /// `[P, heads · width]` or `[P, width]`. Every agent must listen to somebody, usually itself.
     pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
         let (batch, agents) = packing.size();
-        let h = packing.unpack(&f.linear(&self.weight, None::<Tensor>)).view([batch, agents, self.heads, self.width]);
+        let h = packing
+            .unpack(&f.linear(&self.weight, None::<Tensor>))
+            .view([batch, agents, self.heads, self.width]);
         let score = |by: &Tensor| (&h * by).sum_dim_intlist(-1, false, Kind::Float).transpose(1, 2);
         let sum = score(&self.listener).unsqueeze(3) + score(&self.speaker).unsqueeze(2);
         let scores = &sum * 0.2 + sum.relu() * 0.8;

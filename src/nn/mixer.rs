@@ -23,12 +23,16 @@ pub struct Mixer {
 impl Mixer {
     /// For views of the state with `inputs` features. Orthogonal weights of gain 1.
     pub fn new(mut path: Path<'_>, inputs: i64) -> Self {
-        let mut layer =
-            |name: &str, inputs, outputs| Linear::new(path.sub(name), inputs, outputs, Init::Orthogonal(1.0));
+        let mut layer = |name: &str, inputs, outputs| {
+            Linear::new(path.sub(name), inputs, outputs, Init::Orthogonal(1.0))
+        };
         Self {
             weights: [layer("weights.0", inputs, HYPER), layer("weights.1", HYPER, MIXED)],
             shift: layer("shift", inputs, MIXED),
-            out_weights: [layer("out_weights.0", inputs, HYPER), layer("out_weights.1", HYPER, MIXED)],
+            out_weights: [
+                layer("out_weights.0", inputs, HYPER),
+                layer("out_weights.1", HYPER, MIXED),
+            ],
             offset: [layer("offset.0", inputs, HYPER), layer("offset.1", HYPER, 1)],
         }
     }
@@ -40,8 +44,13 @@ impl Mixer {
         let count = there.sum_dim_intlist(1, false, Kind::Float).clamp_min(1.0);
         let sum = |x: Tensor| (x * &there).sum_dim_intlist(1, false, Kind::Float);
         let mean = |x: Tensor| sum(x) / &count;
-        let mixed = sum(two(&self.weights).abs() * values.unsqueeze(-1)) + mean(self.shift.forward(state));
-        let out = (mixed.elu() * mean(two(&self.out_weights)).abs()).sum_dim_intlist(-1, false, Kind::Float);
+        let mixed =
+            sum(two(&self.weights).abs() * values.unsqueeze(-1)) + mean(self.shift.forward(state));
+        let out = (mixed.elu() * mean(two(&self.out_weights)).abs()).sum_dim_intlist(
+            -1,
+            false,
+            Kind::Float,
+        );
         out + mean(two(&self.offset)).squeeze_dim(-1)
     }
 }
@@ -62,13 +71,19 @@ mod tests {
     #[test]
     fn the_team_gains_when_anyone_there_does() {
         let mixer = Mixer::new(Params::new(Device::Cpu).root(&mut Seed::new(1).rng()), 3);
-        let (values, state) = (uniform(&[50, 4], 2).set_requires_grad(true), uniform(&[50, 4, 3], 3));
+        let (values, state) =
+            (uniform(&[50, 4], 2).set_requires_grad(true), uniform(&[50, 4, 3], 3));
         let present = uniform(&[50, 4], 4).gt(-1.0).to_kind(Kind::Float);
         let team = mixer.forward(&values, &state, &present);
-        let gradient = Tensor::run_backward(&[team.sum(Kind::Float)], &[&values], false, false).remove(0);
+        let gradient =
+            Tensor::run_backward(&[team.sum(Kind::Float)], &[&values], false, false).remove(0);
         assert!(gradient.ge(0.0).all().int64_value(&[]) != 0);
         let gone: Tensor = 1.0 - &present;
-        assert_eq!((&gradient * gone).abs().max().double_value(&[]), 0.0, "who is gone does not count");
+        assert_eq!(
+            (&gradient * gone).abs().max().double_value(&[]),
+            0.0,
+            "who is gone does not count"
+        );
         assert!(gradient.gt(0.0).to_kind(Kind::Float).mean(Kind::Float).double_value(&[]) > 0.5);
     }
 }

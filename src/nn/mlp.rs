@@ -23,7 +23,8 @@ impl Mlp {
             .map(|i| {
                 let mut path = layers_path.sub(i);
                 let width = if i == 0 { inputs } else { hidden };
-                let linear = Linear::new(path.sub("linear"), width, hidden, Init::Orthogonal(SQRT_2));
+                let linear =
+                    Linear::new(path.sub("linear"), width, hidden, Init::Orthogonal(SQRT_2));
                 (linear, LayerNorm::new(path.sub("norm"), hidden))
             })
             .collect();

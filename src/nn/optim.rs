@@ -131,7 +131,9 @@ impl Adam {
             // lr / c1 * m / (sqrt(v) / c2 + eps), with c2 moved out of the denominator
             let mut denominator = self.second.sqrt();
             denominator += eps * correction2;
-            let _ = self.weights.addcdiv_(&(&self.first * (-lr * correction2 / correction1)), &denominator);
+            let _ = self
+                .weights
+                .addcdiv_(&(&self.first * (-lr * correction2 / correction1)), &denominator);
             let _ = self.gradient.zero_();
         });
     }
@@ -185,7 +187,11 @@ mod tests {
     fn network() -> (Params, Mlp, Tensor) {
         let mut params = Params::new(Device::Cpu);
         let mlp = Mlp::new(params.root(&mut Seed::new(1).rng()), 4, 8, 1);
-        (params, mlp, Tensor::linspace(-1.0, 1.0, 12, (Kind::Float, Device::Cpu)).view([3, 4]).sin())
+        (
+            params,
+            mlp,
+            Tensor::linspace(-1.0, 1.0, 12, (Kind::Float, Device::Cpu)).view([3, 4]).sin(),
+        )
     }
 
     fn loss(mlp: &Mlp, x: &Tensor) -> Tensor {
@@ -193,7 +199,8 @@ mod tests {
     }
 
     fn bits(params: &Params) -> Vec<u32> {
-        let flat: Vec<Tensor> = params.named().iter().map(|(_, t)| t.detach().reshape([-1])).collect();
+        let flat: Vec<Tensor> =
+            params.named().iter().map(|(_, t)| t.detach().reshape([-1])).collect();
         Vec::<f32>::try_from(Tensor::cat(&flat, 0)).unwrap().into_iter().map(f32::to_bits).collect()
     }
 
@@ -235,7 +242,9 @@ mod tests {
         train(&mut adam_2, &mlp_2, &x, 3);
         assert_eq!(bits(&params), bits(&params_2));
         let state = adam.state();
-        assert!(matches!(adam.load_state(&state[1..]), Err(Error::Missing { name }) if name == "step"));
+        assert!(
+            matches!(adam.load_state(&state[1..]), Err(Error::Missing { name }) if name == "step")
+        );
     }
 
     /// Half a batch on each of two copies moves the weights as the whole batch on one does.
@@ -264,7 +273,11 @@ mod tests {
     #[test]
     fn gradients_add_up_and_unused_parameters_get_none() {
         let (mut params, mlp, x) = network();
-        let rest = params.root(&mut Seed::new(2).rng()).create("unused", &[3], crate::nn::Init::Constant(1.0));
+        let rest = params.root(&mut Seed::new(2).rng()).create(
+            "unused",
+            &[3],
+            crate::nn::Init::Constant(1.0),
+        );
         let mut adam = Adam::new(&mut params);
         loss(&mlp, &x).backward();
         let norm = adam.clip_grad_norm(f64::INFINITY);

@@ -27,7 +27,9 @@ impl Packing {
     /// The filled places of `x: [rows, places, ..]`, as `[P, ..]`.
     pub fn pack(&self, x: &Tensor) -> Tensor {
         let flat = x.flatten(0, 1);
-        self.filled.as_ref().map_or_else(|| flat.shallow_clone(), |filled| flat.index_select(0, filled))
+        self.filled
+            .as_ref()
+            .map_or_else(|| flat.shallow_clone(), |filled| flat.index_select(0, filled))
     }
 
     /// `x: [P, K]` put back into its places, `[rows, places, K]`.
@@ -75,7 +77,10 @@ mod tests {
         let x = Tensor::arange(12, (Kind::Float, Device::Cpu)).view([2, 3, 2]) + 1.0;
         let packing = Packing::of(&present);
         let packed = packing.pack(&x);
-        assert_eq!(Vec::<f32>::try_from(packed.flatten(0, 1)).unwrap(), [1.0, 2.0, 5.0, 6.0, 11.0, 12.0]);
+        assert_eq!(
+            Vec::<f32>::try_from(packed.flatten(0, 1)).unwrap(),
+            [1.0, 2.0, 5.0, 6.0, 11.0, 12.0]
+        );
         assert!(packing.unpack(&packed).equal(&(&x * present.unsqueeze(-1))));
         let standing = |in_these: &[i64]| {
             let [of_first] = packing.take([&packed.select(1, 0)], &Tensor::from_slice(in_these));

@@ -130,9 +130,11 @@ pub(super) fn match_by_name<'a>(
     if let Some((name, _)) = given.iter().find(|(name, _)| !names.contains(name.as_str())) {
         return Err(Error::Unexpected { name: name.clone() });
     }
-    let by_name: HashMap<&str, &Tensor> = given.iter().map(|(name, t)| (name.as_str(), t)).collect();
+    let by_name: HashMap<&str, &Tensor> =
+        given.iter().map(|(name, t)| (name.as_str(), t)).collect();
     let pair = |(name, own): &'a (String, Tensor)| {
-        let value = *by_name.get(name.as_str()).ok_or_else(|| Error::Missing { name: name.clone() })?;
+        let value =
+            *by_name.get(name.as_str()).ok_or_else(|| Error::Missing { name: name.clone() })?;
         if value.size() == own.size() {
             Ok((own, value))
         } else {
@@ -169,7 +171,13 @@ impl Path<'_> {
     ///
     /// # Panics
     /// As [`Path::create`].
-    pub fn create_stacked(&mut self, name: &str, blocks: i64, shape: [i64; 2], init: Init) -> Tensor {
+    pub fn create_stacked(
+        &mut self,
+        name: &str,
+        blocks: i64,
+        shape: [i64; 2],
+        init: Init,
+    ) -> Tensor {
         let values: Vec<f32> = (0..blocks).flat_map(|_| init.sample(&shape, self.rng)).collect();
         self.register(name, &[blocks * shape[0], shape[1]], &values)
     }
@@ -177,8 +185,14 @@ impl Path<'_> {
     fn register(&mut self, name: &str, shape: &[i64], values: &[f32]) -> Tensor {
         let name = self.join(name);
         assert!(self.params.flat.is_none(), "parameter `{name}` is created after the optimiser");
-        assert!(self.params.named.iter().all(|(other, _)| *other != name), "parameter `{name}` exists twice");
-        let tensor = Tensor::from_slice(values).view(shape).to_device(self.params.device).set_requires_grad(true);
+        assert!(
+            self.params.named.iter().all(|(other, _)| *other != name),
+            "parameter `{name}` exists twice"
+        );
+        let tensor = Tensor::from_slice(values)
+            .view(shape)
+            .to_device(self.params.device)
+            .set_requires_grad(true);
         self.params.named.push((name, tensor.shallow_clone()));
         tensor
     }
@@ -204,7 +218,11 @@ mod tests {
     }
 
     fn values(params: &Params) -> Vec<Vec<f32>> {
-        params.named().iter().map(|(_, t)| Vec::try_from(t.detach().reshape([-1])).unwrap()).collect()
+        params
+            .named()
+            .iter()
+            .map(|(_, t)| Vec::try_from(t.detach().reshape([-1])).unwrap())
+            .collect()
     }
 
     #[test]
@@ -223,7 +241,12 @@ mod tests {
         let before = mlp.forward(&x);
         let mut flat = params.flatten();
         assert!(before.equal(&mlp.forward(&x)));
-        let gradient = Tensor::run_backward(&[mlp.forward(&x).sum(Kind::Float)], &[&params.named()[2].1], false, false);
+        let gradient = Tensor::run_backward(
+            &[mlp.forward(&x).sum(Kind::Float)],
+            &[&params.named()[2].1],
+            false,
+            false,
+        );
         assert_eq!(gradient[0].size(), [8, 5]);
         let _ = tch::no_grad(|| flat.zero_());
         assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0);
@@ -242,9 +265,16 @@ mod tests {
         let _ = tch::no_grad(|| flat.zero_());
         assert_eq!(values(&params), values(&other));
         let x = Tensor::ones([1, 5], (Kind::Float, Device::Cpu));
-        assert_eq!(mlp.forward(&x).abs().max().double_value(&[]), 0.0, "layers see the shared weights");
+        assert_eq!(
+            mlp.forward(&x).abs().max().double_value(&[]),
+            0.0,
+            "layers see the shared weights"
+        );
         assert!(
-            named_views(&flat, &params).iter().zip(params.named()).all(|(v, p)| v.0 == p.0 && v.1.size() == p.1.size())
+            named_views(&flat, &params)
+                .iter()
+                .zip(params.named())
+                .all(|(v, p)| v.0 == p.0 && v.1.size() == p.1.size())
         );
     }
 
@@ -254,12 +284,16 @@ mod tests {
         let (params, _) = network(1);
         let before = values(&params);
         let given = |change: Change| {
-            let mut list: Vec<_> = network(2).0.named().iter().map(|(n, t)| (n.clone(), t.shallow_clone())).collect();
+            let mut list: Vec<_> =
+                network(2).0.named().iter().map(|(n, t)| (n.clone(), t.shallow_clone())).collect();
             change(&mut list);
             params.copy_from(&list).unwrap_err()
         };
         let missing = given(|l| drop(l.pop()));
-        assert!(matches!(missing, Error::Missing { ref name } if name == "actor.layers.1.norm.bias"), "{missing}");
+        assert!(
+            matches!(missing, Error::Missing { ref name } if name == "actor.layers.1.norm.bias"),
+            "{missing}"
+        );
         let extra = given(|l| l.push(("x".into(), Tensor::zeros([1], (Kind::Float, Device::Cpu)))));
         assert!(matches!(extra, Error::Unexpected { ref name } if name == "x"), "{extra}");
         let shape = given(|l| l[2].1 = Tensor::zeros([8, 6], (Kind::Float, Device::Cpu)));

@@ -41,7 +41,12 @@ impl Block {
     /// If the heads do not divide the width.
     pub fn new(mut path: Path<'_>, width: i64, heads: i64) -> Self {
         Block {
-            attention: SelfAttention::new(path.sub("attention"), width, heads, Init::Orthogonal(0.01)),
+            attention: SelfAttention::new(
+                path.sub("attention"),
+                width,
+                heads,
+                Init::Orthogonal(0.01),
+            ),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
             up: Linear::new(path.sub("up"), width, width, Init::Orthogonal(SQRT_2)),
             down: Linear::new(path.sub("down"), width, width, Init::Orthogonal(0.01)),
@@ -90,7 +95,14 @@ impl GraphTransformer {
     ///
     /// # Panics
     /// If the heads do not divide the width.
-    pub fn new(mut path: Path<'_>, inputs: i64, width: i64, rounds: usize, heads: i64, mask: MaskMode) -> Self {
+    pub fn new(
+        mut path: Path<'_>,
+        inputs: i64,
+        width: i64,
+        rounds: usize,
+        heads: i64,
+        mask: MaskMode,
+    ) -> Self {
         let in_norm = LayerNorm::new(path.sub("in_norm"), inputs);
         let input = Linear::new(path.sub("input"), inputs, width, Init::Orthogonal(SQRT_2));
         let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
@@ -164,11 +176,15 @@ mod tests {
 
     fn transformer(mask: MaskMode) -> GraphTransformer {
         let mut params = Params::new(Device::Cpu);
-        let network = GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2, mask);
+        let network =
+            GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2, mask);
         // The gain of 0.01 would hide any flow of information below rounding: make all matrices large.
         tch::no_grad(|| {
             for (name, tensor) in params.named() {
-                if name.ends_with("qkv.weight") || name.ends_with("out.weight") || name.ends_with("down.weight") {
+                if name.ends_with("qkv.weight")
+                    || name.ends_with("out.weight")
+                    || name.ends_with("down.weight")
+                {
                     let _ = tensor.shallow_clone().multiply_scalar_(100.0);
                 }
             }
@@ -208,14 +224,16 @@ mod tests {
 
     #[test]
     fn a_cut_sender_changes_nothing_bit_for_bit() {
-        let (network, f) = (transformer(MaskMode::Hard), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
+        let (network, f) =
+            (transformer(MaskMode::Hard), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
         let graph = silenced(2);
         let out = messages(&network, &f, &graph);
         let out_perturbed = messages(&network, &perturbed(&f.detach(), 2), &graph);
         assert!(others(&out, 2).equal(&others(&out_perturbed, 2)), "others hear a cut sender");
         assert!(!out.select(1, 2).equal(&out_perturbed.select(1, 2)), "the sender hears itself");
         let gradient =
-            Tensor::run_backward(&[others(&out, 2).square().sum(Kind::Float)], &[&f], false, false).remove(0);
+            Tensor::run_backward(&[others(&out, 2).square().sum(Kind::Float)], &[&f], false, false)
+                .remove(0);
         assert_eq!(gradient.select(1, 2).abs().max().double_value(&[]), 0.0);
         assert!(gradient.select(1, 1).abs().max().double_value(&[]) > 0.0);
     }
@@ -226,7 +244,8 @@ mod tests {
         let complete = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
         for (mask, graph) in [(MaskMode::Hard, complete), (MaskMode::LogitMul, silenced(2))] {
             let network = transformer(mask);
-            let difference = messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
+            let difference =
+                messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
             assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3, "{mask:?}");
         }
     }
@@ -240,17 +259,20 @@ mod tests {
             let mut path = params.root(&mut rng);
             let scheduler = CommGraph::new(path.sub("graph"), WIDTH, WIDTH, 0.2, 0.0, 1.0);
             let network = GraphTransformer::new(path.sub("transformer"), WIDTH, WIDTH, 1, 2, mask);
-            let (f, physical) = (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
+            let (f, physical) =
+                (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
             let (flat, packing) = (f.flatten(0, 1), Packing::full(3, AGENTS));
             let graph = scheduler.forward(&flat, &packing, &physical, None);
             let all = packing.unpack(&network.forward(&flat, &packing, &graph));
             let places = [4_i64, 0, 2];
             let place = Tensor::from_slice(&places);
             let of = |x: &Tensor| {
-                let rows: Vec<_> = (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
+                let rows: Vec<_> =
+                    (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
                 Tensor::stack(&rows, 0)
             };
-            let heard = scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
+            let heard =
+                scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
             assert!(heard.squeeze_dim(1).equal(&of(&graph)), "{mask:?}");
             assert!(heard.sum(Kind::Float).double_value(&[]) > 3.0, "somebody listens to another");
             let one = network.forward_one(&f, &place, &heard);
@@ -262,23 +284,33 @@ mod tests {
     #[test]
     fn a_dead_agent_changes_nothing_through_the_learned_graph() {
         let mut params = Params::new(Device::Cpu);
-        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
+        let scheduler =
+            CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
         let network = transformer(MaskMode::Hard);
         let physical = silenced(4);
         let _ = physical.select(1, 4).fill_(0.0);
         let noise = uniform(&[3, AGENTS, AGENTS], 4) * 3.0;
         let f = uniform(&[3, AGENTS, WIDTH], 5).set_requires_grad(true);
         let run = |f: &Tensor| {
-            let graph = scheduler.forward(&f.flatten(0, 1), &Packing::full(3, AGENTS), &physical, Some(&noise));
+            let graph = scheduler.forward(
+                &f.flatten(0, 1),
+                &Packing::full(3, AGENTS),
+                &physical,
+                Some(&noise),
+            );
             others(&messages(&network, f, &graph), 4)
         };
         let out = run(&f);
         assert!(out.equal(&run(&perturbed(&f.detach(), 4))));
         let mut inputs = vec![f.shallow_clone()];
         inputs.extend(params.named().iter().map(|(_, t)| t.shallow_clone()));
-        let gradients = Tensor::run_backward(&[out.square().sum(Kind::Float)], &inputs, false, false);
+        let gradients =
+            Tensor::run_backward(&[out.square().sum(Kind::Float)], &inputs, false, false);
         assert_eq!(gradients[0].select(1, 4).abs().max().double_value(&[]), 0.0);
-        assert!(gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0), "the scheduler is trained");
+        assert!(
+            gradients[1..].iter().all(|g| g.abs().max().double_value(&[]) > 0.0),
+            "the scheduler is trained"
+        );
     }
 
     /// Where the scheduler closes every edge, it still finds out what the possible ones would
@@ -287,21 +319,33 @@ mod tests {
     fn closed_edges_have_a_gradient_where_they_are_possible() {
         let scheduler_gradient = |physical: &Tensor| {
             let mut params = Params::new(Device::Cpu);
-            let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
+            let scheduler =
+                CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
             let network = transformer(MaskMode::Hard);
             let f = uniform(&[3, AGENTS, WIDTH], 5);
             // Far below zero: no edge is sampled, though the soft sample is not quite 0.
             let noise = Tensor::full([3, AGENTS, AGENTS], -20.0, (Kind::Float, Device::Cpu));
-            let graph = scheduler.forward(&f.flatten(0, 1), &Packing::full(3, AGENTS), physical, Some(&noise));
-            let eye = Tensor::eye(AGENTS, (Kind::Float, Device::Cpu)).expand([3, AGENTS, AGENTS], false);
+            let graph = scheduler.forward(
+                &f.flatten(0, 1),
+                &Packing::full(3, AGENTS),
+                physical,
+                Some(&noise),
+            );
+            let eye =
+                Tensor::eye(AGENTS, (Kind::Float, Device::Cpu)).expand([3, AGENTS, AGENTS], false);
             assert!(graph.equal(&eye), "all edges are closed");
             messages(&network, &f, &graph).square().sum(Kind::Float).backward();
             let named = params.named();
             let largest = named.iter().map(|(_, t)| t.grad()).filter(Tensor::defined);
             largest.map(|grad| grad.abs().max().double_value(&[])).fold(0.0, f64::max)
         };
-        assert!(scheduler_gradient(&Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu))) > 0.0);
-        let alone = Tensor::eye(AGENTS, (Kind::Float, Device::Cpu)).expand([3, AGENTS, AGENTS], false).contiguous();
+        assert!(
+            scheduler_gradient(&Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu)))
+                > 0.0
+        );
+        let alone = Tensor::eye(AGENTS, (Kind::Float, Device::Cpu))
+            .expand([3, AGENTS, AGENTS], false)
+            .contiguous();
         assert_eq!(scheduler_gradient(&alone), 0.0);
     }
 
@@ -312,7 +356,8 @@ mod tests {
         let mut present = Tensor::ones([3, AGENTS], (Kind::Float, Device::Cpu));
         let _ = present.get(0).get(2).fill_(0.0);
         let _ = present.get(2).narrow(0, 0, 2).fill_(0.0);
-        let graph = crate::nn::graph::with_self_loops(&(present.unsqueeze(1) * present.unsqueeze(2)));
+        let graph =
+            crate::nn::graph::with_self_loops(&(present.unsqueeze(1) * present.unsqueeze(2)));
         let f = uniform(&[3, AGENTS, WIDTH], 5);
         let packing = Packing::of(&present);
         let packed = packing.unpack(&network.forward(&packing.pack(&f), &packing, &graph));

@@ -92,7 +92,10 @@ mod tests {
         norm.update(&(&x * 7.0));
         let (scale, shift) = norm.rescaling(&before).expect("something was seen");
         let rescaled = before.normalize(&x) * scale + shift;
-        assert!(norm.denormalize(&rescaled).allclose(&x, 1e-6, 1e-6, false), "values keep their meaning");
+        assert!(
+            norm.denormalize(&rescaled).allclose(&x, 1e-6, 1e-6, false),
+            "values keep their meaning"
+        );
         assert_eq!(norm.rescaling(&ValueNorm::new(0.99999)), None);
         let mut restored = ValueNorm::new(0.99999);
         restored.load_state(norm.state());

@@ -52,11 +52,15 @@ impl Axis {
     pub(super) fn new(range: Range<f64>, count: u32) -> Self {
         let rough = (range.end - range.start) / f64::from(count);
         let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough * 0.99).unwrap_or(rough);
+        let step = [1.0, 2.0, 5.0, 10.0]
+            .map(|m| m * power)
+            .into_iter()
+            .find(|s| *s >= rough * 0.99)
+            .unwrap_or(rough);
         let first = (range.start / step - 1e-6).ceil();
         let last = (range.end / step + 1e-6).floor();
-        let ticks =
-            (0..=(last - first).max(0.0) as u32).map(|i| ((first + f64::from(i)) * step).clamp(range.start, range.end));
+        let ticks = (0..=(last - first).max(0.0) as u32)
+            .map(|i| ((first + f64::from(i)) * step).clamp(range.start, range.end));
         let unit = match range.start.abs().max(range.end.abs()) {
             v if v >= 1e9 => (1e9, "G"),
             v if v >= 1e6 => (1e6, "M"),
@@ -121,7 +125,10 @@ mod tests {
 
     #[test]
     fn missing_points_interrupt_the_line() {
-        assert_eq!(runs([None, Some(1), Some(2), None, None, Some(3), None].into_iter()), [vec![1, 2], vec![3]]);
+        assert_eq!(
+            runs([None, Some(1), Some(2), None, None, Some(3), None].into_iter()),
+            [vec![1, 2], vec![3]]
+        );
         assert!(runs([None::<i32>, None].into_iter()).is_empty());
     }
 }

@@ -13,13 +13,19 @@ pub(super) const FINE: u32 = 3;
 /// Name under which the built-in font is registered with the drawing library.
 pub(super) const FONT: &str = "iwol";
 pub(super) type Canvas<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
-pub(super) type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<<BitMapBackend<'static> as DrawingBackend>::ErrorType>>;
+pub(super) type Drawn<T = ()> =
+    Result<T, DrawingAreaErrorKind<<BitMapBackend<'static> as DrawingBackend>::ErrorType>>;
 
 /// Registers the built-in font once per process.
 pub(super) fn provide_font() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
     static REGISTERED: OnceLock<bool> = OnceLock::new();
-    let register = || register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok();
-    if *REGISTERED.get_or_init(register) { Ok(()) } else { Err("the built-in font is damaged".into()) }
+    let register =
+        || register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok();
+    if *REGISTERED.get_or_init(register) {
+        Ok(())
+    } else {
+        Err("the built-in font is damaged".into())
+    }
 }
 
 /// Averages blocks of `FINE` x `FINE` pixels (three bytes each) into one; `width` is the resulting width.
@@ -31,7 +37,8 @@ pub(super) fn averaged(fine: &[u8], width: usize) -> Vec<u8> {
         for column in 0..width {
             for channel in 0..3 {
                 let first = column * fine_side * 3 + channel;
-                let block = (0..fine_side).flat_map(|y| (0..fine_side).map(move |x| y * fine_row + x * 3));
+                let block =
+                    (0..fine_side).flat_map(|y| (0..fine_side).map(move |x| y * fine_row + x * 3));
                 let sum: u32 = block.map(|offset| u32::from(rows[first + offset])).sum();
                 out.push((sum / (FINE * FINE)) as u8);
             }
@@ -81,11 +88,19 @@ pub(super) fn write(
 
 /// Width of a text in drawn pixels.
 pub(super) fn text_width(canvas: &Canvas, text: &str, height: i32) -> i32 {
-    canvas.estimate_text_size(text, &(FONT, px(height)).into_text_style(canvas)).map_or(0, |(width, _)| width as i32)
+    canvas
+        .estimate_text_size(text, &(FONT, px(height)).into_text_style(canvas))
+        .map_or(0, |(width, _)| width as i32)
 }
 
 /// Draws a line of a width in drawn pixels.
-pub(super) fn line(canvas: &Canvas, from: (i32, i32), to: (i32, i32), width: i32, color: RGBColor) -> Drawn {
+pub(super) fn line(
+    canvas: &Canvas,
+    from: (i32, i32),
+    to: (i32, i32),
+    width: i32,
+    color: RGBColor,
+) -> Drawn {
     canvas.draw(&PathElement::new(vec![from, to], color.stroke_width(width as u32)))
 }
 

@@ -38,7 +38,11 @@ pub struct Series {
 
 impl Series {
     /// A curve with a shaded band.
-    pub fn curve(label: String, points: Vec<(f64, f64)>, band: Option<Vec<(f64, f64, f64)>>) -> Self {
+    pub fn curve(
+        label: String,
+        points: Vec<(f64, f64)>,
+        band: Option<Vec<(f64, f64, f64)>>,
+    ) -> Self {
         Self { label, points, band, style: Style::Curve }
     }
 }
@@ -142,7 +146,8 @@ const DOTS_UP_TO: usize = 40;
 /// [`Error::Size`] for a size that cannot hold the panels, [`Error::Write`] if the file cannot be written.
 pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> Result<(), Error> {
     let (width, height) = size;
-    let least_width = u32::try_from(panels.len().max(1)).map_or(u32::MAX, |n| n.saturating_mul(MIN_PANEL));
+    let least_width =
+        u32::try_from(panels.len().max(1)).map_or(u32::MAX, |n| n.saturating_mul(MIN_PANEL));
     if width < least_width || height < MIN_PANEL || width > MAX_SIDE || height > MAX_SIDE {
         return Err(Error::Size { panels: panels.len(), width, height });
     }
@@ -159,7 +164,9 @@ pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> R
 fn save(path: &Path, size: (u32, u32), fine: &[u8]) -> Result<(), Error> {
     let file = record::temporary_beside(path, ".png")?;
     let mut picture = BitMapBackend::new(file.path(), size);
-    picture.blit_bitmap((0, 0), size, &averaged(fine, size.0 as usize)).map_err(|e| Error::Draw(e.into()))?;
+    picture
+        .blit_bitmap((0, 0), size, &averaged(fine, size.0 as usize))
+        .map_err(|e| Error::Draw(e.into()))?;
     picture.present().map_err(|e| Error::Draw(e.into()))?;
     drop(picture);
     Ok(record::replace(file, path)?)
@@ -181,7 +188,8 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     let bottom = draw_legend(canvas, panels, &labels)?;
     let count = panels.len().max(1) as i32;
     for (number, panel) in (0..count).zip(panels) {
-        let area = Area { left: width * number / count, right: width * (number + 1) / count, top, bottom };
+        let area =
+            Area { left: width * number / count, right: width * (number + 1) / count, top, bottom };
         draw_panel(canvas, area, panel, &|label| color_of(label, panels, &labels))?;
     }
     canvas.present()
@@ -200,8 +208,10 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
     let (width, height) = (width as i32, height as i32);
     let mut rows: Vec<(i32, Vec<Entry>)> = Vec::new();
     for (index, &label) in labels.iter().enumerate().filter(|(_, label)| !label.is_empty()) {
-        let mut same_label = panels.iter().flat_map(|panel| &panel.series).filter(|series| series.label == label);
-        let empty = !same_label.any(|series| series.points.iter().any(|&(x, y)| usable(x) && usable(y)));
+        let mut same_label =
+            panels.iter().flat_map(|panel| &panel.series).filter(|series| series.label == label);
+        let empty =
+            !same_label.any(|series| series.points.iter().any(|&(x, y)| usable(x) && usable(y)));
         let text = if empty { format!("{label} (no data)") } else { label.to_owned() };
         let entry = SWATCH + GAP + text_width(canvas, &text, TEXT);
         match rows.last_mut() {
@@ -220,7 +230,13 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
         for (index, text, entry) in row {
             let color = color_of(labels[*index], panels, labels);
             if is_scattered(labels[*index], panels) {
-                dot(canvas, (x + SWATCH / 2, middle), px(5), color, is_dashed(labels[*index], panels))?;
+                dot(
+                    canvas,
+                    (x + SWATCH / 2, middle),
+                    px(5),
+                    color,
+                    is_dashed(labels[*index], panels),
+                )?;
             } else if is_dashed(labels[*index], panels) {
                 dashed(canvas, (x, middle), (x + SWATCH, middle), color)?;
             } else {
@@ -245,9 +261,12 @@ fn is_dashed(label: &str, panels: &[Panel]) -> bool {
 /// Whether there are points without a line between any of them, and more than one in a panel.
 fn is_scattered(label: &str, panels: &[Panel]) -> bool {
     let alone = |series: &Series| {
-        runs(series.points.iter().map(|p| (usable(p.0) && usable(p.1)).then_some(()))).iter().all(|run| run.len() == 1)
+        runs(series.points.iter().map(|p| (usable(p.0) && usable(p.1)).then_some(())))
+            .iter()
+            .all(|run| run.len() == 1)
     };
-    series_called(label, panels).any(|series| series.points.len() > 1) && series_called(label, panels).all(alone)
+    series_called(label, panels).any(|series| series.points.len() > 1)
+        && series_called(label, panels).all(alone)
 }
 
 /// A point; a ring where it is somebody else's.
@@ -263,7 +282,8 @@ fn color_of(label: &str, panels: &[Panel], labels: &[&str]) -> RGBColor {
         _ => None,
     });
     let own = beside.copied().unwrap_or(label);
-    let solid: Vec<&&str> = labels.iter().filter(|known| **known == own || !is_dashed(known, panels)).collect();
+    let solid: Vec<&&str> =
+        labels.iter().filter(|known| **known == own || !is_dashed(known, panels)).collect();
     PALETTE[solid.iter().position(|known| **known == own).unwrap_or(0) % PALETTE.len()]
 }
 
@@ -294,7 +314,12 @@ struct Area {
     bottom: i32,
 }
 
-fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -> RGBColor) -> Drawn {
+fn draw_panel(
+    canvas: &Canvas,
+    area: Area,
+    panel: &Panel,
+    color: &dyn Fn(&str) -> RGBColor,
+) -> Drawn {
     let (mut x_axis, y_axis) = (Axis::new(x_range(panel), 5), Axis::new(y_range(panel), 6));
     if !panel.categories.is_empty() {
         x_axis.ticks = (0..panel.categories.len()).map(|k| k as f64).collect();
@@ -304,14 +329,17 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
         .filter(|(_, y)| y_axis.range.start <= *y && *y <= y_axis.range.end)
         .map(|(label, y)| (*y, wrapped(canvas, label, wrap_at)))
         .collect();
-    let widest = |texts: &mut dyn Iterator<Item = &String>| texts.map(|t| text_width(canvas, t, TICK)).max();
+    let widest =
+        |texts: &mut dyn Iterator<Item = &String>| texts.map(|t| text_width(canvas, t, TICK)).max();
     let tick_labels: Vec<String> = y_axis.ticks.iter().map(|y| y_axis.label(*y)).collect();
     let tick_width = widest(&mut tick_labels.iter()).unwrap_or(0);
-    let reference_width = widest(&mut references.iter().flat_map(|(_, lines)| lines)).map_or(0, |w| w + px(LEADER + 4));
+    let reference_width = widest(&mut references.iter().flat_map(|(_, lines)| lines))
+        .map_or(0, |w| w + px(LEADER + 4));
     let heading = if panel.title.is_empty() { 0 } else { px(HEADING + 8) };
     let widest_category = widest(&mut panel.categories.iter()).unwrap_or(0);
     // Never inside out, however long the labels.
-    let left = (area.left + px(TEXT + 34) + tick_width).min(area.left + (area.right - area.left) / 2);
+    let left =
+        (area.left + px(TEXT + 34) + tick_width).min(area.left + (area.right - area.left) / 2);
     let plot = Area {
         left,
         right: (area.right - reference_width - px(14)).min(area.right - px(28)).max(left + px(60)),
@@ -319,17 +347,27 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
         bottom: 0,
     };
     // Names that do not fit side by side are written upwards.
-    let upwards = widest_category * panel.categories.len() as i32 > (plot.right - plot.left) * 9 / 10;
+    let upwards =
+        widest_category * panel.categories.len() as i32 > (plot.right - plot.left) * 9 / 10;
     let names = if upwards { widest_category.min((area.bottom - area.top) / 2) } else { px(TICK) };
     let plot = Area {
         bottom: (area.bottom - names - px(if panel.x_label.is_empty() { 22 } else { TEXT + 32 }))
             .max(area.top + heading + px(64)),
         ..plot
     };
-    let at = |x: f64, y: f64| (x_axis.place(x, plot.left, plot.right), y_axis.place(y, plot.bottom, plot.top));
+    let at = |x: f64, y: f64| {
+        (x_axis.place(x, plot.left, plot.right), y_axis.place(y, plot.bottom, plot.top))
+    };
 
     let middle = i32::midpoint(plot.left, plot.right);
-    write(canvas, &panel.title, HEADING, INK, Place::Centred, (middle, area.top + px(HEADING) / 2))?;
+    write(
+        canvas,
+        &panel.title,
+        HEADING,
+        INK,
+        Place::Centred,
+        (middle, area.top + px(HEADING) / 2),
+    )?;
     for (y, label) in y_axis.ticks.iter().map(|y| at(0.0, *y).1).zip(&tick_labels) {
         line(canvas, (plot.left, y), (plot.right, y), px(1), GRID)?;
         line(canvas, (plot.left - px(5), y), (plot.left, y), px(1), INK)?;
@@ -338,8 +376,9 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
 
     for series in &panel.series {
         let band = series.band.iter().flatten();
-        let usable_band =
-            band.map(|&(x, low, high)| (usable(x) && usable(low) && usable(high)).then_some((x, low, high)));
+        let usable_band = band.map(|&(x, low, high)| {
+            (usable(x) && usable(low) && usable(high)).then_some((x, low, high))
+        });
         for run in runs(usable_band) {
             if series.style == Style::Whiskers {
                 for &(x, low, high) in &run {
@@ -349,7 +388,10 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
             }
             let upper = run.iter().map(|&(x, _, high)| at(x, high));
             let lower = run.iter().rev().map(|&(x, low, _)| at(x, low));
-            canvas.draw(&Polygon::new(upper.chain(lower).collect::<Vec<_>>(), color(&series.label).mix(0.2)))?;
+            canvas.draw(&Polygon::new(
+                upper.chain(lower).collect::<Vec<_>>(),
+                color(&series.label).mix(0.2),
+            ))?;
         }
     }
     for &(y, _) in &references {
@@ -389,7 +431,8 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
     for &tick in &x_axis.ticks {
         let x = at(tick, 0.0).0;
         line(canvas, (x, plot.bottom), (x, plot.bottom + px(5)), px(1), INK)?;
-        let label = panel.categories.get(tick as usize).cloned().unwrap_or_else(|| x_axis.label(tick));
+        let label =
+            panel.categories.get(tick as usize).cloned().unwrap_or_else(|| x_axis.label(tick));
         let (place, half) = if upwards {
             (Place::Upwards, text_width(canvas, &label, TICK) / 2)
         } else {
@@ -401,7 +444,11 @@ fn draw_panel(canvas: &Canvas, area: Area, panel: &Panel, color: &dyn Fn(&str) -
     write(canvas, &panel.x_label, TEXT, INK, Place::Centred, (middle, below_ticks))?;
     let beside = (area.left + px(12 + TEXT / 2), i32::midpoint(plot.top, plot.bottom));
     write(canvas, &panel.y_label, TEXT, INK, Place::Upwards, beside)?;
-    draw_reference_labels(canvas, plot, references.into_iter().map(|(y, lines)| (at(0.0, y).1, lines)).collect())
+    draw_reference_labels(
+        canvas,
+        plot,
+        references.into_iter().map(|(y, lines)| (at(0.0, y).1, lines)).collect(),
+    )
 }
 
 /// An interval with its two ends.
@@ -441,7 +488,13 @@ fn draw_reference_labels(canvas: &Canvas, plot: Area, mut marks: Vec<(i32, Vec<S
     }
     for (top, (y, lines)) in tops.into_iter().zip(&marks) {
         let middle = top + LINE * lines.len() as i32 / 2;
-        line(canvas, (plot.right + px(2), *y), (plot.right + px(LEADER), middle), px(1), REFERENCE)?;
+        line(
+            canvas,
+            (plot.right + px(2), *y),
+            (plot.right + px(LEADER), middle),
+            px(1),
+            REFERENCE,
+        )?;
         for (number, text) in (0..).zip(lines) {
             let at = (plot.right + px(LEADER + 4), top + LINE * number + LINE / 2);
             write(canvas, text, TICK, REFERENCE, Place::RightOf, at)?;
@@ -470,9 +523,12 @@ fn x_range(panel: &Panel) -> Range<f64> {
     if !panel.categories.is_empty() {
         return -0.5..panel.categories.len() as f64 - 0.5;
     }
-    let points = panel.series.iter().flat_map(|s| s.points.iter().filter(|p| usable(p.1)).map(|p| p.0));
-    let bands =
-        panel.series.iter().flat_map(|s| s.band.iter().flatten().filter(|b| usable(b.1) && usable(b.2)).map(|b| b.0));
+    let points =
+        panel.series.iter().flat_map(|s| s.points.iter().filter(|p| usable(p.1)).map(|p| p.0));
+    let bands = panel
+        .series
+        .iter()
+        .flat_map(|s| s.band.iter().flatten().filter(|b| usable(b.1) && usable(b.2)).map(|b| b.0));
     enclosing(points.chain(bands), 0.0)
 }
 
@@ -523,7 +579,8 @@ mod tests {
     fn a_figure_has_the_size_asked_for() {
         let curve: Vec<_> = (0..30).map(|i| (f64::from(i) * 1e4, f64::from(i) / 30.0)).collect();
         let band = curve.iter().map(|&(x, y)| (x, y - 0.1, y + 0.1)).collect();
-        let (width, height, bytes) = drawn(&[panel(curve.clone(), Some(band)), panel(curve, None)], (640, 320));
+        let (width, height, bytes) =
+            drawn(&[panel(curve.clone(), Some(band)), panel(curve, None)], (640, 320));
         assert_eq!((width, height), (640, 320));
         assert!(bytes > 5_000, "{bytes} bytes hold no picture");
     }
@@ -531,13 +588,15 @@ mod tests {
     #[test]
     fn hostile_numbers_do_not_panic() {
         let (nan, inf) = (f64::NAN, f64::INFINITY);
-        let mut outside = panel(vec![(0.0, -1e29), (1.0, 1e29)], Some(vec![(0.0, -1e29, 1e29), (1.0, 0.0, inf)]));
+        let mut outside =
+            panel(vec![(0.0, -1e29), (1.0, 1e29)], Some(vec![(0.0, -1e29, 1e29), (1.0, 0.0, inf)]));
         outside.y_range = Some((0.0, 1.0));
         let mut reversed = panel(vec![(0.0, 1.0), (1.0, 2.0)], None);
         reversed.y_range = Some((1.0, 0.0));
         let mut nothing = panel(vec![], None);
         nothing.series.clear();
-        nothing.references = vec![(String::new(), nan), (String::new(), inf), ("much longer ".repeat(9), 0.0)];
+        nothing.references =
+            vec![(String::new(), nan), (String::new(), inf), ("much longer ".repeat(9), 0.0)];
         let panels = [
             panel(vec![], None),
             panel(vec![(nan, 1.0), (1.0, nan), (inf, -inf)], Some(vec![(nan, nan, nan)])),
@@ -546,7 +605,10 @@ mod tests {
             panel(vec![(1.0, -f64::MAX), (2.0, f64::MAX)], None),
             panel(vec![(1.0, 1e-300), (2.0, 2e-300)], None),
             panel(vec![(1e15, 1.0), (1e15 + 1.0, 1.0 + 1e-15)], None),
-            panel(vec![(3.0, 1.0), (1.0, 2.0), (2.0, nan)], Some(vec![(3.0, 2.0, 1.0), (1.0, 1.0, 1.0)])),
+            panel(
+                vec![(3.0, 1.0), (1.0, 2.0), (2.0, nan)],
+                Some(vec![(3.0, 2.0, 1.0), (1.0, 1.0, 1.0)]),
+            ),
             outside,
             reversed,
             nothing,
@@ -560,7 +622,10 @@ mod tests {
     #[test]
     fn dashed_series_have_the_colour_of_their_partner() {
         let mut panel = panel(vec![(0.0, 1.0)], None);
-        let series = |label: &str, style| Series { style, ..Series::curve(label.to_owned(), vec![(0.0, 1.0)], None) };
+        let series = |label: &str, style| Series {
+            style,
+            ..Series::curve(label.to_owned(), vec![(0.0, 1.0)], None)
+        };
         panel.series = vec![
             series("a", Style::Whiskers),
             series("paper a", Style::Beside("a".to_owned())),
@@ -581,7 +646,10 @@ mod tests {
         let path = folder.path().join("curve.png");
         let two = [panel(vec![], None), panel(vec![], None)];
         for size in [(0, 0), (500, 400), (600, 100), (u32::MAX, 400)] {
-            assert!(matches!(figure(&path, "", &two, size), Err(Error::Size { panels: 2, .. })), "{size:?}");
+            assert!(
+                matches!(figure(&path, "", &two, size), Err(Error::Size { panels: 2, .. })),
+                "{size:?}"
+            );
         }
         assert!(!path.exists());
     }

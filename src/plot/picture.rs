@@ -59,7 +59,8 @@ impl Picture {
     /// Adds a disc, or a circle's line of a width \[m\].
     pub fn circle(&mut self, [x, y]: [f64; 2], radius: f64, width: Option<f64>, color: Rgb) {
         let angles = (0..=SIDES).map(|k| std::f64::consts::TAU * f64::from(k) / f64::from(SIDES));
-        let points = angles.map(|angle| [x + radius * angle.cos(), y + radius * angle.sin()]).collect();
+        let points =
+            angles.map(|angle| [x + radius * angle.cos(), y + radius * angle.sin()]).collect();
         self.shapes.push(Shape { points, color, width });
     }
 
@@ -70,12 +71,15 @@ impl Picture {
 
     fn frame(&self) -> Frame {
         let points = || self.shapes.iter().flat_map(|shape| &shape.points);
-        let end = |axis: usize, sign: f64| points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign;
+        let end = |axis: usize, sign: f64| {
+            points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign
+        };
         let [left, bottom, right, top] = [end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0)];
         let longest = (right - left).max(top - bottom);
         let scale = if longest.is_finite() && longest > 0.0 { SIDE / longest } else { 1.0 };
         let (left, top) = if longest.is_finite() { (left, top) } else { (0.0, 0.0) };
-        let length = |from: f64, to: f64| if longest.is_finite() { scale * (to - from) } else { 0.0 };
+        let length =
+            |from: f64, to: f64| if longest.is_finite() { scale * (to - from) } else { 0.0 };
         Frame {
             left,
             top,
@@ -91,7 +95,11 @@ impl Picture {
     fn ruler(frame: &Frame) -> f64 {
         let fifth = SIDE / frame.scale / 5.0;
         let decade = 10_f64.powf(fifth.log10().floor());
-        [5.0, 2.0, 1.0].into_iter().map(|k| k * decade).find(|&metres| metres <= fifth).unwrap_or(decade)
+        [5.0, 2.0, 1.0]
+            .into_iter()
+            .map(|k| k * decade)
+            .find(|&metres| metres <= fifth)
+            .unwrap_or(decade)
     }
 
     /// The picture as SVG.
@@ -107,8 +115,11 @@ impl Picture {
             escaped(&self.title)
         );
         let text = |svg: &mut String, [x, y]: [f64; 2], text: &str| {
-            let _ =
-                writeln!(svg, "<text x=\"{x:.0}\" y=\"{y:.0}\" dominant-baseline=\"middle\">{}</text>", escaped(text));
+            let _ = writeln!(
+                svg,
+                "<text x=\"{x:.0}\" y=\"{y:.0}\" dominant-baseline=\"middle\">{}</text>",
+                escaped(text)
+            );
         };
         text(&mut svg, [MARGIN, MARGIN], &self.title);
         for Shape { points, color, width } in &self.shapes {
@@ -159,13 +170,18 @@ impl Picture {
     }
 
     fn draw(&self, canvas: &Canvas, frame: &Frame) -> Drawn {
-        let fine = |[x, y]: [f64; 2]| ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32);
+        let fine = |[x, y]: [f64; 2]| {
+            ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
+        };
         write(canvas, &self.title, LETTERS, INK, Place::RightOf, fine([MARGIN, MARGIN]))?;
         for Shape { points, color: [r, g, b], width } in &self.shapes {
             let color = RGBColor(*r, *g, *b);
             let places: Vec<[f64; 2]> = points.iter().map(|&point| frame.place(point)).collect();
             let Some(width) = width else {
-                canvas.draw(&Polygon::new(places.into_iter().map(fine).collect::<Vec<_>>(), color.filled()))?;
+                canvas.draw(&Polygon::new(
+                    places.into_iter().map(fine).collect::<Vec<_>>(),
+                    color.filled(),
+                ))?;
                 continue;
             };
             // Thick lines as areas with round joints.
@@ -174,12 +190,21 @@ impl Picture {
                 let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
                 let length = (x1 - x0).hypot(y1 - y0).max(f64::MIN_POSITIVE);
                 let (dx, dy) = (half * (y1 - y0) / length, half * (x0 - x1) / length);
-                let corners = [[x0 + dx, y0 + dy], [x1 + dx, y1 + dy], [x1 - dx, y1 - dy], [x0 - dx, y0 - dy]];
+                let corners = [
+                    [x0 + dx, y0 + dy],
+                    [x1 + dx, y1 + dy],
+                    [x1 - dx, y1 - dy],
+                    [x0 - dx, y0 - dy],
+                ];
                 canvas.draw(&Polygon::new(corners.map(fine).to_vec(), color.filled()))?;
             }
             let inner = places.len().saturating_sub(2);
             for &place in places.iter().skip(1).take(inner) {
-                canvas.draw(&Circle::new(fine(place), (half * f64::from(FINE)) as i32, color.filled()))?;
+                canvas.draw(&Circle::new(
+                    fine(place),
+                    (half * f64::from(FINE)) as i32,
+                    color.filled(),
+                ))?;
             }
         }
         let metres = Self::ruler(frame);
@@ -198,7 +223,9 @@ impl Picture {
 
     /// The scale bar, and what colours mean.
     fn notes(&self, metres: f64) -> Vec<(Rgb, String)> {
-        std::iter::once(([25; 3], format!("{metres} m"))).chain(self.legend.iter().cloned()).collect()
+        std::iter::once(([25; 3], format!("{metres} m")))
+            .chain(self.legend.iter().cloned())
+            .collect()
     }
 }
 
@@ -262,7 +289,10 @@ mod tests {
         // 50 m are 1200 pixels, and up is up.
         assert_eq!(path.attribute("d"), Some("M24.00 532.00L1224.00 532.00L1224.00 52.00"));
         assert_eq!(path.attribute("stroke-width"), Some("72.00"));
-        assert!(svg.contains("a &lt; b") && svg.contains("an area") && svg.contains("10 m"), "{svg}");
+        assert!(
+            svg.contains("a &lt; b") && svg.contains("an area") && svg.contains("10 m"),
+            "{svg}"
+        );
     }
 
     #[test]

@@ -64,11 +64,8 @@ impl JsonLines {
         let text = fs::read(&path).map_err(Error::io("read", &path))?;
         let mut kept = Vec::with_capacity(text.len());
         for (index, line) in text.split_inclusive(|&b| b == b'\n').enumerate() {
-            let object: JsonObject = serde_json::from_slice(line).map_err(|source| Error::Line {
-                path: path.clone(),
-                line: index + 1,
-                source,
-            })?;
+            let object: JsonObject = serde_json::from_slice(line)
+                .map_err(|source| Error::Line { path: path.clone(), line: index + 1, source })?;
             if !gone(&object) {
                 kept.extend_from_slice(line);
             }
@@ -176,7 +173,8 @@ mod tests {
         let full = b"{\"step\":1,\"loss\":0.5}\n{\"step\":2,\"loss\":0.5}\n";
         for cut in 0..=full.len() {
             fs::write(&path, &full[..cut]).unwrap();
-            let complete = [1, 2].into_iter().filter(|&n| cut + 1 >= n * full.len() / 2).map(|n| n as u64);
+            let complete =
+                [1, 2].into_iter().filter(|&n| cut + 1 >= n * full.len() / 2).map(|n| n as u64);
             let expected: Vec<u64> = complete.chain([9]).collect();
             assert_eq!(steps(&path), expected[..expected.len() - 1], "reading, cut at byte {cut}");
             JsonLines::resume(&path).unwrap().append(&row(9)).unwrap();
@@ -221,7 +219,8 @@ mod tests {
         let path = folder.path().join("metrics.jsonl");
         let damaged = "{\"step\":1,\"loss\":0.5}\n{\"step\":\n{\"step\":3,\"loss\":0.5}\n";
         fs::write(&path, damaged).unwrap();
-        let error = JsonLines::resume(&path).unwrap().remove_where(|line| after(line, 1)).unwrap_err();
+        let error =
+            JsonLines::resume(&path).unwrap().remove_where(|line| after(line, 1)).unwrap_err();
         assert!(matches!(error, Error::Line { line: 2, .. }), "{error}");
         assert!(matches!(read_json_lines::<Row>(&path), Err(Error::Line { line: 2, .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), damaged);

@@ -116,7 +116,11 @@ pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
     }
     file.as_file().sync_all().map_err(Error::io("write", path))?;
     let place = followed(path);
-    file.persist(&place).map_err(|e| Error::Io { action: "replace", path: path.to_owned(), source: e.error })?;
+    file.persist(&place).map_err(|e| Error::Io {
+        action: "replace",
+        path: path.to_owned(),
+        source: e.error,
+    })?;
     // The rename itself survives a power cut only once the folder is on disk; not every file system can do that.
     if let Ok(folder) = File::open(folder_of(&place)) {
         let _ = folder.sync_all();
@@ -174,7 +178,10 @@ mod tests {
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+        fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect()
     }
 
     #[test]
@@ -214,14 +221,18 @@ mod tests {
         assert!(link.is_symlink());
         assert_eq!(fs::read(&file).unwrap(), b"new");
         let (mut reader, writer) = io::pipe().unwrap();
-        let path = PathBuf::from(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&writer)));
+        let path =
+            PathBuf::from(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&writer)));
         check_writable(&path).unwrap();
         write_atomic(&path, b"through").unwrap();
         drop(writer);
         let mut text = String::new();
         io::Read::read_to_string(&mut reader, &mut text).unwrap();
         assert_eq!(text, "through");
-        assert!(check_writable(folder.path()).is_err() && check_writable(&folder.path().join("no/file")).is_err());
+        assert!(
+            check_writable(folder.path()).is_err()
+                && check_writable(&folder.path().join("no/file")).is_err()
+        );
         assert_eq!(names(folder.path()).len(), 2, "checking leaves nothing");
     }
 
@@ -229,19 +240,25 @@ mod tests {
     fn a_missing_folder_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("no/such/file");
-        for error in [write_atomic(&path, b"x").unwrap_err(), JsonLines::create(&path).unwrap_err()] {
+        for error in [write_atomic(&path, b"x").unwrap_err(), JsonLines::create(&path).unwrap_err()]
+        {
             assert!(error.to_string().contains("no/such/file"), "{error}");
-            assert!(matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound));
+            assert!(
+                matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+            );
         }
     }
 
     #[test]
     #[cfg(target_os = "linux")]
     fn a_full_disk_is_reported() {
-        let mut appender = Appender::open(Path::new("/dev/full"), &mut OpenOptions::new(), None).unwrap();
+        let mut appender =
+            Appender::open(Path::new("/dev/full"), &mut OpenOptions::new(), None).unwrap();
         let error = appender.append(b"record").unwrap_err();
         assert_eq!(error.to_string(), "cannot append to `/dev/full`");
-        assert!(matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull));
+        assert!(
+            matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull)
+        );
         assert_eq!(appender.len, 0);
     }
 }

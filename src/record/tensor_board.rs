@@ -31,7 +31,11 @@ impl TensorBoard {
         let mut now = now();
         // TensorBoard knows event files by the part `tfevents` and reads them in the order of their names.
         let appender = loop {
-            let path = folder.join(format!("events.out.tfevents.{:010}.{:09}.iwol", now.as_secs(), now.subsec_nanos()));
+            let path = folder.join(format!(
+                "events.out.tfevents.{:010}.{:09}.iwol",
+                now.as_secs(),
+                now.subsec_nanos()
+            ));
             match Appender::open(&path, OpenOptions::new().create_new(true), None) {
                 Err(Error::Io { source, .. }) if source.kind() == io::ErrorKind::AlreadyExists => {
                     now += Duration::from_nanos(1);
@@ -53,7 +57,11 @@ impl TensorBoard {
     ///
     /// # Errors
     /// [`Error::Io`] if they cannot be written; the file then ends with the record before.
-    pub fn write<'a>(&mut self, step: u64, scalars: impl IntoIterator<Item = (&'a str, f64)>) -> Result<(), Error> {
+    pub fn write<'a>(
+        &mut self,
+        step: u64,
+        scalars: impl IntoIterator<Item = (&'a str, f64)>,
+    ) -> Result<(), Error> {
         let mut summary = Vec::new();
         for (tag, value) in scalars {
             let mut entry = Vec::with_capacity(tag.len() + 16);
@@ -184,7 +192,9 @@ mod tests {
         let bytes = fs::read(path).unwrap();
         let mut rest = &bytes[..];
         let mut found = Vec::new();
-        let unmask = |b: &[u8]| u32::from_le_bytes(b.try_into().unwrap()).wrapping_sub(0xa282_ead8).rotate_left(15);
+        let unmask = |b: &[u8]| {
+            u32::from_le_bytes(b.try_into().unwrap()).wrapping_sub(0xa282_ead8).rotate_left(15)
+        };
         while !rest.is_empty() {
             assert_eq!(unmask(&rest[8..12]), slow_crc(&rest[..8]));
             let length = u64::from_le_bytes(rest[..8].try_into().unwrap()) as usize;
@@ -212,7 +222,9 @@ mod tests {
 
     #[test]
     fn varints_follow_the_protocol_buffer_encoding() {
-        for (value, expected) in [(0, &[0][..]), (127, &[127]), (128, &[0x80, 1]), (300, &[0xac, 2])] {
+        for (value, expected) in
+            [(0, &[0][..]), (127, &[127]), (128, &[0x80, 1]), (300, &[0xac, 2])]
+        {
             let mut out = Vec::new();
             put_varint(&mut out, value);
             assert_eq!(out, expected);
@@ -249,8 +261,10 @@ mod tests {
         for resumed_after in [None, Some(5), Some(7)] {
             TensorBoard::create(folder.path(), resumed_after).unwrap();
         }
-        let starts: Vec<Vec<u8>> =
-            event_files(folder.path()).iter().map(|p| records(p).get(1).map_or(vec![], |r| r[9..].to_vec())).collect();
+        let starts: Vec<Vec<u8>> = event_files(folder.path())
+            .iter()
+            .map(|p| records(p).get(1).map_or(vec![], |r| r[9..].to_vec()))
+            .collect();
         assert_eq!(starts, [&b""[..], b"\x10\x06\x3a\x02\x08\x01", b"\x10\x08\x3a\x02\x08\x01"]);
     }
 }

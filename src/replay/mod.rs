@@ -112,7 +112,10 @@ pub struct Column {
 impl Column {
     /// NaN is kept as "no number".
     fn new(unit: &str, values: &[f64]) -> Self {
-        let largest = values.iter().filter(|v| v.is_finite()).fold(0.0_f64, |largest, v| largest.max(v.abs()));
+        let largest = values
+            .iter()
+            .filter(|v| v.is_finite())
+            .fold(0.0_f64, |largest, v| largest.max(v.abs()));
         // Never finer than a thousandth of the unit needs, never coarser than the range allows.
         let scale = (largest / 32_000.0).max(1e-4);
         let bytes = values.iter().flat_map(|value| {
@@ -139,11 +142,15 @@ impl Recording {
     /// # Errors
     /// [`Error::Read`], or [`Error::Damaged`] when it is none, or its parts do not fit together.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text =
+            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
         let damaged = |why: String| Error::Damaged { path: path.to_owned(), why };
         let recording: Self = serde_json::from_slice(&text).map_err(|e| damaged(e.to_string()))?;
         if recording.format != FORMAT {
-            return Err(damaged(format!("its format is {}, and this program reads {FORMAT}", recording.format)));
+            return Err(damaged(format!(
+                "its format is {}, and this program reads {FORMAT}",
+                recording.format
+            )));
         }
         let rows = recording.steps * recording.agents;
         let bytes = |text: &str| STANDARD.decode(text).map_or(0, |bytes| bytes.len());
@@ -156,7 +163,10 @@ impl Recording {
             && !recording.lanes.is_empty()
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
         if rows == 0 || !whole {
-            return Err(damaged("its columns do not have a number per step and agent, or it has no lanes".to_owned()));
+            return Err(damaged(
+                "its columns do not have a number per step and agent, or it has no lanes"
+                    .to_owned(),
+            ));
         }
         Ok(recording)
     }
@@ -177,26 +187,36 @@ impl Recording {
     pub fn player(&self) -> String {
         // No text of a recording can end the script element that it is put into, or start another.
         let json = self.json().replace('<', "\\u003c");
-        let (before, after) = PLAYER.split_once(HOLE).expect("the player has a place for the recording");
+        let (before, after) =
+            PLAYER.split_once(HOLE).expect("the player has a place for the recording");
         format!("{before}{json}{after}")
     }
 
     /// What the vehicles were at a step.
     fn vehicles(&self, step: usize) -> Vec<(Status, [f64; 3])> {
         let status = STANDARD.decode(&self.status).unwrap_or_default();
-        let columns: Vec<Vec<f64>> =
-            ["x", "y", "heading"].iter().filter_map(|key| self.columns.get(*key)?.values()).collect();
+        let columns: Vec<Vec<f64>> = ["x", "y", "heading"]
+            .iter()
+            .filter_map(|key| self.columns.get(*key)?.values())
+            .collect();
         let first = step * self.agents;
-        let vehicle = |i: usize| (Status::from(status[first + i]), [0, 1, 2].map(|c| columns[c][first + i]));
+        let vehicle =
+            |i: usize| (Status::from(status[first + i]), [0, 1, 2].map(|c| columns[c][first + i]));
         (0..self.agents).map(vehicle).collect()
     }
 
     /// Whom each agent hears at a step, as pairs of receiver and sender.
     fn heard(&self, step: usize) -> Vec<(usize, usize)> {
-        let bytes = self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
+        let bytes =
+            self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
         let (n, width) = (self.agents, self.agents.div_ceil(8));
-        let bit = |i: usize, j: usize| bytes.get((step * n + i) * width + j / 8).is_some_and(|b| b >> (j % 8) & 1 == 1);
-        (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).filter(|&(i, j)| i != j && bit(i, j)).collect()
+        let bit = |i: usize, j: usize| {
+            bytes.get((step * n + i) * width + j / 8).is_some_and(|b| b >> (j % 8) & 1 == 1)
+        };
+        (0..n)
+            .flat_map(|i| (0..n).map(move |j| (i, j)))
+            .filter(|&(i, j)| i != j && bit(i, j))
+            .collect()
     }
 }
 
@@ -276,8 +296,14 @@ impl Recorder {
     }
 
     fn clear(&mut self, agents: usize) {
-        for column in [&mut self.x, &mut self.y, &mut self.heading, &mut self.speed, &mut self.reward, &mut self.value]
-        {
+        for column in [
+            &mut self.x,
+            &mut self.y,
+            &mut self.heading,
+            &mut self.speed,
+            &mut self.reward,
+            &mut self.value,
+        ] {
             column.clear();
         }
         self.action = vec![Vec::new(); self.actions];
@@ -289,7 +315,9 @@ impl Recorder {
 
     /// Whether a world plays the episode that is waited for.
     pub fn watches(&self, world: &World) -> bool {
-        !self.finished && world.episode() == self.episode && (world.is_running() || world.has_ended())
+        !self.finished
+            && world.episode() == self.episode
+            && (world.is_running() || world.has_ended())
     }
 
     /// Before a decision of the watched world: what there is, and what is done, `actions [N, A]`.
@@ -316,7 +344,9 @@ impl Recorder {
             let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
             self.speed.push(if_driving(agent.speed));
             for (a, column) in self.action.iter_mut().enumerate() {
-                let action = actions.get(i * self.actions + a).map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
+                let action = actions
+                    .get(i * self.actions + a)
+                    .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
                 column.push(if acts { if_driving(action) } else { f64::NAN });
             }
             self.value.push(if_driving(thoughts.value.get(i).copied().map_or(f64::NAN, f64::from)));
@@ -327,7 +357,14 @@ impl Recorder {
             let short = |v: f64| (1000.0 * v).round() / 1000.0;
             let row = world.others().map(|other| {
                 let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
-                [short(pose.x), short(pose.y), short(pose.heading), other.size[0], other.size[1], wreck]
+                [
+                    short(pose.x),
+                    short(pose.y),
+                    short(pose.heading),
+                    other.size[0],
+                    other.size[1],
+                    wreck,
+                ]
             });
             rows.push(row.collect());
         }
@@ -377,7 +414,12 @@ impl Recorder {
         let lanes = net
             .lanes
             .iter()
-            .filter(|lane| !matches!(net.edges[lane.edge].function, EdgeFunction::Other | EdgeFunction::WalkingArea))
+            .filter(|lane| {
+                !matches!(
+                    net.edges[lane.edge].function,
+                    EdgeFunction::Other | EdgeFunction::WalkingArea
+                )
+            })
             .map(|lane| Lane {
                 id: lane.id.clone(),
                 width: lane.width,
@@ -425,7 +467,11 @@ impl Recorder {
             status: STANDARD.encode(&self.status),
             edges: Some(STANDARD.encode(&self.edges)),
             others: self.others.unwrap_or_default(),
-            summary: summary.into_iter().flatten().map(|(key, value)| (key.to_owned(), value)).collect(),
+            summary: summary
+                .into_iter()
+                .flatten()
+                .map(|(key, value)| (key.to_owned(), value))
+                .collect(),
         }))
     }
 }
@@ -528,7 +574,10 @@ mod tests {
         ] {
             std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
             let error = Recording::load(&path).unwrap_err();
-            assert!(matches!(error, Error::Damaged { .. }) && error.to_string().contains("r.json"), "{error}");
+            assert!(
+                matches!(error, Error::Damaged { .. }) && error.to_string().contains("r.json"),
+                "{error}"
+            );
         }
     }
 

@@ -21,9 +21,12 @@ impl Recording {
     pub fn still(&self, step: usize) -> String {
         let step = step.min(self.steps - 1);
         let points = || self.lanes.iter().flat_map(|lane| &lane.shape);
-        let end = |axis: usize, sign: f64| points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign;
+        let end = |axis: usize, sign: f64| {
+            points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign
+        };
         let (left, bottom, right, top) = (end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0));
-        let (left, bottom, right, top) = (left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN);
+        let (left, bottom, right, top) =
+            (left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN);
         let mut svg = String::new();
         // SVG's y points down.
         let _ = writeln!(
@@ -36,10 +39,15 @@ impl Recording {
             escaped(&format!("{}, {}", self.scenario, self.policy)),
         );
         for internal in [true, false] {
-            for lane in self.lanes.iter().filter(|lane| lane.internal == internal && !lane.crossing) {
+            for lane in self.lanes.iter().filter(|lane| lane.internal == internal && !lane.crossing)
+            {
                 let color = if internal { "#e4e6e8" } else { "#d2d6da" };
-                let _ =
-                    writeln!(svg, "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>", way(lane), lane.width);
+                let _ = writeln!(
+                    svg,
+                    "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>",
+                    way(lane),
+                    lane.width
+                );
             }
         }
         for lane in self.lanes.iter().filter(|lane| lane.crossing) {
@@ -110,7 +118,9 @@ impl Recording {
 }
 
 fn way(lane: &Lane) -> String {
-    let point = |(k, p): (usize, &[f64; 2])| format!("{}{:.2} {:.2}", if k == 0 { 'M' } else { 'L' }, p[0], p[1]);
+    let point = |(k, p): (usize, &[f64; 2])| {
+        format!("{}{:.2} {:.2}", if k == 0 { 'M' } else { 'L' }, p[0], p[1])
+    };
     lane.shape.iter().enumerate().map(point).collect()
 }
 

@@ -51,15 +51,29 @@ impl Document {
         let mut out = format!("# {}\n", self.title);
         for part in &self.parts {
             let _ = match part {
-                Part::Heading(level, text) => writeln!(out, "\n{} {text}", "#".repeat(usize::from(*level))),
+                Part::Heading(level, text) => {
+                    writeln!(out, "\n{} {text}", "#".repeat(usize::from(*level)))
+                }
                 Part::Text(text) => writeln!(out, "\n{text}"),
                 Part::Code(text) => writeln!(out, "\n```sh\n{text}\n```"),
                 Part::Figure { file, text } => writeln!(out, "\n![{text}]({})", name(file)),
                 Part::Table { header, rows } => {
                     let line = |cells: &[String]| {
-                        format!("| {} |\n", cells.iter().map(|c| c.replace('|', "\\|")).collect::<Vec<_>>().join(" | "))
+                        format!(
+                            "| {} |\n",
+                            cells
+                                .iter()
+                                .map(|c| c.replace('|', "\\|"))
+                                .collect::<Vec<_>>()
+                                .join(" | ")
+                        )
                     };
-                    let _ = write!(out, "\n{}|---|{}\n", line(header), "--:|".repeat(header.len().saturating_sub(1)));
+                    let _ = write!(
+                        out,
+                        "\n{}|---|{}\n",
+                        line(header),
+                        "--:|".repeat(header.len().saturating_sub(1))
+                    );
                     for row in rows {
                         out.push_str(&line(row));
                     }
@@ -80,7 +94,9 @@ impl Document {
         );
         for part in &self.parts {
             let _ = match part {
-                Part::Heading(level, text) => writeln!(out, "<h{level}>{}</h{level}>", escaped(text)),
+                Part::Heading(level, text) => {
+                    writeln!(out, "<h{level}>{}</h{level}>", escaped(text))
+                }
                 Part::Text(text) => writeln!(out, "<p>{}</p>", escaped(text)),
                 Part::Code(text) => writeln!(out, "<pre>{}</pre>", escaped(text)),
                 Part::Figure { file, text } => {
@@ -148,6 +164,9 @@ mod tests {
         document.table(vec!["x".into(), "y|z".into()], vec![vec!["<b>".into(), "1".into()]]);
         assert!(document.markdown().contains("| x | y\\|z |\n|---|--:|\n| <b> | 1 |"));
         let html = document.html().unwrap();
-        assert!(html.contains("<title>a &lt; b</title>") && html.contains("<td>&lt;b&gt;</td>"), "{html}");
+        assert!(
+            html.contains("<title>a &lt; b</title>") && html.contains("<td>&lt;b&gt;</td>"),
+            "{html}"
+        );
     }
 }

@@ -40,15 +40,28 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     let count = lines.len();
     let unit = block.unit();
     if block.x.is_none() && count > 1 {
-        return side_by_side(&lines, &references(sweep, block, metric).collect::<Vec<_>>(), metric, unit);
+        return side_by_side(
+            &lines,
+            &references(sweep, block, metric).collect::<Vec<_>>(),
+            metric,
+            unit,
+        );
     }
     let mut series: Vec<Series> = Vec::new();
     for (k, (label, line)) in lines.iter().enumerate() {
         let dodge = dodge(k, count, block.categories.len());
-        let places =
-            line.rows.iter().enumerate().filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric, unit)?)));
+        let places = line
+            .rows
+            .iter()
+            .enumerate()
+            .filter_map(|(x, row)| Some((x as f64 + dodge, row.estimate(metric, unit)?)));
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
-        series.push(Series { label: (*label).to_owned(), points, band: Some(band), style: Style::Whiskers });
+        series.push(Series {
+            label: (*label).to_owned(),
+            points,
+            band: Some(band),
+            style: Style::Whiskers,
+        });
     }
     for (reference, points) in references(sweep, block, metric) {
         // Beside the line that it is to be compared with.
@@ -63,9 +76,17 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         });
     }
     // Panels side by side have one scale.
-    let of_all =
-        |line: &Line<'_>| line.rows.iter().filter_map(|row| Some(row.estimate(metric, unit)?.mean)).collect::<Vec<_>>();
-    let all = block.series.iter().flat_map(of_all).chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
+    let of_all = |line: &Line<'_>| {
+        line.rows
+            .iter()
+            .filter_map(|row| Some(row.estimate(metric, unit)?.mean))
+            .collect::<Vec<_>>()
+    };
+    let all = block
+        .series
+        .iter()
+        .flat_map(of_all)
+        .chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
     Panel {
         title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),
@@ -86,9 +107,13 @@ fn side_by_side(
 ) -> Panel {
     const HERE: &str = "here";
     // What is not a number keeps points apart that no line should join.
-    let apart = |points: Vec<(f64, f64)>| points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect();
-    let found =
-        lines.iter().enumerate().filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric, unit)?)));
+    let apart = |points: Vec<(f64, f64)>| {
+        points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect()
+    };
+    let found = lines
+        .iter()
+        .enumerate()
+        .filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric, unit)?)));
     let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
     // Published values stand a little aside of the line that they belong to, or by themselves.
     let mut categories: Vec<String> = lines.iter().map(|(label, _)| (*label).to_owned()).collect();
@@ -105,7 +130,12 @@ fn side_by_side(
         known.extend(values.iter().map(|(_, y)| (x, *y)));
     }
     let y_range = scale(metric, points.iter().chain(&known).map(|point| point.1));
-    let here = Series { label: HERE.to_owned(), points: apart(points), band: Some(band), style: Style::Whiskers };
+    let here = Series {
+        label: HERE.to_owned(),
+        points: apart(points),
+        band: Some(band),
+        style: Style::Whiskers,
+    };
     let there = Series {
         label: "published".to_owned(),
         points: apart(known.clone()),
@@ -152,7 +182,8 @@ pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
         .filter(|line| line.rows.iter().any(|row| !row.values(&METRICS[0]).is_empty()))
         .map(|line| {
             let shares = performance_profile(&scores(line, &METRICS[0]), &thresholds);
-            let points = thresholds.iter().zip(shares).map(|(t, share)| (*t, 100.0 * share)).collect();
+            let points =
+                thresholds.iter().zip(shares).map(|(t, share)| (*t, 100.0 * share)).collect();
             Series::curve(line.label.clone(), points, None)
         })
         .collect();
@@ -216,7 +247,9 @@ fn curves(line: &Line<'_>, place: usize) -> Result<Vec<Vec<(f64, f64)>>, Error> 
     let mut curves = Vec::new();
     for (cell, _) in row.runs.iter().filter(|(_, found)| found.is_some()) {
         let lines: Vec<Value> = read_json_lines(&cell.run().metrics())?;
-        let point = |line: &Value| Some((line["step"].as_f64()?, 100.0 * line["validation/success"].as_f64()?));
+        let point = |line: &Value| {
+            Some((line["step"].as_f64()?, 100.0 * line["validation/success"].as_f64()?))
+        };
         curves.push(lines.iter().filter_map(point).collect::<Vec<_>>());
     }
     curves.retain(|curve| !curve.is_empty());

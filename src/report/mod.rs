@@ -37,7 +37,12 @@ pub struct Metric {
 pub const METRICS: [Metric; 3] = [
     Metric { key: "success", title: "success %", axis: "agents (%)", factor: 100.0 },
     Metric { key: "safety", title: "safety %", axis: "agents (%)", factor: 100.0 },
-    Metric { key: "window_reward", title: "window reward", axis: "reward per agent in 1000 steps", factor: 1.0 },
+    Metric {
+        key: "window_reward",
+        title: "window reward",
+        axis: "reward per agent in 1000 steps",
+        factor: 1.0,
+    },
 ];
 
 /// What is tabulated besides, of results that have it.
@@ -47,10 +52,30 @@ pub const OF_DRIVING: [Metric; 1] =
 /// What is tabulated and drawn besides where SUMO drives some vehicles.
 pub const OF_OTHERS: [Metric; 5] = [
     Metric { key: "others.crash", title: "others' crash %", axis: "others (%)", factor: 100.0 },
-    Metric { key: "others.delay", title: "others' delay s", axis: "time loss of others (s)", factor: 1.0 },
-    Metric { key: "others.hard_braking", title: "others braking hard %", axis: "others (%)", factor: 100.0 },
-    Metric { key: "others.pedestrian_crash", title: "pedestrians hit %", axis: "pedestrians (%)", factor: 100.0 },
-    Metric { key: "others.pet", title: "smallest PET s", axis: "post-encroachment time (s)", factor: 1.0 },
+    Metric {
+        key: "others.delay",
+        title: "others' delay s",
+        axis: "time loss of others (s)",
+        factor: 1.0,
+    },
+    Metric {
+        key: "others.hard_braking",
+        title: "others braking hard %",
+        axis: "others (%)",
+        factor: 100.0,
+    },
+    Metric {
+        key: "others.pedestrian_crash",
+        title: "pedestrians hit %",
+        axis: "pedestrians (%)",
+        factor: 100.0,
+    },
+    Metric {
+        key: "others.pet",
+        title: "smallest PET s",
+        axis: "post-encroachment time (s)",
+        factor: 1.0,
+    },
 ];
 
 /// One evaluation of all cells.
@@ -163,7 +188,8 @@ impl Row<'_> {
     /// Mean and interval. Bounds that the unit does not give (of one seed, over seeds) are
     /// infinite; others of rates stay in their range.
     fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
-        let finished: Vec<&Value> = self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
+        let finished: Vec<&Value> =
+            self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
         let values = self.values(metric);
         match unit {
             Unit::Seeds => {
@@ -182,10 +208,12 @@ impl Row<'_> {
                 Some(Estimate { mean: metric.of(only, "mean")?, low, high })
             }
             Unit::Together => {
-                let of = |found: &&Value| Some((found["episodes"].as_u64()?, metric.of(found, "mean")?));
+                let of =
+                    |found: &&Value| Some((found["episodes"].as_u64()?, metric.of(found, "mean")?));
                 let runs: Vec<(u64, f64)> = finished.iter().filter_map(of).collect();
                 let episodes: u64 = runs.iter().map(|run| run.0).sum();
-                let mean = runs.iter().map(|run| run.0 as f64 * run.1).sum::<f64>() / episodes as f64;
+                let mean =
+                    runs.iter().map(|run| run.0 as f64 * run.1).sum::<f64>() / episodes as f64;
                 let pooled = Estimate::rate(&vec![mean / 100.0; episodes as usize])?;
                 Some(Estimate { mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high })
             }
@@ -234,10 +262,14 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
     for cell in &sweep.cells {
         cell.check()?;
     }
-    let blocks: Vec<Block<'_>> =
-        sweep.evaluations.iter().map(|evaluate| block(sweep, evaluate)).collect::<Result<_, _>>()?;
-    let found =
-        |block: &Block<'_>| block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some());
+    let blocks: Vec<Block<'_>> = sweep
+        .evaluations
+        .iter()
+        .map(|evaluate| block(sweep, evaluate))
+        .collect::<Result<_, _>>()?;
+    let found = |block: &Block<'_>| {
+        block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some())
+    };
     if !blocks.iter().any(found) {
         return Err(Error::Nothing { name: sweep.name.clone() });
     }
@@ -253,13 +285,16 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         document.heading(2, &heading(sweep, block));
         let file = out.join(format!("{}.png", block.evaluate.name));
         figures::results(&file, sweep, block)?;
-        let all: Vec<&str> = block.drawn().map(|metric| metric.title.trim_end_matches(" %")).collect();
-        let shown = if block.evaluate.panels.is_some() { "success".to_owned() } else { all.join(", ") };
+        let all: Vec<&str> =
+            block.drawn().map(|metric| metric.title.trim_end_matches(" %")).collect();
+        let shown =
+            if block.evaluate.panels.is_some() { "success".to_owned() } else { all.join(", ") };
         let whiskers = match block.unit() {
             Unit::Seeds => "over seeds",
             _ => "over the episodes of the one run of each",
         };
-        let text = format!("{}: {shown}; whiskers are 95 % intervals {whiskers}", heading(sweep, block));
+        let text =
+            format!("{}: {shown}; whiskers are 95 % intervals {whiskers}", heading(sweep, block));
         document.figure(&file, &text);
         written.push(file);
         tables::results(&mut document, sweep, block);
@@ -269,7 +304,8 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
             tables::aggregates(&mut document, block);
             let file = out.join(format!("{}_profile.png", block.evaluate.name));
             if figures::profile(&file, block)? {
-                document.figure(&file, "Performance profile: share of runs above each success rate");
+                document
+                    .figure(&file, "Performance profile: share of runs above each success rate");
                 written.push(file);
             }
         }
@@ -355,7 +391,8 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
             for part in parts {
                 position(&mut label, part);
             }
-            let label = if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
+            let label =
+                if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
             let panel = panel.map(|panel| (label.clone(), panel));
             let label = panel.as_ref().map_or(label, |(label, panel)| format!("{label}, {panel}"));
             let category = position(&mut categories, place);
@@ -389,11 +426,14 @@ fn position(known: &mut Vec<String>, value: String) -> usize {
 
 fn read_result(path: &Path) -> Result<Option<Value>, Error> {
     match std::fs::read(path) {
-        Ok(bytes) => {
-            Ok(Some(serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path: path.to_owned(), source })?))
-        }
+        Ok(bytes) => Ok(Some(
+            serde_json::from_slice(&bytes)
+                .map_err(|source| Error::Damaged { path: path.to_owned(), source })?,
+        )),
         Err(source) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(record::Error::Io { action: "read", path: path.to_owned(), source }.into()),
+        Err(source) => {
+            Err(record::Error::Io { action: "read", path: path.to_owned(), source }.into())
+        }
     }
 }
 
@@ -410,11 +450,14 @@ fn references<'a>(
         .iter()
         .filter(move |r| r.metric == metric.key && r.evaluate.as_deref().or(first) == Some(name))
         .map(move |r| {
-            let place = |x: f64| block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x));
+            let place = |x: f64| {
+                block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x))
+            };
             if r.x.is_empty() && block.categories.len() == 1 {
                 return (r, r.y.iter().take(1).map(|y| (0, y * metric.factor)).collect());
             }
-            let points = r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
+            let points =
+                r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(*x)?, y * metric.factor)));
             (r, points.collect())
         })
 }
@@ -425,7 +468,9 @@ fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
     for block in blocks {
         for line in &block.series {
             for (category, row) in block.categories.iter().zip(&line.rows) {
-                for (cell, found) in row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?))) {
+                for (cell, found) in
+                    row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?)))
+                {
                     let trained = cell.trained();
                     rows.push(json!({
                         "evaluation": block.evaluate.name, "series": line.label, "x": block.x, "at": category,
@@ -447,23 +492,35 @@ fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
     let mut tree = json!({});
     for line in &block.series {
         for (category, row) in block.categories.iter().zip(&line.rows) {
-            for (cell, found) in row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?))) {
-                let environment = cell.config.scenario.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            for (cell, found) in
+                row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?)))
+            {
+                let environment = cell
+                    .config
+                    .scenario
+                    .file_stem()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into_owned();
                 let task = match &block.x {
                     Some(x) => format!("{x}={category}"),
                     None => "all".to_owned(),
                 };
                 let mut run = json!({});
                 let lines: Vec<Value> = read_json_lines(&cell.run().metrics())?;
-                for (k, line) in lines.iter().filter(|line| line["validation/success"].is_number()).enumerate() {
+                for (k, line) in
+                    lines.iter().filter(|line| line["validation/success"].is_number()).enumerate()
+                {
                     run[format!("step_{k}")] = json!({
                         "step_count": line["step"], "elapsed_time": line["time/total_s"],
                         "success": [line["validation/success"]], "safety": [line["validation/safety"]],
                         "window_reward": [line["validation/window_reward"]],
                     });
                 }
-                let finals = METRICS.iter().map(|m| (m.key, json!([found["metrics"][m.key]["mean"]])));
-                run["absolute_metrics"] = finals.map(|(key, value)| (key.to_owned(), value)).collect();
+                let finals =
+                    METRICS.iter().map(|m| (m.key, json!([found["metrics"][m.key]["mean"]])));
+                run["absolute_metrics"] =
+                    finals.map(|(key, value)| (key.to_owned(), value)).collect();
                 tree[&environment][&task][&line.label][format!("seed_{}", cell.config.seed)] = run;
             }
         }
@@ -489,10 +546,16 @@ impl Block<'_> {
 }
 
 /// The interval of an aggregate over seeds and places.
-fn aggregate(line: &Line<'_>, metric: &Metric, same_runs: bool, of: &dyn Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
+fn aggregate(
+    line: &Line<'_>,
+    metric: &Metric,
+    same_runs: bool,
+    of: &dyn Fn(&[Vec<f64>]) -> f64,
+) -> Option<Estimate> {
     let scores = scores(line, metric);
     if resamples(line) {
-        let bootstrap = if same_runs { stats::aggregate::bootstrap_runs } else { stats::aggregate::bootstrap };
+        let bootstrap =
+            if same_runs { stats::aggregate::bootstrap_runs } else { stats::aggregate::bootstrap };
         return bootstrap(&scores, &of);
     }
     let mean = of(&scores);
@@ -510,7 +573,9 @@ pub enum Error {
         name: String,
     },
     /// The axis is none of the keys that vary.
-    #[error("[[evaluate]] `{evaluate}`: {what} = \"{key}\" is no key of a grid that has several values")]
+    #[error(
+        "[[evaluate]] `{evaluate}`: {what} = \"{key}\" is no key of a grid that has several values"
+    )]
     Axis {
         /// The evaluation.
         evaluate: String,

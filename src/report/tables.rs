@@ -8,7 +8,8 @@ use super::document::Document;
 use super::{Block, Line, METRICS, Metric, Row, Unit, aggregate, references, resamples, scores};
 use crate::provenance::Program;
 use crate::stats::aggregate::{
-    bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
+    bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement,
+    task_mean,
 };
 use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
@@ -16,7 +17,8 @@ use crate::sweep::{State, Sweep};
 /// How the numbers came about, and what is missing.
 pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     document.code(command);
-    let states: Vec<State> = sweep.cells.iter().map(|cell| cell.state(&sweep.evaluations)).collect();
+    let states: Vec<State> =
+        sweep.cells.iter().map(|cell| cell.state(&sweep.evaluations)).collect();
     let finished = states.iter().filter(|state| **state == State::Finished).count();
     let mut text = format!("{finished} of {} runs are finished", states.len());
     let trained = states.iter().filter(|state| matches!(state, State::Trained(_))).count();
@@ -36,21 +38,33 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
 /// with a column per metric where there is but one place. Lines with several seeds and lines with
 /// one have tables of their own, as their intervals have other units.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
-    let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) = block.series.iter().partition(|line| line.has_seeds());
+    let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) =
+        block.series.iter().partition(|line| line.has_seeds());
     let metrics: Vec<&Metric> = block.metrics().collect();
-    let tables: Vec<Vec<&Metric>> =
-        if block.x.is_none() { vec![metrics] } else { metrics.into_iter().map(|metric| vec![metric]).collect() };
+    let tables: Vec<Vec<&Metric>> = if block.x.is_none() {
+        vec![metrics]
+    } else {
+        metrics.into_iter().map(|metric| vec![metric]).collect()
+    };
     for metrics in tables {
         let mut published = true;
         for (lines, unit) in [(&several, Unit::Seeds), (&single, Unit::Episodes)] {
             if !lines.is_empty() {
-                table(document, sweep, block, (lines, &metrics, unit), std::mem::take(&mut published));
+                table(
+                    document,
+                    sweep,
+                    block,
+                    (lines, &metrics, unit),
+                    std::mem::take(&mut published),
+                );
             }
         }
         let ties = |metric: &&Metric| {
-            metric.is_rate() && several.iter().flat_map(|line| &line.rows).any(|row| row.is_tied(metric))
+            metric.is_rate()
+                && several.iter().flat_map(|line| &line.rows).any(|row| row.is_tied(metric))
         };
-        let rates: Vec<&Metric> = metrics.iter().copied().filter(|metric| metric.is_rate()).collect();
+        let rates: Vec<&Metric> =
+            metrics.iter().copied().filter(|metric| metric.is_rate()).collect();
         if rates.iter().any(ties) {
             document.text(
                 "Where all seeds give the same, the interval over seeds is a point. This is what the episodes of all \
@@ -73,7 +87,8 @@ fn table(
     let places = block.categories.len();
     let mut rows: Vec<Vec<String>> = Vec::new();
     for line in lines {
-        let cells = metrics.iter().flat_map(|metric| line.rows.iter().map(|row| cell(row, metric, unit)));
+        let cells =
+            metrics.iter().flat_map(|metric| line.rows.iter().map(|row| cell(row, metric, unit)));
         rows.push(std::iter::once(line.label.clone()).chain(cells).collect());
     }
     for (number, metric) in metrics.iter().enumerate().filter(|_| published) {
@@ -95,7 +110,9 @@ fn table(
             let title = format!("{} at {axis} ({unit})", metric.title);
             std::iter::once(title).chain(block.categories.iter().cloned()).collect()
         }
-        _ => std::iter::once(unit.to_owned()).chain(metrics.iter().map(|metric| metric.title.to_owned())).collect(),
+        _ => std::iter::once(unit.to_owned())
+            .chain(metrics.iter().map(|metric| metric.title.to_owned()))
+            .collect(),
     };
     document.table(header, rows);
 }
@@ -148,8 +165,10 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
         return;
     }
     let at = axis(block).map_or_else(String::new, |axis| format!(" at {axis}"));
-    let title = format!("km per crash{at} ([exact Poisson interval] of the crashes of all runs together)");
-    let places = if at.is_empty() { vec!["km per crash".to_owned()] } else { block.categories.clone() };
+    let title =
+        format!("km per crash{at} ([exact Poisson interval] of the crashes of all runs together)");
+    let places =
+        if at.is_empty() { vec!["km per crash".to_owned()] } else { block.categories.clone() };
     document.table(std::iter::once(title).chain(places).collect(), rows);
 }
 
@@ -164,14 +183,16 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
                     continue;
                 }
                 let percent = |key: &str| {
-                    let values: Vec<f64> = row.known(target, key).iter().map(|share| 100.0 * share).collect();
+                    let values: Vec<f64> =
+                        row.known(target, key).iter().map(|share| 100.0 * share).collect();
                     over_seeds(&values, 1)
                 };
                 let features = |key: &str| {
                     let mean = stats::mean(&row.known(target, key));
                     mean.map_or_else(|| "–".to_owned(), |mean| format!("{mean:.0}"))
                 };
-                let place = if category.is_empty() { String::new() } else { format!(", {category}") };
+                let place =
+                    if category.is_empty() { String::new() } else { format!(", {category}") };
                 rows.push(vec![
                     format!("{}{place}", line.label),
                     percent("explained"),
@@ -185,7 +206,8 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
         if rows.is_empty() {
             continue;
         }
-        let unit = if block.unit() == Unit::Seeds { "± t-interval over seeds" } else { "one run each" };
+        let unit =
+            if block.unit() == Unit::Seeds { "± t-interval over seeds" } else { "one run each" };
         let title = format!("variance of the {target} that is explained, % ({unit})");
         let header = [
             title.as_str(),
@@ -202,7 +224,8 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
 /// Aggregates over all places, and how likely one line beats another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = &METRICS[0];
-    let lines: Vec<_> = block.series.iter().filter(|line| line.rows.iter().all(Row::is_complete)).collect();
+    let lines: Vec<_> =
+        block.series.iter().filter(|line| line.rows.iter().all(Row::is_complete)).collect();
     if lines.is_empty() {
         return;
     }
@@ -218,7 +241,8 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     );
     let show = |e: Option<Estimate>| e.map_or_else(|| "–".to_owned(), |e| e.to_string());
     let same_runs = block.same_runs();
-    let header = ["", "IQM", "median", "mean", "optimality gap", "worst run"].map(str::to_owned).to_vec();
+    let header =
+        ["", "IQM", "median", "mean", "optimality gap", "worst run"].map(str::to_owned).to_vec();
     let rows = lines.iter().map(|line| {
         let worst = scores(line, success).into_iter().flatten().fold(f64::INFINITY, f64::min);
         vec![
@@ -245,7 +269,9 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
             let e = bootstrap_pair(&x, &y, same_runs, probability_of_improvement);
             e.map_or_else(|| "–".to_owned(), |e| format!("{e:.2}"))
         };
-        std::iter::once(line.label.clone()).chain(lines.iter().map(|other| versus(&other))).collect()
+        std::iter::once(line.label.clone())
+            .chain(lines.iter().map(|other| versus(&other)))
+            .collect()
     });
     document.table(header, rows.collect());
 }
@@ -266,7 +292,8 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
     let mut groups: Vec<(String, Group)> = Vec::new();
     for cell in &sweep.cells {
         let Some(trained) = cell.trained() else { continue };
-        let name = cell.id.rsplit_once("/seed_").map_or(cell.id.as_str(), |(name, _)| name).to_owned();
+        let name =
+            cell.id.rsplit_once("/seed_").map_or(cell.id.as_str(), |(name, _)| name).to_owned();
         let place = groups.iter().position(|group| group.0 == name).unwrap_or_else(|| {
             groups.push((name, Group::default()));
             groups.len() - 1
@@ -314,7 +341,8 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
 /// What was found of the cell with this id, or of all cells for an empty one.
 fn results_of<'a>(blocks: &'a [Block<'_>], id: &'a str) -> impl Iterator<Item = &'a Value> {
     let rows = blocks.iter().flat_map(|block| &block.series).flat_map(|line| &line.rows);
-    let runs = rows.flat_map(|row| &row.runs).filter(move |(cell, _)| id.is_empty() || cell.id == id);
+    let runs =
+        rows.flat_map(|row| &row.runs).filter(move |(cell, _)| id.is_empty() || cell.id == id);
     runs.filter_map(|(_, found)| found.as_ref())
 }
 

@@ -14,8 +14,12 @@ const PATIENCE: f64 = 2.0;
 pub(super) fn advise(scenario: &Scenario, maps: &[Option<Map>], reader: &Reader) -> Vec<Finding> {
     let adviser = Adviser { scenario, reader };
     let mut findings = Vec::new();
-    let sound: Vec<(&Net, &Map)> =
-        scenario.nets.iter().zip(maps).filter_map(|(net, map)| Some((net, map.as_ref()?))).collect();
+    let sound: Vec<(&Net, &Map)> = scenario
+        .nets
+        .iter()
+        .zip(maps)
+        .filter_map(|(net, map)| Some((net, map.as_ref()?)))
+        .collect();
     for (net, map) in &sound {
         adviser.junctions(net, map, &mut findings);
         adviser.internal_lanes(net, map, &mut findings);
@@ -40,7 +44,14 @@ struct Adviser<'a, 'doc, 'input> {
 
 impl Adviser<'_, '_, '_> {
     /// A warning about an attribute of the first element of this name that `which` takes.
-    fn warning(&self, element: &str, key: &str, which: impl Fn(&str) -> bool, message: String, hint: &str) -> Finding {
+    fn warning(
+        &self,
+        element: &str,
+        key: &str,
+        which: impl Fn(&str) -> bool,
+        message: String,
+        hint: &str,
+    ) -> Finding {
         let elements = self.reader.document.descendants().filter(|node| node.has_tag_name(element));
         let node = elements.into_iter().find(|node| node.attribute(key).is_some_and(&which));
         let at = node.map(|node| {
@@ -61,7 +72,9 @@ impl Adviser<'_, '_, '_> {
         let passed = |id: &str| {
             let inner = |path: &Path| {
                 let edges = path.edges.iter().take(path.edges.len() - 1);
-                edges.filter_map(|edge| map.net.edge_index(edge)).any(|i| map.net.edges[i].to.as_deref() == Some(id))
+                edges
+                    .filter_map(|edge| map.net.edge_index(edge))
+                    .any(|i| map.net.edges[i].to.as_deref() == Some(id))
             };
             map.paths.iter().any(inner)
         };
@@ -86,7 +99,8 @@ impl Adviser<'_, '_, '_> {
 
     /// Without lanes over junctions vehicles jump.
     fn internal_lanes(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
-        let road = |lane: usize| map.net.edges[map.net.lanes[lane].edge].function == EdgeFunction::Normal;
+        let road =
+            |lane: usize| map.net.edges[map.net.lanes[lane].edge].function == EdgeFunction::Normal;
         let jumps = |path: &&Path| path.lanes.windows(2).any(|pair| road(pair[0]) && road(pair[1]));
         if map.paths.iter().any(|path| jumps(&path)) {
             findings.push(self.net_warning(
@@ -149,7 +163,11 @@ impl Adviser<'_, '_, '_> {
                 format!("{} is older than its sources", net.file.display()),
                 "run `iwol scenario build` on the scenario",
             )),
-            Err(error) => Some(self.net_warning(net, error.to_string(), "correct or delete the configuration")),
+            Err(error) => Some(self.net_warning(
+                net,
+                error.to_string(),
+                "correct or delete the configuration",
+            )),
             Ok(_) => None,
         }
     }
@@ -159,19 +177,28 @@ impl Adviser<'_, '_, '_> {
         let trips = maps.iter().flat_map(|(net, map)| {
             let trip = |row: &super::SpawnRow, route: usize| {
                 let path = &map.paths[route];
-                let end = path.arc(path.edges.len() - 1, self.scenario.routes[route].arrival_pos)?;
+                let end =
+                    path.arc(path.edges.len() - 1, self.scenario.routes[route].arrival_pos)?;
                 Some((self.time(map, path, path.arc(0, row.first)?, end), route))
             };
-            net.spawns.iter().flat_map(move |row| row.routes.iter().filter_map(move |&route| trip(row, route)))
+            net.spawns
+                .iter()
+                .flat_map(move |row| row.routes.iter().filter_map(move |&route| trip(row, route)))
         });
         let (time, route) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (steps, horizon) = (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
+        let (steps, horizon) =
+            (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
         if PATIENCE * steps <= horizon {
             return None;
         }
         let id = shorten(&self.scenario.routes[route].id);
-        let message = format!("route `{id}` takes {steps:.0} steps at the speed limit, and the horizon is {horizon}");
-        let hint = format!("give the horizon {:.0} steps or more, as vehicles have to wait", (4.0 * steps).ceil());
+        let message = format!(
+            "route `{id}` takes {steps:.0} steps at the speed limit, and the horizon is {horizon}"
+        );
+        let hint = format!(
+            "give the horizon {:.0} steps or more, as vehicles have to wait",
+            (4.0 * steps).ceil()
+        );
         let finding = self.warning("termination", "horizon", |_| true, message, &hint);
         let severity = if steps > horizon { Severity::Error } else { Severity::Warning };
         Some(Finding { severity, ..finding })
@@ -189,12 +216,17 @@ impl Adviser<'_, '_, '_> {
     /// A radio that reaches everyone, or no one, teaches nothing about communication.
     fn radio(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
         let range = self.scenario.communication.range;
-        let warn = |message: String, hint: &str| Some(self.warning("communication", "range", |_| true, message, hint));
-        let spacings = self.scenario.nets.iter().flat_map(|net| &net.spawns).filter(|row| row.count > 1);
+        let warn = |message: String, hint: &str| {
+            Some(self.warning("communication", "range", |_| true, message, hint))
+        };
+        let spacings =
+            self.scenario.nets.iter().flat_map(|net| &net.spawns).filter(|row| row.count > 1);
         let nearest = spacings.map(|row| row.spacing).fold(f64::INFINITY, f64::min);
         if range < nearest && nearest.is_finite() {
             return warn(
-                format!("with a range of {range} m no vehicle hears the next one in its row, {nearest} m away"),
+                format!(
+                    "with a range of {range} m no vehicle hears the next one in its row, {nearest} m away"
+                ),
                 "make the range longer, unless nobody is to communicate",
             );
         }
@@ -251,7 +283,13 @@ impl Adviser<'_, '_, '_> {
     fn reward(&self) -> Option<Finding> {
         let reward = self.scenario.reward;
         let warn = |key: &str, message: &str| {
-            Some(self.warning("reward", key, |_| true, message.into(), "see the weights in scenarios/intersection.xml"))
+            Some(self.warning(
+                "reward",
+                key,
+                |_| true,
+                message.into(),
+                "see the weights in scenarios/intersection.xml",
+            ))
         };
         if reward.progress <= 0.0 && reward.arrive <= 0.0 && reward.speed <= 0.0 {
             return warn("arrive", "nothing rewards a vehicle that gets on or arrives");
@@ -265,7 +303,12 @@ impl Adviser<'_, '_, '_> {
     /// Routes that no vehicle takes.
     fn unused(&self, findings: &mut Vec<Finding>) {
         for (i, route) in self.scenario.routes.iter().enumerate() {
-            let used = self.scenario.nets.iter().flat_map(|net| &net.spawns).any(|row| row.routes.contains(&i));
+            let used = self
+                .scenario
+                .nets
+                .iter()
+                .flat_map(|net| &net.spawns)
+                .any(|row| row.routes.contains(&i));
             if !used {
                 findings.push(self.warning(
                     "route",

@@ -42,7 +42,11 @@ pub(super) struct Map {
 }
 
 /// Reads every net of a scenario and checks what the scenario says about it: the mistakes, and the nets without one.
-pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Vec<Error>, Vec<Option<Map>>) {
+pub(super) fn nets(
+    scenario: &Scenario,
+    places: &Places,
+    reader: &Reader,
+) -> (Vec<Error>, Vec<Option<Map>>) {
     let mut errors = Vec::new();
     let demand = demand(scenario, places, reader).unwrap_or_else(|error| {
         errors.push(error);
@@ -54,7 +58,11 @@ pub(super) fn nets(scenario: &Scenario, places: &Places, reader: &Reader) -> (Ve
             Error::Net { path: scenario.path.clone(), line, column, source: Box::new(source) }
         });
         let map = map.map_err(|error| errors.push(error)).ok()?;
-        let paths = scenario.routes.iter().zip(&places.routes).map(|(r, at)| route(scenario, r, &map, at, reader));
+        let paths = scenario
+            .routes
+            .iter()
+            .zip(&places.routes)
+            .map(|(r, at)| route(scenario, r, &map, at, reader));
         let (paths, wrong): (Vec<_>, Vec<_>) = paths.partition(Result::is_ok);
         errors.extend(wrong.into_iter().filter_map(Result::err));
         let paths: Vec<Path> = paths.into_iter().flatten().collect();
@@ -78,16 +86,36 @@ fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Deman
             let (line, column) = reader.position(places.traffic_files);
             let allowed = format!("route files that can be read ({source})");
             let (path, value) = (scenario.path.clone(), shorten(&file.to_string_lossy()));
-            Error::Value { path, line, column, element: "traffic".into(), key: "files", value, allowed }
+            Error::Value {
+                path,
+                line,
+                column,
+                element: "traffic".into(),
+                key: "files",
+                value,
+                allowed,
+            }
         }
         other => other,
     })?;
     match &scenario.traffic.kind {
-        Some(kind) if demand.mix(kind).is_none_or(|mix| mix.iter().any(|entry| demand.types[entry.0].walks)) => {
+        Some(kind)
+            if demand
+                .mix(kind)
+                .is_none_or(|mix| mix.iter().any(|entry| demand.types[entry.0].walks)) =>
+        {
             let (line, column) = reader.position(places.traffic_type);
             let allowed = "the id of a vType or vTypeDistribution of vehicles of the files".into();
             let (path, value) = (scenario.path.clone(), shorten(kind));
-            Err(Error::Value { path, line, column, element: "traffic".into(), key: "type", value, allowed })
+            Err(Error::Value {
+                path,
+                line,
+                column,
+                element: "traffic".into(),
+                key: "type",
+                value,
+                allowed,
+            })
         }
         _ => Ok(demand),
     }
@@ -104,35 +132,72 @@ fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
 
 /// The first edge with broken lines that a net lacks.
 fn no_edge(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Option<Error> {
-    let edge = scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
+    let edge =
+        scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
     let (line, column) = reader.position(places.broken_lines);
-    let ids = map.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal).map(|edge| edge.id.as_str());
+    let ids = map
+        .edges
+        .iter()
+        .filter(|edge| edge.function == EdgeFunction::Normal)
+        .map(|edge| edge.id.as_str());
     let allowed = format!("edges of {}{}", map.path.display(), did_you_mean(nearest(edge, ids)));
     let (path, value) = (scenario.path.clone(), shorten(edge));
-    Some(Error::Value { path, line, column, element: "termination".into(), key: "brokenLines", value, allowed })
+    Some(Error::Value {
+        path,
+        line,
+        column,
+        element: "termination".into(),
+        key: "brokenLines",
+        value,
+        allowed,
+    })
 }
 
 /// The centre line of a route, once its edges are connected and its finish lies on the last.
-fn route(scenario: &Scenario, route: &Route, map: &net::Net, at: &RoutePlaces, reader: &Reader) -> Result<Path, Error> {
+fn route(
+    scenario: &Scenario,
+    route: &Route,
+    map: &net::Net,
+    at: &RoutePlaces,
+    reader: &Reader,
+) -> Result<Path, Error> {
     let path = map.route_path_from(&route.edges, route.lane).map_err(|source| {
         let (line, column) = reader.position(at.edges);
-        Error::Route { path: scenario.path.clone(), line, column, route: shorten(&route.id), source: Box::new(source) }
+        Error::Route {
+            path: scenario.path.clone(),
+            line,
+            column,
+            route: shorten(&route.id),
+            source: Box::new(source),
+        }
     })?;
     let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
     let refused = |allowed: String| {
         let (line, column) = reader.position(at.arrival_pos);
         let (path, value) = (scenario.path.clone(), route.arrival_pos.to_string());
-        Error::Value { path, line, column, element: "route".into(), key: "arrivalPos", value, allowed }
+        Error::Value {
+            path,
+            line,
+            column,
+            element: "route".into(),
+            key: "arrivalPos",
+            value,
+            allowed,
+        }
     };
     if route.arrival_pos.abs() > length + SLACK {
         let edge = shorten(route.edges.last().map_or("", String::as_str));
         return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
     }
     // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
-    let ahead = scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
-    let left = if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
+    let ahead =
+        scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
+    let left =
+        if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
     if left < ahead - SLACK {
-        return Err(refused(format!("at least {ahead:.2} m before the end: half a vehicle and the way of one step")));
+        return Err(refused(format!(
+            "at least {ahead:.2} m before the end: half a vehicle and the way of one step"
+        )));
     }
     Ok(path)
 }
@@ -169,11 +234,12 @@ fn spawns(
             });
         }
         let length = map.lanes[lane].length;
-        let ends = row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
-            _ if route.edges.len() > 1 => length,
-            pos if pos < 0.0 => length + pos,
-            pos => pos,
-        });
+        let ends =
+            row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
+                _ if route.edges.len() > 1 => length,
+                pos if pos < 0.0 => length + pos,
+                pos => pos,
+            });
         let end = ends.fold(length, f64::min);
         for pos in (0..row.count).map(|i| row.first + row.spacing * f64::from(i)) {
             if pos - half < -SLACK || pos + half > end + SLACK {
@@ -211,7 +277,13 @@ fn spawns(
 }
 
 /// A vehicle that the jitter moves aside stays on its lane.
-fn lanes(scenario: &Scenario, map: &net::Net, paths: &[Path], places: &Places, reader: &Reader) -> Result<(), Error> {
+fn lanes(
+    scenario: &Scenario,
+    map: &net::Net,
+    paths: &[Path],
+    places: &Places,
+    reader: &Reader,
+) -> Result<(), Error> {
     let needed = scenario.vehicle.width + 2.0 * scenario.jitter.lateral;
     let starts = paths.iter().map(|path| &map.lanes[path.lanes[0]]);
     let Some(narrow) = starts.into_iter().find(|lane| lane.width < needed - SLACK) else {

@@ -44,7 +44,8 @@ const SIZES: [(&str, [f64; 2]); 17] = [
 /// SUMO's class of those who walk.
 const WALKERS: &str = "pedestrian";
 
-const ELEMENTS: Names = &["vType", "vTypeDistribution", "route", "vehicle", "trip", "flow", "person", "personFlow"];
+const ELEMENTS: Names =
+    &["vType", "vTypeDistribution", "route", "vehicle", "trip", "flow", "person", "personFlow"];
 
 /// All that route files say.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -185,7 +186,8 @@ impl Demand {
     /// With file, line and column, what cannot be read, or is not taken.
     pub fn load(files: &[impl AsRef<Path>]) -> Result<Self, Error> {
         let default = |id: &str, class: &str| {
-            let [length, width] = SIZES.iter().find(|entry| entry.0 == class).map_or([1.0; 2], |entry| entry.1);
+            let [length, width] =
+                SIZES.iter().find(|entry| entry.0 == class).map_or([1.0; 2], |entry| entry.1);
             VehicleKind { id: id.into(), length, width, walks: class == WALKERS }
         };
         let types = vec![default(DEFAULT_TYPES[0], SIZES[0].0), default(DEFAULT_TYPES[1], WALKERS)];
@@ -207,7 +209,13 @@ impl Demand {
     fn read(&mut self, reader: &Reader, text: &str) -> Result<(), Error> {
         let root = reader.document.root_element();
         if !["routes", "additional"].contains(&root.tag_name().name()) {
-            return Err(reader.unknown(root, "element", root.tag_name().name(), "the file".into(), &["routes"]));
+            return Err(reader.unknown(
+                root,
+                "element",
+                root.tag_name().name(),
+                "the file".into(),
+                &["routes"],
+            ));
         }
         let mut routes = HashMap::new();
         for node in root.children().filter(Node::is_element) {
@@ -217,7 +225,9 @@ impl Demand {
                 "route" => {
                     let route = self.route(reader, node, reader.text(node, "id")?)?;
                     if routes.insert(reader.text(node, "id")?, route).is_some() {
-                        return Err(reader.duplicate(Reader::offset(node, "id"), "route of this id".into()));
+                        return Err(
+                            reader.duplicate(Reader::offset(node, "id"), "route of this id".into())
+                        );
                     }
                 }
                 "vehicle" | "trip" | "flow" | "person" | "personFlow" => {
@@ -231,7 +241,9 @@ impl Demand {
                     }
                     self.sources.push(source);
                 }
-                other => return Err(reader.unknown(node, "element", other, in_element(root), ELEMENTS)),
+                other => {
+                    return Err(reader.unknown(node, "element", other, in_element(root), ELEMENTS));
+                }
             }
         }
         Ok(())
@@ -240,17 +252,30 @@ impl Demand {
     fn vehicle_type(&mut self, reader: &Reader, node: Node, text: &str) -> Result<usize, Error> {
         let id = reader.text(node, "id")?;
         if TAKEN.contains(&id) || id.is_empty() {
-            return Err(reader.value(node, "id", format!("another id than {}, which are ours", TAKEN.join(" and "))));
+            return Err(reader.value(
+                node,
+                "id",
+                format!("another id than {}, which are ours", TAKEN.join(" and ")),
+            ));
         }
         let default = DEFAULT_TYPES.iter().position(|known| *known == id);
-        if self.mixes.contains_key(id) || default.is_none() && self.types.iter().any(|kind| kind.id == id) {
-            return Err(reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into()));
+        if self.mixes.contains_key(id)
+            || default.is_none() && self.types.iter().any(|kind| kind.id == id)
+        {
+            return Err(
+                reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into())
+            );
         }
-        let class = node.attribute("vClass").unwrap_or(if default == Some(1) { WALKERS } else { SIZES[0].0 });
-        let [length, width] = SIZES.iter().find(|entry| entry.0 == class).map(|entry| entry.1).ok_or_else(|| {
-            let classes: Vec<&str> = SIZES.iter().map(|entry| entry.0).collect();
-            reader.value(node, "vClass", classes.join(", "))
-        })?;
+        let class = node.attribute("vClass").unwrap_or(if default == Some(1) {
+            WALKERS
+        } else {
+            SIZES[0].0
+        });
+        let [length, width] =
+            SIZES.iter().find(|entry| entry.0 == class).map(|entry| entry.1).ok_or_else(|| {
+                let classes: Vec<&str> = SIZES.iter().map(|entry| entry.0).collect();
+                reader.value(node, "vClass", classes.join(", "))
+            })?;
         let size = |key, otherwise| match node.attribute(key) {
             None => Ok(otherwise),
             Some(_) => reader.number(node, key, "0.1 to 100", |v| (0.1..=100.0).contains(&v)),
@@ -273,30 +298,50 @@ impl Demand {
     fn distribution(&mut self, reader: &Reader, node: Node, text: &str) -> Result<(), Error> {
         let id = reader.text(node, "id")?;
         if self.mix(id).is_some() {
-            return Err(reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into()));
+            return Err(
+                reader.duplicate(Reader::offset(node, "id"), "vehicle type of this id".into())
+            );
         }
         let mut mix = Vec::new();
         for child in node.children().filter(Node::is_element) {
             if !child.has_tag_name("vType") {
-                return Err(reader.unknown(child, "element", child.tag_name().name(), in_element(node), &["vType"]));
+                return Err(reader.unknown(
+                    child,
+                    "element",
+                    child.tag_name().name(),
+                    in_element(node),
+                    &["vType"],
+                ));
             }
             let index = self.vehicle_type(reader, child, text)?;
             mix.push((index, weight(reader, child)?));
         }
-        let named: Vec<&str> = node.attribute("vTypes").unwrap_or_default().split_whitespace().collect();
+        let named: Vec<&str> =
+            node.attribute("vTypes").unwrap_or_default().split_whitespace().collect();
         let weights: Option<Vec<f64>> = match node.attribute("probabilities") {
             None => Some(vec![1.0; named.len()]),
-            Some(text) => text.split_whitespace().map(|word| finite(word).filter(|v| *v >= 0.0)).collect(),
+            Some(text) => {
+                text.split_whitespace().map(|word| finite(word).filter(|v| *v >= 0.0)).collect()
+            }
         };
         let weights = weights.filter(|weights| weights.len() == named.len());
-        let weights =
-            weights.ok_or_else(|| reader.value(node, "probabilities", "a number of at least 0 for each of vTypes"))?;
+        let weights = weights.ok_or_else(|| {
+            reader.value(node, "probabilities", "a number of at least 0 for each of vTypes")
+        })?;
         for (name, weight) in named.into_iter().zip(weights) {
             let known = self.types.iter().position(|kind| kind.id == name);
-            mix.push((known.ok_or_else(|| reader.value(node, "vTypes", "ids of types that stand above"))?, weight));
+            mix.push((
+                known
+                    .ok_or_else(|| reader.value(node, "vTypes", "ids of types that stand above"))?,
+                weight,
+            ));
         }
         if mix.iter().map(|entry| entry.1).sum::<f64>() <= 0.0 {
-            return Err(reader.value(node, "id", "a distribution with a type whose probability is above 0"));
+            return Err(reader.value(
+                node,
+                "id",
+                "a distribution with a type whose probability is above 0",
+            ));
         }
         self.mixes.insert(id.into(), mix);
         Ok(())
@@ -308,7 +353,13 @@ impl Demand {
     }
 
     /// What a walk of a person gives.
-    fn walk(&mut self, reader: &Reader, person: Node, walk: Node, id: &str) -> Result<usize, Error> {
+    fn walk(
+        &mut self,
+        reader: &Reader,
+        person: Node,
+        walk: Node,
+        id: &str,
+    ) -> Result<usize, Error> {
         let edges = if walk.has_attribute("from") {
             let ends = ["from", "to"].into_iter().map(|key| reader.text(walk, key).map(Into::into));
             let mut ends: Vec<String> = ends.collect::<Result<_, _>>()?;
@@ -318,7 +369,8 @@ impl Demand {
             reader.text(walk, "edges")?.split_whitespace().map(Into::into).collect()
         };
         let position = |node: Node, key| {
-            let number = || reader.number(node, key, "metres from the beginning of the edge", |v| v >= 0.0);
+            let number =
+                || reader.number(node, key, "metres from the beginning of the edge", |v| v >= 0.0);
             if node.has_attribute(key) { number().map(Some) } else { Ok(None) }
         };
         let depart = position(person, "departPos")?.unwrap_or(0.0);
@@ -337,46 +389,78 @@ impl Demand {
     fn add(&mut self, reader: &Reader, node: Node, id: &str, way: Way) -> Result<usize, Error> {
         let (Way::Route(edges) | Way::Trip(edges) | Way::Walk { edges, .. }) = &way;
         if !(1..=MAX_EDGES).contains(&edges.len()) {
-            return Err(reader.value(node, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
+            return Err(reader.value(
+                node,
+                "edges",
+                format!("1 to {MAX_EDGES} edge ids separated by spaces"),
+            ));
         }
         if self.routes.len() == MAX_ROUTES {
             return Err(reader.value(node, "edges", format!("at most {MAX_ROUTES} routes")));
         }
-        let (line, column) =
-            reader.position(Reader::offset(node, if matches!(way, Way::Trip(_)) { "from" } else { "edges" }));
-        self.routes.push(DemandRoute { id: id.into(), way, place: (reader.path.into(), line, column) });
+        let (line, column) = reader.position(Reader::offset(
+            node,
+            if matches!(way, Way::Trip(_)) { "from" } else { "edges" },
+        ));
+        self.routes.push(DemandRoute {
+            id: id.into(),
+            way,
+            place: (reader.path.into(), line, column),
+        });
         Ok(self.routes.len() - 1)
     }
 
-    fn source(&mut self, reader: &Reader, node: Node, routes: &HashMap<&str, usize>) -> Result<Source, Error> {
+    fn source(
+        &mut self,
+        reader: &Reader,
+        node: Node,
+        routes: &HashMap<&str, usize>,
+    ) -> Result<Source, Error> {
         let id = reader.text(node, "id")?;
         let walks = node.tag_name().name().starts_with("person");
         let name = node.attribute("type").unwrap_or(DEFAULT_TYPES[usize::from(walks)]);
         let (kind, inner) = if walks { ("a person", "walk") } else { ("a vehicle", "route") };
-        let unknown =
-            || reader.value(node, "type", format!("the id of {kind}'s vType or vTypeDistribution that stands above"));
-        let types = self.mix(name).filter(|mix| mix.iter().all(|entry| self.types[entry.0].walks == walks));
+        let unknown = || {
+            reader.value(
+                node,
+                "type",
+                format!("the id of {kind}'s vType or vTypeDistribution that stands above"),
+            )
+        };
+        let types =
+            self.mix(name).filter(|mix| mix.iter().all(|entry| self.types[entry.0].walks == walks));
         let types = types.ok_or_else(unknown)?;
         let children: Vec<Node> = node.children().filter(Node::is_element).collect();
-        let child = children.first().filter(|child| child.has_tag_name(inner) && !node.has_attribute("route"));
+        let child = children
+            .first()
+            .filter(|child| child.has_tag_name(inner) && !node.has_attribute("route"));
         if let Some(child) = children.get(usize::from(child.is_some())) {
             let allowed: Names = if walks { &["walk"] } else { &["route"] };
-            return Err(reader.unknown(*child, "element", child.tag_name().name(), in_element(node), allowed));
+            return Err(reader.unknown(
+                *child,
+                "element",
+                child.tag_name().name(),
+                in_element(node),
+                allowed,
+            ));
         }
         let route = match (node.attribute("route"), child) {
             (_, Some(child)) if walks => self.walk(reader, node, *child, id)?,
             (_, Some(child)) => self.route(reader, *child, id)?,
             _ if walks => return Err(reader.missing(node, "element", "walk")),
-            (Some(route), None) => *routes
-                .get(route)
-                .ok_or_else(|| reader.value(node, "route", "the id of a route that stands above it in the file"))?,
-            (None, None) if node.has_attribute("from") || node.has_tag_name("trip") => self.trip(reader, node, id)?,
+            (Some(route), None) => *routes.get(route).ok_or_else(|| {
+                reader.value(node, "route", "the id of a route that stands above it in the file")
+            })?,
+            (None, None) if node.has_attribute("from") || node.has_tag_name("trip") => {
+                self.trip(reader, node, id)?
+            }
             (None, None) => return Err(reader.missing(node, "attribute", "route")),
         };
         let text = |key: &'static str, otherwise: &str, words: &[&str]| {
             let value = node.attribute(key).unwrap_or(otherwise);
             let fits = words.contains(&value) || finite(value).is_some_and(|v| v >= 0.0);
-            let allowed = || reader.value(node, key, format!("a number of at least 0, {}", words.join(", ")));
+            let allowed =
+                || reader.value(node, key, format!("a number of at least 0, {}", words.join(", ")));
             if fits { Ok(value.to_owned()) } else { Err(allowed()) }
         };
         let start = if walks {
@@ -385,23 +469,37 @@ impl Demand {
             Start {
                 lane: text("departLane", "first", &["random", "free", "allowed", "best", "first"])?,
                 pos: text("departPos", "base", &["random", "free", "random_free", "base", "last"])?,
-                speed: text("departSpeed", "0", &["random", "max", "desired", "speedLimit", "last", "avg"])?,
+                speed: text(
+                    "departSpeed",
+                    "0",
+                    &["random", "max", "desired", "speedLimit", "last", "avg"],
+                )?,
             }
         };
         let time = |key: &'static str, otherwise: f64| match node.attribute(key) {
             None => Ok(otherwise),
-            Some(text) => seconds(text).ok_or_else(|| reader.value(node, key, "seconds of at least 0, or h:m:s")),
+            Some(text) => seconds(text)
+                .ok_or_else(|| reader.value(node, key, "seconds of at least 0, or h:m:s")),
         };
         let single = ["vehicle", "trip", "person"].contains(&node.tag_name().name());
-        let begin = if single { reader.text(node, "depart").and(time("depart", 0.0))? } else { time("begin", 0.0)? };
+        let begin = if single {
+            reader.text(node, "depart").and(time("depart", 0.0))?
+        } else {
+            time("begin", 0.0)?
+        };
         let end = if single { f64::INFINITY } else { time("end", f64::INFINITY)? };
-        let (spacing, number) = if single { (Spacing::Equal(1.0), 1) } else { spacing(reader, node, begin, end)? };
+        let (spacing, number) =
+            if single { (Spacing::Equal(1.0), 1) } else { spacing(reader, node, begin, end)? };
         Ok(Source { id: id.into(), types, route, start, begin, end, number, spacing })
     }
 }
 
 fn weight(reader: &Reader, node: Node) -> Result<f64, Error> {
-    if node.has_attribute("probability") { reader.not_negative(node, "probability") } else { Ok(1.0) }
+    if node.has_attribute("probability") {
+        reader.not_negative(node, "probability")
+    } else {
+        Ok(1.0)
+    }
 }
 
 /// How a flow's departures follow each other, and how many there are.
@@ -418,13 +516,17 @@ fn spacing(reader: &Reader, node: Node, begin: f64, end: f64) -> Result<(Spacing
             Some(rate) => gap(rate).map(Spacing::Poisson),
             None => gap(text).map(Spacing::Equal),
         };
-        found.ok_or_else(|| reader.value(node, "period", "seconds, or exp(vehicles per second), 0.001 to 1e6"))?
+        found.ok_or_else(|| {
+            reader.value(node, "period", "seconds, or exp(vehicles per second), 0.001 to 1e6")
+        })?
     } else if node.has_attribute("vehsPerHour") {
         Spacing::Equal(3600.0 / rate("vehsPerHour")?)
     } else if node.has_attribute("perHour") {
         Spacing::Equal(3600.0 / rate("perHour")?)
     } else if node.has_attribute("probability") {
-        Spacing::Chance(reader.number(node, "probability", "above 0, to 1", |v| v > 0.0 && v <= 1.0)?)
+        Spacing::Chance(
+            reader.number(node, "probability", "above 0, to 1", |v| v > 0.0 && v <= 1.0)?,
+        )
     } else if number < u64::MAX && end.is_finite() && end > begin {
         Spacing::Equal((end - begin) / number as f64)
     } else {
@@ -435,7 +537,8 @@ fn spacing(reader: &Reader, node: Node, begin: f64, end: f64) -> Result<(Spacing
 
 /// Seconds from `12.5`, `1:02:03` or `1:00:00:00`.
 fn seconds(text: &str) -> Option<f64> {
-    let parts: Option<Vec<f64>> = text.split(':').map(|part| finite(part).filter(|v| *v >= 0.0)).collect();
+    let parts: Option<Vec<f64>> =
+        text.split(':').map(|part| finite(part).filter(|v| *v >= 0.0)).collect();
     match parts?[..] {
         [s] => Some(s),
         [h, m, s] => Some((h * 60.0 + m) * 60.0 + s),
@@ -472,9 +575,13 @@ mod tests {
              <trip id=\"t\" depart=\"4\" from=\"a\" to=\"c\" via=\"d e\"/></routes>",
         )
         .unwrap();
-        let sizes: Vec<_> = found.types.iter().map(|kind| (kind.id.as_str(), kind.length, kind.width)).collect();
+        let sizes: Vec<_> =
+            found.types.iter().map(|kind| (kind.id.as_str(), kind.length, kind.width)).collect();
         let [car, walker] = DEFAULT_TYPES;
-        assert_eq!(sizes, [(car, 5.0, 1.8), (walker, 0.215, 0.478), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]);
+        assert_eq!(
+            sizes,
+            [(car, 5.0, 1.8), (walker, 0.215, 0.478), ("car", 4.5, 1.8), ("truck", 7.1, 2.4)]
+        );
         assert_eq!(found.definitions.matches("<vType ").count(), 2);
         assert!(found.definitions.contains("carFollowModel=\"IDM\""));
         let [v, f, g, t] = &found.sources[..] else { panic!("{:?}", found.sources) };
@@ -484,7 +591,10 @@ mod tests {
         assert_eq!(f.types, [(2, 3.0), (3, 1.0)]);
         assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(3, 0.25)]));
         assert_eq!((t.begin, t.number), (4.0, 1));
-        assert_eq!(found.routes[t.route].way, Way::Trip(["a", "d", "e", "c"].map(Into::into).to_vec()));
+        assert_eq!(
+            found.routes[t.route].way,
+            Way::Trip(["a", "d", "e", "c"].map(Into::into).to_vec())
+        );
     }
 
     #[test]
@@ -514,17 +624,26 @@ mod tests {
         let cases = [
             ("<trip id=\"t\" from=\"a\" depart=\"0\"/>", "<trip> lacks the attribute `to`"),
             ("<trip id=\"t\" depart=\"0\"/>", "<trip> lacks the attribute `from`"),
-            ("<vehicle id=\"v\" depart=\"0\" route=\"r\"/>", "`r` is not a valid route of <vehicle>"),
+            (
+                "<vehicle id=\"v\" depart=\"0\" route=\"r\"/>",
+                "`r` is not a valid route of <vehicle>",
+            ),
             (
                 "<vehicle id=\"v\" depart=\"triggered\"><route edges=\"a\"/></vehicle>",
                 "`triggered` is not a valid depart",
             ),
             ("<flow id=\"f\"><route edges=\"a\"/></flow>", "<flow> lacks the attribute `period`"),
-            ("<flow id=\"f\" period=\"0\"><route edges=\"a\"/></flow>", "`0` is not a valid period"),
+            (
+                "<flow id=\"f\" period=\"0\"><route edges=\"a\"/></flow>",
+                "`0` is not a valid period",
+            ),
             ("<vType id=\"agent\"/>", "`agent` is not a valid id of <vType>"),
             ("<vType id=\"x\" vClass=\"ship\"/>", "`ship` is not a valid vClass"),
             ("<vType id=\"x\"/><vType id=\"x\"/>", "a second vehicle type"),
-            ("<vehicle id=\"v\" type=\"y\" depart=\"0\"><route edges=\"a\"/></vehicle>", "`y` is not a valid type"),
+            (
+                "<vehicle id=\"v\" type=\"y\" depart=\"0\"><route edges=\"a\"/></vehicle>",
+                "`y` is not a valid type",
+            ),
             (
                 "<vehicle id=\"v\" depart=\"0\"><route edges=\"a\"/><stop lane=\"a_0\"/></vehicle>",
                 "unknown element `stop`",
@@ -535,13 +654,19 @@ mod tests {
                 "<person id=\"p\" depart=\"0\"><walk edges=\"a\"/><ride from=\"a\" to=\"b\"/></person>",
                 "unknown element `ride`",
             ),
-            ("<person id=\"p\" type=\"DEFAULT_VEHTYPE\" depart=\"0\"><walk edges=\"a\"/></person>", "not a valid type"),
+            (
+                "<person id=\"p\" type=\"DEFAULT_VEHTYPE\" depart=\"0\"><walk edges=\"a\"/></person>",
+                "not a valid type",
+            ),
             (
                 "<vehicle id=\"v\" type=\"DEFAULT_PEDTYPE\" depart=\"0\"><route edges=\"a\"/></vehicle>",
                 "not a valid type",
             ),
             ("<vType id=\"DEFAULT_PEDTYPE\" vClass=\"bus\"/>", "`bus` is not a valid vClass"),
-            ("<personFlow id=\"f\" period=\"9\"><walk from=\"a\"/></personFlow>", "<walk> lacks the attribute `to`"),
+            (
+                "<personFlow id=\"f\" period=\"9\"><walk from=\"a\"/></personFlow>",
+                "<walk> lacks the attribute `to`",
+            ),
             ("<containerFlow id=\"c\"/>", "unknown element `containerFlow`"),
         ];
         for (text, expected) in cases {

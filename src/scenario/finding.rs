@@ -91,9 +91,11 @@ impl Finding {
         let at = error.position().map(|(line, column)| Position { line, column });
         let text = error.to_string();
         // The error's own text begins with its place.
-        let place = at.map_or_else(|| path.display().to_string(), |at| format!("{}:{at}", path.display()));
+        let place =
+            at.map_or_else(|| path.display().to_string(), |at| format!("{}:{at}", path.display()));
         let text = text.strip_prefix(&format!("{place}: ")).unwrap_or(&text);
-        let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
+        let causes =
+            std::iter::successors(std::error::Error::source(error), |cause| cause.source());
         let message = causes.fold(text.to_owned(), |text, cause| format!("{text}: {cause}"));
         // Files are quoted in it.
         let message = message.replace(char::is_control, "\u{fffd}");

@@ -11,8 +11,9 @@ impl Scenario {
     /// alone.
     pub fn fingerprint(&self) -> String {
         let nets = self.nets.iter().map(|net| net.file.as_path());
-        let files =
-            std::iter::once(self.path.as_path()).chain(nets).chain(self.traffic.files.iter().map(AsRef::as_ref));
+        let files = std::iter::once(self.path.as_path())
+            .chain(nets)
+            .chain(self.traffic.files.iter().map(AsRef::as_ref));
         let mut hash = Fnv::new();
         for file in files {
             hash.file(file);
@@ -32,7 +33,9 @@ impl Fnv {
                     self.text(attribute.name());
                     self.text(attribute.value());
                 }
-            } else if let Some(text) = node.text().map(str::trim).filter(|text| node.is_text() && !text.is_empty()) {
+            } else if let Some(text) =
+                node.text().map(str::trim).filter(|text| node.is_text() && !text.is_empty())
+            {
                 self.text(text);
             }
         }
@@ -47,7 +50,8 @@ mod tests {
     fn it_follows_from_what_files_say_and_not_from_how() {
         let folder = tempfile::tempdir().unwrap();
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let scenario = Scenario::load(&root.join("scenarios/intersection.xml")).expect("a scenario");
+        let scenario =
+            Scenario::load(&root.join("scenarios/intersection.xml")).expect("a scenario");
         let text = std::fs::read_to_string(&scenario.path).unwrap();
         let of = |text: &str, net: Option<&str>| {
             let path = folder.path().join("intersection.xml");

@@ -8,8 +8,9 @@ use std::{
 use roxmltree::Node;
 
 use super::{
-    AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
-    ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, check,
+    AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder,
+    Net, Observation, ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination,
+    Traffic, Vehicle, check,
     check::{NetPlaces, Places, RoutePlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
@@ -57,7 +58,8 @@ const OBSERVATION: Names = &[
     "lidarBeams",
     "lidarRange",
 ];
-const REWARD: Names = &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation", "shareRange"];
+const REWARD: Names =
+    &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation", "shareRange"];
 
 impl Scenario {
     /// Reads a scenario file and checks it against its nets.
@@ -118,7 +120,8 @@ impl Scenario {
 
 /// The text of a scenario file.
 pub(super) fn text(path: &Path) -> Result<String, Error> {
-    let text = xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
+    let text =
+        xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
     text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })
 }
 
@@ -126,7 +129,13 @@ impl<'a, 'input> Reader<'a, 'input> {
     pub(super) fn scenario(&self) -> Result<(Scenario, Places), Error> {
         let root = self.document.root_element();
         if !root.has_tag_name("scenario") {
-            return Err(self.unknown(root, "element", root.tag_name().name(), "the file".into(), &["scenario"]));
+            return Err(self.unknown(
+                root,
+                "element",
+                root.tag_name().name(),
+                "the file".into(),
+                &["scenario"],
+            ));
         }
         self.expect(root, &["name"], PARTS)?;
         let part = |name| self.child(root, name);
@@ -136,7 +145,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         let agents = self.agents(part("agents")?, &nets)?;
         let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
         let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
-        let termination = self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
+        let termination =
+            self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
         let places = Places {
             routes: route_places,
             nets: net_places,
@@ -180,23 +190,28 @@ impl<'a, 'input> Reader<'a, 'input> {
                 encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
                 foresight: match observation.attribute("foresight") {
                     None => 0.0,
-                    Some(_) => self.number(observation, "foresight", "0 to 10", |v| (0.0..=10.0).contains(&v))?,
+                    Some(_) => self.number(observation, "foresight", "0 to 10", |v| {
+                        (0.0..=10.0).contains(&v)
+                    })?,
                 },
                 turns: match observation.attribute("turns") {
                     None => 0.0,
-                    Some(_) => self.number(observation, "turns", "0 to 100", |v| (0.0..=100.0).contains(&v))?,
+                    Some(_) => self
+                        .number(observation, "turns", "0 to 100", |v| (0.0..=100.0).contains(&v))?,
                 },
                 borders: match observation.attribute("borders") {
                     None => 0.0,
-                    Some(_) => self.number(observation, "borders", "0 to 20", |v| (0.0..=20.0).contains(&v))?,
+                    Some(_) => self
+                        .number(observation, "borders", "0 to 20", |v| (0.0..=20.0).contains(&v))?,
                 },
                 lidar: Lidar {
-                    beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)? as usize,
+                    beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)?
+                        as usize,
                     range: match observation.attribute("lidarRange") {
                         None => Lidar::default().range,
-                        Some(_) => {
-                            self.number(observation, "lidarRange", "1 to 200", |v| (1.0..=200.0).contains(&v))?
-                        }
+                        Some(_) => self.number(observation, "lidarRange", "1 to 200", |v| {
+                            (1.0..=200.0).contains(&v)
+                        })?,
                     },
                 },
             },
@@ -206,7 +221,8 @@ impl<'a, 'input> Reader<'a, 'input> {
                 arrive: self.any(reward, "arrive")?,
                 out_of_road: self.any(reward, "outOfRoad")?,
                 crash: self.any(reward, "crash")?,
-                cooperation: self.number(reward, "cooperation", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
+                cooperation: self
+                    .number(reward, "cooperation", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
                 share_range: match reward.attribute("shareRange") {
                     None => f64::INFINITY,
                     Some(_) => self.not_negative(reward, "shareRange")?,
@@ -230,7 +246,13 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// A whole number up to `max`, or what it is without the attribute.
-    fn whole_or(&self, node: Node<'a, 'input>, key: &'static str, otherwise: u32, max: u32) -> Result<u32, Error> {
+    fn whole_or(
+        &self,
+        node: Node<'a, 'input>,
+        key: &'static str,
+        otherwise: u32,
+        max: u32,
+    ) -> Result<u32, Error> {
         if node.has_attribute(key) { self.whole(node, key, 0, max) } else { Ok(otherwise) }
     }
 
@@ -239,11 +261,17 @@ impl<'a, 'input> Reader<'a, 'input> {
         if !root.children().any(|node| node.has_tag_name("traffic")) {
             return Ok(Traffic::default());
         }
-        let node = self.leaf(self.child(root, "traffic")?, &["penetration", "type", "files", "capacity"])?;
+        let node =
+            self.leaf(self.child(root, "traffic")?, &["penetration", "type", "files", "capacity"])?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let otherwise = Traffic::default();
         let share = |v: f64| v > 0.0 && v <= 1.0;
-        let files: Vec<_> = node.attribute("files").unwrap_or("").split_whitespace().map(|f| folder.join(f)).collect();
+        let files: Vec<_> = node
+            .attribute("files")
+            .unwrap_or("")
+            .split_whitespace()
+            .map(|f| folder.join(f))
+            .collect();
         let kind = node.attribute("type").map(Into::into);
         if kind.is_some() && files.is_empty() {
             return Err(self.missing(node, "attribute", "files"));
@@ -274,13 +302,19 @@ impl<'a, 'input> Reader<'a, 'input> {
     fn groups(&self, node: Node<'a, 'input>) -> Result<ObservationGroups, Error> {
         let name = self.text(node, "groups")?;
         let known = ObservationGroups::NAMES.iter().find(|entry| entry.0 == name);
-        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
+        known
+            .map(|entry| entry.1)
+            .ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
     }
 
     fn neighbour_order(&self, node: Node<'a, 'input>) -> Result<NeighbourOrder, Error> {
-        let Some(name) = node.attribute("neighbourOrder") else { return Ok(NeighbourOrder::default()) };
+        let Some(name) = node.attribute("neighbourOrder") else {
+            return Ok(NeighbourOrder::default());
+        };
         let known = NeighbourOrder::NAMES.iter().find(|entry| entry.0 == name);
-        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "neighbourOrder", "distance or bearing"))
+        known
+            .map(|entry| entry.1)
+            .ok_or_else(|| self.value(node, "neighbourOrder", "distance or bearing"))
     }
 
     fn intention(&self, node: Node<'a, 'input>) -> Result<Intention, Error> {
@@ -288,7 +322,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         let known = Intention::NAMES.iter().find(|entry| entry.0 == name);
         known.map(|entry| entry.1).ok_or_else(|| {
             let similar = nearest(name, Intention::NAMES.iter().map(|entry| entry.0));
-            let similar = similar.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+            let similar =
+                similar.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
             self.value(node, "intention", format!("seen, signalled or hidden{similar}"))
         })
     }
@@ -298,7 +333,8 @@ impl<'a, 'input> Reader<'a, 'input> {
             return Ok(Observation::SIGNAL_DISTANCE);
         }
         if intention != Intention::Signalled {
-            let allowed = "only with intention=\"signalled\": otherwise no vehicle has an indicator";
+            let allowed =
+                "only with intention=\"signalled\": otherwise no vehicle has an indicator";
             return Err(self.value(node, "signalDistance", allowed));
         }
         self.number(node, "signalDistance", "1 to 200", |v| (1.0..=200.0).contains(&v))
@@ -315,7 +351,13 @@ impl<'a, 'input> Reader<'a, 'input> {
     fn description(&self, node: Node<'a, 'input>) -> Result<String, Error> {
         self.expect_attributes(node, &[])?;
         if let Some(inner) = node.children().find(Node::is_element) {
-            return Err(self.unknown(inner, "element", inner.tag_name().name(), in_element(node), &[]));
+            return Err(self.unknown(
+                inner,
+                "element",
+                inner.tag_name().name(),
+                in_element(node),
+                &[],
+            ));
         }
         let text: String = node.children().filter(Node::is_text).filter_map(|n| n.text()).collect();
         Ok(text.split_whitespace().collect::<Vec<_>>().join(" "))
@@ -340,21 +382,34 @@ impl<'a, 'input> Reader<'a, 'input> {
             self.leaf(route, &["id", "edges", "lane", "arrivalPos", "reserved", "offLane"])?;
             let id = self.text(route, "id")?;
             if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
-                return Err(self.value(route, "id", "a word without spaces, quotes and any of |\\;,<>&"));
+                return Err(self.value(
+                    route,
+                    "id",
+                    "a word without spaces, quotes and any of |\\;,<>&",
+                ));
             }
             if !ids.insert(id) {
-                return Err(self.duplicate(Self::offset(route, "id"), format!("route with the id `{}`", shorten(id))));
+                return Err(self.duplicate(
+                    Self::offset(route, "id"),
+                    format!("route with the id `{}`", shorten(id)),
+                ));
             }
-            let edges: Vec<String> = self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
+            let edges: Vec<String> =
+                self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
             if !(1..=MAX_EDGES).contains(&edges.len()) {
-                return Err(self.value(route, "edges", format!("1 to {MAX_EDGES} edge ids separated by spaces")));
+                return Err(self.value(
+                    route,
+                    "edges",
+                    format!("1 to {MAX_EDGES} edge ids separated by spaces"),
+                ));
             }
             let lane = match route.attribute("lane") {
                 None => None,
                 Some(_) => Some(self.whole(route, "lane", 0, 63)?),
             };
             let reserved = route.has_attribute("reserved") && self.flag(route, "reserved")?;
-            let off_lane = if route.has_attribute("offLane") { self.any(route, "offLane")? } else { 1.0 };
+            let off_lane =
+                if route.has_attribute("offLane") { self.any(route, "offLane")? } else { 1.0 };
             let arrival_pos = self.any(route, "arrivalPos")?;
             routes.push(Route { id: id.into(), edges, lane, arrival_pos, reserved, off_lane });
             places.push(RoutePlaces {
@@ -368,9 +423,14 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok((routes, places))
     }
 
-    fn nets(&self, node: Node<'a, 'input>, routes: &[Route]) -> Result<(Vec<Net>, Vec<NetPlaces>), Error> {
+    fn nets(
+        &self,
+        node: Node<'a, 'input>,
+        routes: &[Route],
+    ) -> Result<(Vec<Net>, Vec<NetPlaces>), Error> {
         self.expect(node, &[], &["net"])?;
-        let index: HashMap<&str, usize> = routes.iter().enumerate().map(|(i, r)| (r.id.as_str(), i)).collect();
+        let index: HashMap<&str, usize> =
+            routes.iter().enumerate().map(|(i, r)| (r.id.as_str(), i)).collect();
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let mut nets = Vec::new();
         for net in self.few(node, MAX_NETS)? {
@@ -401,13 +461,21 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Whoever must have a reserved destination finds one, whatever the others have drawn.
-    fn destinations(&self, net: Node<'a, 'input>, rows: &[SpawnRow], routes: &[Route]) -> Result<(), Error> {
+    fn destinations(
+        &self,
+        net: Node<'a, 'input>,
+        rows: &[SpawnRow],
+        routes: &[Route],
+    ) -> Result<(), Error> {
         let reserved = |&i: &usize| routes[i].reserved;
-        let wanted: u32 = rows.iter().filter(|row| row.routes.iter().any(reserved)).map(|row| row.count).sum();
+        let wanted: u32 =
+            rows.iter().filter(|row| row.routes.iter().any(reserved)).map(|row| row.count).sum();
         for (row, node) in rows.iter().zip(net.children().filter(Node::is_element)) {
             let ends: HashSet<_> = row.routes.iter().map(|&i| routes[i].edges.last()).collect();
             if row.routes.iter().all(reserved) && (ends.len() as u32) < wanted {
-                let allowed = format!("reserved routes to {wanted} edges or more: so many vehicles may want one");
+                let allowed = format!(
+                    "reserved routes to {wanted} edges or more: so many vehicles may want one"
+                );
                 return Err(self.value(node, "route", allowed));
             }
         }
@@ -428,16 +496,34 @@ impl<'a, 'input> Reader<'a, 'input> {
                 let (line, column) = self.position(Self::offset(node, "route"));
                 let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
                 let value = shorten(id);
-                return Err(Error::Reference { path: self.path.into(), line, column, key: "route", value, nearest });
+                return Err(Error::Reference {
+                    path: self.path.into(),
+                    line,
+                    column,
+                    key: "route",
+                    value,
+                    nearest,
+                });
             };
             let begins = |r: &Route| (r.edges[0].clone(), r.lane);
-            if drawn.first().is_some_and(|&first: &usize| begins(&routes[first]) != begins(&routes[route])) {
-                return Err(self.value(node, "route", "routes that begin on the same edge and the same `lane`"));
+            if drawn
+                .first()
+                .is_some_and(|&first: &usize| begins(&routes[first]) != begins(&routes[route]))
+            {
+                return Err(self.value(
+                    node,
+                    "route",
+                    "routes that begin on the same edge and the same `lane`",
+                ));
             }
             drawn.push(route);
         }
         if drawn.is_empty() {
-            return Err(self.value(node, "route", "the id of a route, or several separated by spaces"));
+            return Err(self.value(
+                node,
+                "route",
+                "the id of a route, or several separated by spaces",
+            ));
         }
         let count = self.whole(node, "count", 1, MAX_PLACES)?;
         if count > room {
@@ -461,8 +547,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         self.expect(node, attributes, if steered { &["steering"] } else { &[] })?;
         let in_milliseconds = |v: f64| (v * 1000.0 - (v * 1000.0).round()).abs() < 1e-6;
         let interval = |v: f64| (0.001..=10.0).contains(&v) && in_milliseconds(v);
-        let interval = self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?;
-        let steering = if steered { Some(self.steering(self.child(node, "steering")?)?) } else { None };
+        let interval =
+            self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?;
+        let steering =
+            if steered { Some(self.steering(self.child(node, "steering")?)?) } else { None };
         Ok(Control {
             interval,
             steering,
@@ -471,19 +559,27 @@ impl<'a, 'input> Reader<'a, 'input> {
             brake: self.brake(node)?,
             initial_throttle: match node.attribute("initialThrottle") {
                 None => Control::INITIAL_THROTTLE,
-                Some(_) => self.number(node, "initialThrottle", "-1 to 1", |v| (-1.0..=1.0).contains(&v))?,
+                Some(_) => {
+                    self.number(node, "initialThrottle", "-1 to 1", |v| (-1.0..=1.0).contains(&v))?
+                }
             },
         })
     }
 
     fn steering(&self, node: Node<'a, 'input>) -> Result<Steering, Error> {
-        self.leaf(node, &["maxAngle", "frontAxle", "rearAxle", "track", "friction", "yawInertia", "reverse"])?;
+        self.leaf(
+            node,
+            &["maxAngle", "frontAxle", "rearAxle", "track", "friction", "yawInertia", "reverse"],
+        )?;
         let angle = |v: f64| (0.1..=80.0).contains(&v);
         let otherwise = Steering::default();
         // Bounds that any car keeps well within, and that keep the motion stable.
-        let or = |key: &'static str, otherwise: f64, least: f64, most: f64| match node.attribute(key) {
+        let or = |key: &'static str, otherwise: f64, least: f64, most: f64| match node
+            .attribute(key)
+        {
             None => Ok(otherwise),
-            Some(_) => self.number(node, key, &format!("{least} to {most}"), |v| (least..=most).contains(&v)),
+            Some(_) => self
+                .number(node, key, &format!("{least} to {most}"), |v| (least..=most).contains(&v)),
         };
         Ok(Steering {
             max_angle: self.number(node, "maxAngle", "an angle from 0.1 to 80", angle)?,
@@ -509,14 +605,14 @@ impl<'a, 'input> Reader<'a, 'input> {
             let (magnitude, deceleration) = text.split_once(':')?;
             Some((finite(magnitude)?, finite(deceleration)?))
         };
-        let curve: Option<Vec<(f64, f64)>> = self.text(node, "brake")?.split_whitespace().map(pair).collect();
+        let curve: Option<Vec<(f64, f64)>> =
+            self.text(node, "brake")?.split_whitespace().map(pair).collect();
         let curve = curve.filter(|curve| {
             let from_origin = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
             let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
             from_origin && ascending && curve.last().is_some_and(|last| last.0 == 1.0)
         });
-        let allowed =
-            "pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling";
+        let allowed = "pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling";
         curve.ok_or_else(|| self.value(node, "brake", allowed))
     }
 }

@@ -453,8 +453,10 @@ impl Net {
     /// The places, row by row.
     pub fn places(&self) -> impl Iterator<Item = SpawnPlace> + '_ {
         self.spawns.iter().flat_map(|row| {
-            (0..row.count)
-                .map(|i| SpawnPlace { routes: Arc::clone(&row.routes), pos: row.first + row.spacing * f64::from(i) })
+            (0..row.count).map(|i| SpawnPlace {
+                routes: Arc::clone(&row.routes),
+                pos: row.first + row.spacing * f64::from(i),
+            })
         })
     }
 }

@@ -24,18 +24,35 @@ pub(super) struct Reader<'a, 'input> {
 
 /// Parses the text of a file.
 pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, Error> {
-    xml::parse(text).map_err(|(source, at)| Error::Parse { path: path.into(), line: at.row, column: at.col, source })
+    xml::parse(text).map_err(|(source, at)| Error::Parse {
+        path: path.into(),
+        line: at.row,
+        column: at.col,
+        source,
+    })
 }
 
 impl<'a, 'input> Reader<'a, 'input> {
     /// Checks that an element has the given attributes and, besides comments, the given children only.
-    pub(super) fn expect(&self, node: Node, attributes: Names, children: Names) -> Result<(), Error> {
+    pub(super) fn expect(
+        &self,
+        node: Node,
+        attributes: Names,
+        children: Names,
+    ) -> Result<(), Error> {
         self.expect_attributes(node, attributes)?;
         for child in node.children() {
             if child.is_element() && !children.iter().any(|&name| child.has_tag_name(name)) {
-                return Err(self.unknown(child, "element", child.tag_name().name(), in_element(node), children));
+                return Err(self.unknown(
+                    child,
+                    "element",
+                    child.tag_name().name(),
+                    in_element(node),
+                    children,
+                ));
             }
-            let text = child.text().map(str::trim).filter(|text| child.is_text() && !text.is_empty());
+            let text =
+                child.text().map(str::trim).filter(|text| child.is_text() && !text.is_empty());
             if let Some(text) = text {
                 return Err(self.unknown(child, "text", text, in_element(node), &[]));
             }
@@ -65,13 +82,21 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// An element that has attributes only.
-    pub(super) fn leaf<'n>(&self, node: Node<'n, 'input>, attributes: Names) -> Result<Node<'n, 'input>, Error> {
+    pub(super) fn leaf<'n>(
+        &self,
+        node: Node<'n, 'input>,
+        attributes: Names,
+    ) -> Result<Node<'n, 'input>, Error> {
         self.expect(node, attributes, &[])?;
         Ok(node)
     }
 
     /// The one child of this name.
-    pub(super) fn child(&self, parent: Node<'a, 'input>, name: &'static str) -> Result<Node<'a, 'input>, Error> {
+    pub(super) fn child(
+        &self,
+        parent: Node<'a, 'input>,
+        name: &'static str,
+    ) -> Result<Node<'a, 'input>, Error> {
         let mut found = parent.children().filter(|n| n.has_tag_name(name));
         let child = found.next().ok_or_else(|| self.missing(parent, "element", name))?;
         match found.next() {
@@ -81,7 +106,11 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// The child elements, `limit` at most.
-    pub(super) fn few(&self, parent: Node<'a, 'input>, limit: usize) -> Result<Vec<Node<'a, 'input>>, Error> {
+    pub(super) fn few(
+        &self,
+        parent: Node<'a, 'input>,
+        limit: usize,
+    ) -> Result<Vec<Node<'a, 'input>>, Error> {
         let children: Vec<_> = parent.children().filter(Node::is_element).collect();
         let Some(excess) = children.get(limit) else {
             return Ok(children);
@@ -120,12 +149,19 @@ impl<'a, 'input> Reader<'a, 'input> {
         finite(text).filter(|&v| valid(v)).ok_or_else(|| self.value(node, key, allowed))
     }
 
-    pub(super) fn whole(&self, node: Node, key: &'static str, least: u32, most: u32) -> Result<u32, Error> {
+    pub(super) fn whole(
+        &self,
+        node: Node,
+        key: &'static str,
+        least: u32,
+        most: u32,
+    ) -> Result<u32, Error> {
         let Some(text) = node.attribute(key) else {
             return Err(self.missing(node, "attribute", key));
         };
         let number = text.trim().parse().ok().filter(|v| (least..=most).contains(v));
-        number.ok_or_else(|| self.value(node, key, format!("a whole number from {least} to {most}")))
+        number
+            .ok_or_else(|| self.value(node, key, format!("a whole number from {least} to {most}")))
     }
 
     /// Line and column, both from 1, of a byte offset.
@@ -139,7 +175,14 @@ impl<'a, 'input> Reader<'a, 'input> {
         node.attribute_node(key).map_or(node.range().start, |a| a.range().start)
     }
 
-    pub(super) fn unknown(&self, node: Node, kind: &'static str, key: &str, parent: Box<str>, valid: Names) -> Error {
+    pub(super) fn unknown(
+        &self,
+        node: Node,
+        kind: &'static str,
+        key: &str,
+        parent: Box<str>,
+        valid: Names,
+    ) -> Error {
         let (line, column) = self.position(node.range().start);
         let nearest = nearest(key, valid.iter().copied());
         let key = shorten(key);
@@ -148,7 +191,14 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     pub(super) fn missing(&self, node: Node, kind: &'static str, key: &'static str) -> Error {
         let (line, column) = self.position(node.range().start);
-        Error::Missing { path: self.path.into(), line, column, kind, key, parent: node.tag_name().name().into() }
+        Error::Missing {
+            path: self.path.into(),
+            line,
+            column,
+            kind,
+            key,
+            parent: node.tag_name().name().into(),
+        }
     }
 
     pub(super) fn duplicate(&self, offset: usize, key: String) -> Error {

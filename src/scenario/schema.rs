@@ -91,7 +91,10 @@ impl Element {
     fn write(&self, page: &mut String) -> std::fmt::Result {
         writeln!(page, "\n## `<{}>`\n\n{} Occurs {}.", self.name, self.text, self.occurs)?;
         if !self.attributes.is_empty() {
-            writeln!(page, "\n| attribute | unit | allowed | default | effect |\n|---|---|---|---|---|")?;
+            writeln!(
+                page,
+                "\n| attribute | unit | allowed | default | effect |\n|---|---|---|---|---|"
+            )?;
         }
         for attribute in &self.attributes {
             let unit = attribute.unit.as_deref().unwrap_or("");
@@ -101,10 +104,16 @@ impl Element {
                 None => "optional".to_owned(),
             };
             let (name, allowed, text) = (&attribute.name, &attribute.allowed, &attribute.text);
-            writeln!(page, "| `{name}` | {unit} | {} | {default} | {} |", cell(allowed), cell(text))?;
+            writeln!(
+                page,
+                "| `{name}` | {unit} | {} | {default} | {} |",
+                cell(allowed),
+                cell(text)
+            )?;
         }
         if !self.children.is_empty() {
-            let children: Vec<String> = self.children.iter().map(|child| format!("`<{}>`", child.name)).collect();
+            let children: Vec<String> =
+                self.children.iter().map(|child| format!("`<{}>`", child.name)).collect();
             writeln!(page, "\nWithin it: {}.", children.join(", "))?;
         }
         Ok(())
@@ -128,12 +137,18 @@ impl<'a, 'input> Schema<'a, 'input> {
         };
         let below = |wanted: &'static str| {
             complex.into_iter().flat_map(move |complex| {
-                let groups = complex.children().filter(|n| matches!(n.tag_name().name(), "all" | "sequence"));
+                let groups = complex
+                    .children()
+                    .filter(|n| matches!(n.tag_name().name(), "all" | "sequence"));
                 let all = groups.flat_map(|group| group.children()).chain(complex.children());
                 all.filter(move |n| n.tag_name().name() == wanted)
             })
         };
-        let text = [Some(node), complex].into_iter().flatten().map(documentation).find(|text| !text.is_empty());
+        let text = [Some(node), complex]
+            .into_iter()
+            .flatten()
+            .map(documentation)
+            .find(|text| !text.is_empty());
         Element {
             name: node.attribute("name").unwrap_or_default().into(),
             text: text.unwrap_or_default(),
@@ -159,7 +174,8 @@ impl<'a, 'input> Schema<'a, 'input> {
             unit,
             allowed: match node.attribute("type") {
                 Some(name) => self.type_named(name),
-                None => child(node, "simpleType").map_or_else(|| "text".into(), |simple| self.allowed(simple)),
+                None => child(node, "simpleType")
+                    .map_or_else(|| "text".into(), |simple| self.allowed(simple)),
             },
             required: node.attribute("use") == Some("required"),
             default: node.attribute("default").map(Into::into),
@@ -174,7 +190,9 @@ impl<'a, 'input> Schema<'a, 'input> {
     }
 
     fn named(&self, kind: &str, name: &str) -> Option<Node<'a, 'input>> {
-        self.root.children().find(|n| n.tag_name().name() == kind && n.attribute("name") == Some(name))
+        self.root
+            .children()
+            .find(|n| n.tag_name().name() == kind && n.attribute("name") == Some(name))
     }
 
     /// What a simple type allows, in words.
@@ -202,8 +220,10 @@ impl<'a, 'input> Schema<'a, 'input> {
             return format!("`{pattern}`");
         }
         let base = plain(restriction.attribute("base").unwrap_or(""));
-        let bound = |value: Option<&'a str>| value.filter(|value| value.trim_start_matches('-') != "1e9");
-        let least = bound(facet("minInclusive")).or(if base == "whole number" { Some("0") } else { None });
+        let bound =
+            |value: Option<&'a str>| value.filter(|value| value.trim_start_matches('-') != "1e9");
+        let least =
+            bound(facet("minInclusive")).or(if base == "whole number" { Some("0") } else { None });
         match (least, bound(facet("minExclusive")), bound(facet("maxInclusive"))) {
             (Some(least), _, Some(most)) => format!("{base}, {least} to {most}"),
             (Some(least), ..) => format!("{base}, {least} or more"),
@@ -227,7 +247,8 @@ fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'inp
 }
 
 fn documentation(node: Node) -> String {
-    let text = child(node, "annotation").and_then(|n| child(n, "documentation")).and_then(|n| n.text());
+    let text =
+        child(node, "annotation").and_then(|n| child(n, "documentation")).and_then(|n| n.text());
     text.unwrap_or_default().trim().into()
 }
 

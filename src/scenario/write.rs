@@ -18,13 +18,16 @@ impl Scenario {
     }
 
     fn write(&self, xml: &mut String) -> fmt::Result {
-        let xsi =
-            "xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" xsi:noNamespaceSchemaLocation=\"scenario.xsd\"";
+        let xsi = "xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" xsi:noNamespaceSchemaLocation=\"scenario.xsd\"";
         writeln!(xml, "<?xml version=\"1.0\" encoding=\"UTF-8\"?>")?;
         writeln!(xml, "<scenario name=\"{}\" {xsi}>", escape(&self.name))?;
         writeln!(xml, "    <description>{}</description>", escape(&self.description))?;
         let a = self.agents;
-        writeln!(xml, "    <agents min=\"{}\" max=\"{}\" default=\"{}\"/>", a.min, a.max, a.default)?;
+        writeln!(
+            xml,
+            "    <agents min=\"{}\" max=\"{}\" default=\"{}\"/>",
+            a.min, a.max, a.default
+        )?;
         writeln!(xml, "    <routes>")?;
         for route in &self.routes {
             let (id, edges) = (escape(&route.id), escape(&route.edges.join(" ")));
@@ -43,7 +46,11 @@ impl Scenario {
             let file = net.file.strip_prefix(folder).unwrap_or(&net.file);
             writeln!(xml, "        <net file=\"{}\">", escape(&file.to_string_lossy()))?;
             for row in &net.spawns {
-                let ids = row.routes.iter().filter_map(|&i| self.routes.get(i)).map(|route| route.id.as_str());
+                let ids = row
+                    .routes
+                    .iter()
+                    .filter_map(|&i| self.routes.get(i))
+                    .map(|route| route.id.as_str());
                 let route = ids.collect::<Vec<_>>().join(" ");
                 let (first, spacing, count) = (row.first, row.spacing, row.count);
                 write!(xml, "            <spawn route=\"{}\" first=\"{first}\" ", escape(&route))?;
@@ -53,9 +60,17 @@ impl Scenario {
         }
         writeln!(xml, "    </nets>")?;
         let v = self.vehicle;
-        writeln!(xml, "    <vehicle length=\"{}\" width=\"{}\" maxSpeed=\"{}\"/>", v.length, v.width, v.max_speed)?;
+        writeln!(
+            xml,
+            "    <vehicle length=\"{}\" width=\"{}\" maxSpeed=\"{}\"/>",
+            v.length, v.width, v.max_speed
+        )?;
         let j = self.jitter;
-        writeln!(xml, "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>", j.longitudinal, j.lateral)?;
+        writeln!(
+            xml,
+            "    <jitter longitudinal=\"{}\" lateral=\"{}\"/>",
+            j.longitudinal, j.lateral
+        )?;
         let c = &self.control;
         let mode = if c.steering.is_some() { "steering" } else { "throttle" };
         write!(
@@ -87,7 +102,12 @@ impl Scenario {
             writeln!(xml, "/>")?;
         }
         let o = self.observation;
-        write!(xml, "    <observation groups=\"{}\" detectionRange=\"{}\" ", o.groups.name(), o.detection_range)?;
+        write!(
+            xml,
+            "    <observation groups=\"{}\" detectionRange=\"{}\" ",
+            o.groups.name(),
+            o.detection_range
+        )?;
         write!(xml, "neighbours=\"{}\" conflictStreams=\"{}\" ", o.neighbours, o.conflict_streams)?;
         write!(xml, "streamVehicles=\"{}\"", o.stream_vehicles)?;
         if o.neighbour_order != NeighbourOrder::default() {
@@ -114,8 +134,16 @@ impl Scenario {
         }
         writeln!(xml, "/>")?;
         let r = self.reward;
-        write!(xml, "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ", r.progress, r.speed, r.arrive)?;
-        write!(xml, "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"", r.out_of_road, r.crash, r.cooperation)?;
+        write!(
+            xml,
+            "    <reward progress=\"{}\" speed=\"{}\" arrive=\"{}\" ",
+            r.progress, r.speed, r.arrive
+        )?;
+        write!(
+            xml,
+            "outOfRoad=\"{}\" crash=\"{}\" cooperation=\"{}\"",
+            r.out_of_road, r.crash, r.cooperation
+        )?;
         if r.share_range.is_finite() {
             write!(xml, " shareRange=\"{}\"", r.share_range)?;
         }
@@ -137,7 +165,10 @@ impl Scenario {
                 write!(xml, " type=\"{}\"", escape(kind))?;
             }
             if !t.files.is_empty() {
-                let files = t.files.iter().map(|file| file.strip_prefix(folder).unwrap_or(file).to_string_lossy());
+                let files = t
+                    .files
+                    .iter()
+                    .map(|file| file.strip_prefix(folder).unwrap_or(file).to_string_lossy());
                 write!(xml, " files=\"{}\"", escape(&files.collect::<Vec<_>>().join(" ")))?;
             }
             writeln!(xml, " capacity=\"{}\"/>", t.capacity)?;

@@ -45,7 +45,9 @@ pub fn interquartile_mean(scores: &[Vec<f64>]) -> f64 {
 
 /// Mean shortfall from `target`; what lies above it counts as zero. NaN without scores.
 pub fn optimality_gap(scores: &[Vec<f64>], target: f64) -> f64 {
-    target - mean(&all(scores).iter().map(|score| score.min(target)).collect::<Vec<_>>()).unwrap_or(f64::NAN)
+    target
+        - mean(&all(scores).iter().map(|score| score.min(target)).collect::<Vec<_>>())
+            .unwrap_or(f64::NAN)
 }
 
 /// Probability that a run of `x` scores above one of `y` on the same task, ties counting half, averaged over tasks (the
@@ -61,7 +63,9 @@ pub fn probability_of_improvement(x: &[Vec<f64>], y: &[Vec<f64>]) -> f64 {
 /// Performance profile: for each threshold, the share of runs that score above it (per task, then averaged over tasks).
 pub fn performance_profile(scores: &[Vec<f64>], thresholds: &[f64]) -> Vec<f64> {
     let above = |threshold: f64| {
-        let share = |task: &[f64]| mean(&task.iter().map(|&s| f64::from(u8::from(s > threshold))).collect::<Vec<_>>());
+        let share = |task: &[f64]| {
+            mean(&task.iter().map(|&s| f64::from(u8::from(s > threshold))).collect::<Vec<_>>())
+        };
         mean(&over_tasks(scores, share)).unwrap_or(f64::NAN)
     };
     thresholds.iter().map(|&threshold| above(threshold)).collect()
@@ -88,12 +92,19 @@ pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) ->
         })
         .collect();
     values.sort_by(f64::total_cmp);
-    Some(Estimate { mean: statistic(strata), low: percentile(&values, 0.025), high: percentile(&values, 0.975) })
+    Some(Estimate {
+        mean: statistic(strata),
+        low: percentile(&values, 0.025),
+        high: percentile(&values, 0.975),
+    })
 }
 
 /// As [`bootstrap`] where the strata are the same runs seen in different ways, seed by seed: whole runs are drawn. Strata of
 /// unequal length are treated as independent.
-pub fn bootstrap_runs(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
+pub fn bootstrap_runs(
+    strata: &[Vec<f64>],
+    statistic: impl Fn(&[Vec<f64>]) -> f64,
+) -> Option<Estimate> {
     let runs = strata.first().map_or(0, Vec::len);
     if strata.iter().any(|stratum| stratum.len() != runs) {
         return bootstrap(strata, statistic);
@@ -120,10 +131,15 @@ pub fn bootstrap_pair(
         let joined: Vec<Vec<f64>> = x.iter().chain(y).cloned().collect();
         return bootstrap(&joined, |drawn| statistic(&drawn[..x.len()], &drawn[x.len()..]));
     }
-    let runs = |group: &[Vec<f64>]| (0..group.iter().map(Vec::len).min().unwrap_or(0)).map(|run| run as f64).collect();
+    let runs = |group: &[Vec<f64>]| {
+        (0..group.iter().map(Vec::len).min().unwrap_or(0)).map(|run| run as f64).collect()
+    };
     let of = |drawn: &[Vec<f64>]| {
         let pick = |group: &[Vec<f64>], runs: &[f64]| -> Vec<Vec<f64>> {
-            group.iter().map(|scores| runs.iter().map(|&run| scores[run as usize]).collect()).collect()
+            group
+                .iter()
+                .map(|scores| runs.iter().map(|&run| scores[run as usize]).collect())
+                .collect()
         };
         statistic(&pick(x, &drawn[0]), &pick(y, &drawn[1]))
     };
@@ -134,7 +150,9 @@ pub fn bootstrap_pair(
 /// run's score between two of its points is that of the earlier, and after its end its last. Steps before a run's first
 /// point are left out.
 pub fn sample_efficiency(runs: &[Vec<(f64, f64)>], steps: &[f64]) -> Vec<(f64, Estimate)> {
-    let at = |run: &Vec<(f64, f64)>, step: f64| run.iter().take_while(|point| point.0 <= step).last().map(|p| p.1);
+    let at = |run: &Vec<(f64, f64)>, step: f64| {
+        run.iter().take_while(|point| point.0 <= step).last().map(|p| p.1)
+    };
     let point = |&step: &f64| {
         let scores: Option<Vec<f64>> = runs.iter().map(|run| at(run, step)).collect();
         Some((step, Estimate::t(&scores?)?))
@@ -156,15 +174,26 @@ mod tests {
 
     /// Three tasks with five, and two of them with four, seeds.
     fn a() -> Vec<Vec<f64>> {
-        vec![vec![0.91, 0.95, 0.88, 0.99, 1.00], vec![0.42, 0.38, 0.55, 0.47, 0.31], vec![0.77, 0.81, 0.69, 0.90, 0.74]]
+        vec![
+            vec![0.91, 0.95, 0.88, 0.99, 1.00],
+            vec![0.42, 0.38, 0.55, 0.47, 0.31],
+            vec![0.77, 0.81, 0.69, 0.90, 0.74],
+        ]
     }
 
     fn b() -> Vec<Vec<f64>> {
-        vec![vec![0.90, 0.85, 0.97, 0.80], vec![0.40, 0.35, 0.60, 0.20], vec![0.60, 0.81, 0.55, 0.70]]
+        vec![
+            vec![0.90, 0.85, 0.97, 0.80],
+            vec![0.40, 0.35, 0.60, 0.20],
+            vec![0.60, 0.81, 0.55, 0.70],
+        ]
     }
 
     fn close(found: f64, expected: f64, tolerance: f64) {
-        assert!((found - expected).abs() <= tolerance, "{found} is not within {tolerance} of {expected}");
+        assert!(
+            (found - expected).abs() <= tolerance,
+            "{found} is not within {tolerance} of {expected}"
+        );
     }
 
     /// Values of rliable 1.2.0 and scipy 1.17.1 (`scipy.stats.trim_mean(x, 0.25)` for the interquartile mean).
@@ -178,7 +207,9 @@ mod tests {
         close(task_mean(&a()), 0.718, 1e-12);
         close(probability_of_improvement(&a(), &b()), 0.725, 1e-12);
         let profile = performance_profile(&a(), &[0.0, 0.4, 0.5, 0.81, 0.95]);
-        for (found, expected) in profile.iter().zip([1.0, 13.0 / 15.0, 11.0 / 15.0, 0.4, 2.0 / 15.0]) {
+        for (found, expected) in
+            profile.iter().zip([1.0, 13.0 / 15.0, 11.0 / 15.0, 0.4, 2.0 / 15.0])
+        {
             close(*found, expected, 1e-12);
         }
     }
@@ -219,23 +250,30 @@ mod tests {
     fn runs_that_are_seen_often_are_not_more_runs() {
         let once = vec![vec![0.2, 0.5, 0.9, 0.4, 0.7]];
         let often: Vec<Vec<f64>> = std::iter::repeat_n(once[0].clone(), 8).collect();
-        let (many, one) = (bootstrap_runs(&often, task_mean).unwrap(), bootstrap(&once, task_mean).unwrap());
+        let (many, one) =
+            (bootstrap_runs(&often, task_mean).unwrap(), bootstrap(&once, task_mean).unwrap());
         close(many.low, one.low, 1e-12);
         close(many.high, one.high, 1e-12);
-        let (apart, together) = (bootstrap(&often, task_mean).unwrap(), bootstrap_runs(&often, task_mean).unwrap());
+        let (apart, together) =
+            (bootstrap(&often, task_mean).unwrap(), bootstrap_runs(&often, task_mean).unwrap());
         assert!(together.high - together.low > 2.0 * (apart.high - apart.low));
     }
 
     #[test]
     fn missing_scores_leave_no_number() {
-        assert!(task_mean(&[]).is_nan() && median(&[]).is_nan() && interquartile_mean(&[vec![]]).is_nan());
+        assert!(
+            task_mean(&[]).is_nan()
+                && median(&[]).is_nan()
+                && interquartile_mean(&[vec![]]).is_nan()
+        );
         assert!(probability_of_improvement(&[vec![1.0]], &[vec![]]).is_nan());
         close(task_mean(&[vec![], vec![0.25, 0.75]]), 0.5, 1e-15);
     }
 
     #[test]
     fn curves_hold_their_last_value() {
-        let runs = vec![vec![(10.0, 0.0), (20.0, 1.0)], vec![(10.0, 0.5), (20.0, 0.6), (30.0, 0.8)]];
+        let runs =
+            vec![vec![(10.0, 0.0), (20.0, 1.0)], vec![(10.0, 0.5), (20.0, 0.6), (30.0, 0.8)]];
         let curve = sample_efficiency(&runs, &[5.0, 10.0, 25.0, 30.0]);
         assert_eq!(curve.iter().map(|point| point.0).collect::<Vec<_>>(), [10.0, 25.0, 30.0]);
         for (point, expected) in curve.iter().zip([0.25, 0.8, 0.9]) {

@@ -77,7 +77,12 @@ pub struct Batch {
 
 impl Default for Batch {
     fn default() -> Self {
-        Batch { number: new_number(), writer: Writer::default(), queued: Vec::new(), stepped: false }
+        Batch {
+            number: new_number(),
+            writer: Writer::default(),
+            queued: Vec::new(),
+            stepped: false,
+        }
     }
 }
 
@@ -115,7 +120,13 @@ impl Batch {
     }
 
     /// Changes a variable of an object; `value` writes the typed value.
-    pub fn set(&mut self, domain: Domain, variable: u8, object: &str, value: impl FnOnce(&mut Writer)) {
+    pub fn set(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+        value: impl FnOnce(&mut Writer),
+    ) {
         self.call(Call::set("", domain, variable), object, value);
     }
 
@@ -149,7 +160,13 @@ impl Batch {
     }
 
     /// As [`Batch::subscribe`], from one simulation time to another \[s\].
-    pub fn subscribe_during(&mut self, domain: Domain, object: &str, variables: &[VariableId], during: [f64; 2]) {
+    pub fn subscribe_during(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        variables: &[VariableId],
+        during: [f64; 2],
+    ) {
         let call = subscription("subscribe", domain.subscribe, false, variables.is_empty());
         if let Err(what) = check_variables(domain, variables) {
             return self.reject(call, what);
@@ -194,7 +211,10 @@ impl Batch {
     ) {
         let call = subscription("subscribeContext", domain.context, true, variables.is_empty());
         if !around.has_places() {
-            return self.reject(call, "sumo cannot look for objects of this domain around others".to_owned());
+            return self.reject(
+                call,
+                "sumo cannot look for objects of this domain around others".to_owned(),
+            );
         }
         if let Err(what) = check_variables(around, variables) {
             return self.reject(call, what);
@@ -214,7 +234,10 @@ impl Batch {
     }
 
     pub(super) fn version(&mut self) {
-        self.command(Call { answer: Answer::Version, ..Call::new("getVersion", c::CMD_GETVERSION) }, |_| {});
+        self.command(
+            Call { answer: Answer::Version, ..Call::new("getVersion", c::CMD_GETVERSION) },
+            |_| {},
+        );
     }
 
     pub(super) fn close(&mut self) {
@@ -237,7 +260,9 @@ impl Batch {
     /// step length). May be called again, and commands may follow: the step is replaced then.
     pub(super) fn seal(&mut self, until: Option<f64>) -> Result<&[u8], Error> {
         if let Some(until) = until.filter(|until| !(until.is_finite() && *until >= 0.0)) {
-            return Err(Error::invalid(format!("the simulation cannot step to {until} s: a time is 0 or more")));
+            return Err(Error::invalid(format!(
+                "the simulation cannot step to {until} s: a time is 0 or more"
+            )));
         }
         self.unseal();
         if let Some(until) = until {
@@ -285,7 +310,12 @@ impl Batch {
             Some(variable) => format!("command {command:#04x} for variable {variable:#04x}"),
             None => format!("command {command:#04x}"),
         };
-        Error::Refused { command, call, id: self.object(queued).to_owned(), message: message.to_owned() }
+        Error::Refused {
+            command,
+            call,
+            id: self.object(queued).to_owned(),
+            message: message.to_owned(),
+        }
     }
 
     fn push(&mut self, call: Call, before_object: usize, content: impl FnOnce(&mut Writer)) {
@@ -295,7 +325,11 @@ impl Batch {
 
     fn push_raw(&mut self, call: Call, before_object: usize, content: impl FnOnce(&mut Writer)) {
         let range = self.writer.command(call.command, content);
-        self.queued.push(Queued { call, object: range.start.saturating_add(before_object)..range.end, invalid: None });
+        self.queued.push(Queued {
+            call,
+            object: range.start.saturating_add(before_object)..range.end,
+            invalid: None,
+        });
     }
 }
 
@@ -307,7 +341,8 @@ fn subscription(name: &'static str, command: u8, context: bool, ends: bool) -> C
     Call { name, command, variable: None, answer }
 }
 
-const OTHER_DOMAIN: &str = "a variable of another domain than that of the objects that are subscribed to";
+const OTHER_DOMAIN: &str =
+    "a variable of another domain than that of the objects that are subscribed to";
 
 fn check_variables(domain: Domain, variables: &[VariableId]) -> Result<(), String> {
     if variables.iter().any(|variable| variable.domain() != domain) {
@@ -346,7 +381,10 @@ mod tests {
         batch.seal(Some(0.0)).unwrap();
         let (queued, stepped) = batch.sealed();
         assert!(stepped);
-        assert_eq!(queued.iter().map(|q| q.call.command).collect::<Vec<_>>(), [0xc4, 0xc4, c::CMD_SIMSTEP]);
+        assert_eq!(
+            queued.iter().map(|q| q.call.command).collect::<Vec<_>>(),
+            [0xc4, 0xc4, c::CMD_SIMSTEP]
+        );
         assert_eq!(queued.iter().map(|q| batch.object(q)).collect::<Vec<_>>(), ["a", "b", ""]);
         batch.seal(None).unwrap();
         assert_eq!(batch.sealed().0.len(), 2);
@@ -386,7 +424,10 @@ mod tests {
         assert!(batch.sealed().0.iter().all(|queued| queued.invalid.is_some()));
         batch.subscribe(Domain::VEHICLE, "v", &[speed; 255]);
         batch.subscribe_context(Domain::PERSON, "p", Domain::VEHICLE, 9.0, &[speed]);
-        assert!(!batch.is_silent() && batch.sealed().0[10..].iter().all(|queued| queued.invalid.is_none()));
+        assert!(
+            !batch.is_silent()
+                && batch.sealed().0[10..].iter().all(|queued| queued.invalid.is_none())
+        );
     }
 
     #[test]
@@ -406,7 +447,8 @@ mod tests {
         batch.vehicle().set_speed("v0", 3.0);
         let expected = [
             0, 0, 0, 31, // message length
-            17, 0xc4, 0x40, 0, 0, 0, 2, b'v', b'0', 0x0b, 0x40, 0x08, 0, 0, 0, 0, 0, 0, // set speed
+            17, 0xc4, 0x40, 0, 0, 0, 2, b'v', b'0', 0x0b, 0x40, 0x08, 0, 0, 0, 0, 0,
+            0, // set speed
             10, 0x02, 0, 0, 0, 0, 0, 0, 0, 0, // step
         ];
         let mut expected = expected.to_vec();

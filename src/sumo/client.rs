@@ -56,11 +56,8 @@ impl Client {
     /// # Errors
     /// [`Error::Connect`] if nobody listens there.
     pub fn connect(address: SocketAddr, timeout: Duration) -> Result<Self, Error> {
-        let stream = TcpStream::connect_timeout(&address, timeout).map_err(|source| Error::Connect {
-            port: address.port(),
-            attempts: 1,
-            source,
-        })?;
+        let stream = TcpStream::connect_timeout(&address, timeout)
+            .map_err(|source| Error::Connect { port: address.port(), attempts: 1, source })?;
         Self::new(stream, timeout)
     }
 
@@ -69,7 +66,11 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Connect`] if nobody listens there in that time.
-    pub fn connect_within(address: SocketAddr, wait: Duration, timeout: Duration) -> Result<Self, Error> {
+    pub fn connect_within(
+        address: SocketAddr,
+        wait: Duration,
+        timeout: Duration,
+    ) -> Result<Self, Error> {
         let start = Instant::now();
         let mut attempts = 0;
         loop {
@@ -77,7 +78,9 @@ impl Client {
             let left = wait.saturating_sub(start.elapsed()).max(POLL);
             let source = match TcpStream::connect_timeout(&address, left) {
                 // A connection attempt to a free port can, by chance, get that port and meet itself.
-                Ok(stream) if stream.local_addr().ok() == Some(address) => io::ErrorKind::ConnectionRefused.into(),
+                Ok(stream) if stream.local_addr().ok() == Some(address) => {
+                    io::ErrorKind::ConnectionRefused.into()
+                }
                 Ok(stream) => return Self::new(stream, timeout),
                 Err(source) => source,
             };
@@ -95,7 +98,14 @@ impl Client {
     pub fn new(stream: TcpStream, timeout: Duration) -> Result<Self, Error> {
         stream.set_nodelay(true).map_err(|source| Error::Io { doing: SETTING_UP, source })?;
         set_timeouts(&stream, timeout)?;
-        Ok(Client { stream, input: Vec::new(), timeout, time_s: None, single: Batch::new(), bytes: (0, 0) })
+        Ok(Client {
+            stream,
+            input: Vec::new(),
+            timeout,
+            time_s: None,
+            single: Batch::new(),
+            bytes: (0, 0),
+        })
     }
 
     /// Bytes sent and received so far.
@@ -134,7 +144,11 @@ impl Client {
         let version = self.get_version()?;
         if version.api < c::MINIMUM_API_VERSION {
             let Version { api, software } = version;
-            return Err(Error::Version { found: api, minimum: c::MINIMUM_API_VERSION, peer: software });
+            return Err(Error::Version {
+                found: api,
+                minimum: c::MINIMUM_API_VERSION,
+                peer: software,
+            });
         }
         Ok(version)
     }
@@ -228,7 +242,10 @@ impl Client {
         self.receive(batch, &mut sink)?;
         let Collector { reply, time_s, .. } = sink;
         let (queued, _) = batch.sealed();
-        if queued.iter().any(|queued| queued.call.command == c::CMD_LOAD || queued.call.is(LOAD_STATE)) {
+        if queued
+            .iter()
+            .any(|queued| queued.call.command == c::CMD_LOAD || queued.call.is(LOAD_STATE))
+        {
             self.time_s = None;
         }
         self.time_s = time_s.or(self.time_s);
@@ -327,7 +344,11 @@ impl Client {
         let length = length.unwrap_or(4);
         if filled > length {
             let found = format!("{} bytes after it", filled - length);
-            return Err(Error::Protocol { expected: "the end of the message", found, at_byte: length });
+            return Err(Error::Protocol {
+                expected: "the end of the message",
+                found,
+                at_byte: length,
+            });
         }
         self.bytes.1 += length as u64;
         Ok(length)
@@ -335,9 +356,11 @@ impl Client {
 
     fn broken(&self, command: &'static str, source: &io::Error) -> Error {
         match source.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
-                Error::Timeout { command, seconds: self.timeout.as_secs_f64(), sim_time_s: self.time_s }
-            }
+            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => Error::Timeout {
+                command,
+                seconds: self.timeout.as_secs_f64(),
+                sim_time_s: self.time_s,
+            },
             _ => Error::Closed { command, sim_time_s: self.time_s },
         }
     }
@@ -367,10 +390,12 @@ fn doing(batch: &Batch) -> &'static str {
 
 fn message_length(bytes: &[u8]) -> Result<usize, Error> {
     let claimed = Reader::new(bytes, 0).i32()?;
-    usize::try_from(claimed).ok().filter(|n| (4..=c::MAXIMUM_MESSAGE).contains(n)).ok_or_else(|| {
-        let found = format!("a length of {claimed} bytes");
-        Error::Protocol { expected: "a message", found, at_byte: 0 }
-    })
+    usize::try_from(claimed).ok().filter(|n| (4..=c::MAXIMUM_MESSAGE).contains(n)).ok_or_else(
+        || {
+            let found = format!("a length of {claimed} bytes");
+            Error::Protocol { expected: "a message", found, at_byte: 0 }
+        },
+    )
 }
 
 impl Scope for Client {

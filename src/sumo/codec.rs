@@ -298,7 +298,8 @@ impl<'a> Reader<'a> {
     /// points; `false` if something else is next.
     pub(super) fn empty_polygon(&mut self) -> bool {
         let mut ahead = self.clone();
-        let begins = ahead.kind(c::TYPE_POLYGON, "a polygon").is_ok() && ahead.u8().is_ok_and(|short| short == 0);
+        let begins = ahead.kind(c::TYPE_POLYGON, "a polygon").is_ok()
+            && ahead.u8().is_ok_and(|short| short == 0);
         let has_points = ahead.clone().count(16, "a polygon").is_ok_and(|count| count > 255);
         let empty = begins && !has_points;
         if empty {
@@ -396,7 +397,8 @@ impl<'a> Reader<'a> {
         let head = self.at - start;
         let content = usize::try_from(length).ok().and_then(|l| l.checked_sub(head));
         let Some(content) = content.filter(|n| *n <= self.remaining()) else {
-            let found = format!("a length of {length} with {} bytes left", self.bytes.len() - start);
+            let found =
+                format!("a length of {length} with {} bytes left", self.bytes.len() - start);
             return Err(Error::Protocol { expected: "a command", found, at_byte });
         };
         let base = self.position();
@@ -495,9 +497,11 @@ impl<'a> Reader<'a> {
             c::POSITION_LON_LAT_ALT => Value::LonLatAlt(self.doubles()?),
             c::POSITION_2D => Value::Position2D(self.doubles()?),
             c::POSITION_3D => Value::Position3D(self.doubles()?),
-            c::POSITION_ROADMAP => {
-                Value::RoadMap { edge: self.str()?.to_owned(), position: self.f64()?, lane: self.u8()? }
-            }
+            c::POSITION_ROADMAP => Value::RoadMap {
+                edge: self.str()?.to_owned(),
+                position: self.f64()?,
+                lane: self.u8()?,
+            },
             c::TYPE_POLYGON => {
                 let count = match self.u8()? {
                     0 => self.count(16, "a polygon")?,

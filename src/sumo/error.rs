@@ -162,19 +162,26 @@ impl Error {
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {
-            Error::NotFound { binary, .. } => {
-                Some(format!("run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"))
-            }
+            Error::NotFound { binary, .. } => Some(format!(
+                "run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"
+            )),
             Error::Net(e) => e.hint(),
-            Error::NotBuiltIn { .. } => {
-                Some("build with `--features libsumo` (`make build` does), or use --backend traci".to_owned())
+            Error::NotBuiltIn { .. } => Some(
+                "build with `--features libsumo` (`make build` does), or use --backend traci"
+                    .to_owned(),
+            ),
+            Error::Occupied => {
+                Some("use --backend traci, which takes any number of simulations".to_owned())
             }
-            Error::Occupied => Some("use --backend traci, which takes any number of simulations".to_owned()),
-            Error::Libsumo { doing: "import it", .. } => {
-                Some("run `scripts/bootstrap`, which installs SUMO with its Python module".to_owned())
+            Error::Libsumo { doing: "import it", .. } => Some(
+                "run `scripts/bootstrap`, which installs SUMO with its Python module".to_owned(),
+            ),
+            Error::Version { .. } => {
+                Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned())
             }
-            Error::Version { .. } => Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned()),
-            Error::PortTaken { port } => Some(format!("choose a port other than {port}, or name none")),
+            Error::PortTaken { port } => {
+                Some(format!("choose a port other than {port}, or name none"))
+            }
             _ => None,
         }
     }
@@ -182,9 +189,11 @@ impl Error {
     /// Names the call whose answer is not what it should be.
     pub(super) fn in_answer_to(self, call: &str) -> Self {
         match self {
-            Error::Protocol { expected, found, at_byte } if !call.is_empty() => {
-                Error::Protocol { expected, found: format!("{found} as the answer to {call}"), at_byte }
-            }
+            Error::Protocol { expected, found, at_byte } if !call.is_empty() => Error::Protocol {
+                expected,
+                found: format!("{found} as the answer to {call}"),
+                at_byte,
+            },
             Error::Type { expected, found, .. } if !call.is_empty() => {
                 Error::Type { call: call.to_owned(), expected, found }
             }
@@ -227,15 +236,22 @@ mod tests {
 
     #[test]
     fn only_refusals_and_bad_requests_leave_the_connection_intact() {
-        let refused =
-            Error::Refused { command: 0xc4, call: "vehicle.setSpeed".into(), id: "v".into(), message: "no".into() };
+        let refused = Error::Refused {
+            command: 0xc4,
+            call: "vehicle.setSpeed".into(),
+            id: "v".into(),
+            message: "no".into(),
+        };
         assert!(!refused.is_fatal());
         assert_eq!(refused.to_string(), "sumo refused vehicle.setSpeed for `v`: no");
         assert!(!Error::invalid("slot 9 of 8").is_fatal());
         assert!(!Error::other_type("a double", "a string").is_fatal());
         let mut closed = Error::Closed { command: "step", sim_time_s: Some(1.5) };
         assert!(closed.is_fatal());
-        assert_eq!(closed.to_string(), "sumo closed the connection during `step` at simulation time 1.5 s");
+        assert_eq!(
+            closed.to_string(),
+            "sumo closed the connection during `step` at simulation time 1.5 s"
+        );
         closed = Error::Closed { command: "step", sim_time_s: None };
         assert_eq!(closed.to_string(), "sumo closed the connection during `step`");
         assert!(Error::PortTaken { port: 1 }.is_fatal());
@@ -243,7 +259,8 @@ mod tests {
 
     #[test]
     fn a_missing_sumo_names_the_folders_and_the_way_out() {
-        let error = Error::NotFound { binary: "sumo".into(), looked_in: vec!["/a".into(), "/b".into()] };
+        let error =
+            Error::NotFound { binary: "sumo".into(), looked_in: vec!["/a".into(), "/b".into()] };
         assert_eq!(error.to_string(), "sumo was not found; looked in `/a`, `/b`");
         assert!(error.hint().is_some_and(|h| h.contains("scripts/bootstrap")));
     }

@@ -16,7 +16,8 @@ use std::{
 use rustix::fs::{MemfdFlags, memfd_create};
 
 use super::{
-    Body, Collision, Command, Departure, Error, Route, SimulationConfig, Snapshot, VehicleState, constants as c,
+    Body, Collision, Command, Departure, Error, Route, SimulationConfig, Snapshot, VehicleState,
+    constants as c,
     net::{Net, tile, tiled_id},
 };
 
@@ -44,9 +45,22 @@ const NO_LANE_CHANGES: i32 = 0;
 
 /// Takes checked commands, by SUMO's names.
 pub(super) trait Orders {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64);
+    fn add(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        position: f64,
+        speed: f64,
+    );
     /// Lane, position and speed in SUMO's words.
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]);
+    fn depart(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        start: [&str; 3],
+    );
     fn remove(&mut self, vehicle: Vehicle<'_>);
     /// A pedestrian, from a position on the first edge of a walk to one on the last.
     fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, ends: [f64; 2]);
@@ -104,17 +118,21 @@ impl Fleet {
             (Some(file), offsets)
         };
         let definitions = match &config.others {
-            Some(others) if !others.definitions.is_empty() => {
-                Some(in_memory("types.add.xml", &format!("<additional>\n{}</additional>\n", others.definitions))?)
-            }
+            Some(others) if !others.definitions.is_empty() => Some(in_memory(
+                "types.add.xml",
+                &format!("<additional>\n{}</additional>\n", others.definitions),
+            )?),
             _ => None,
         };
         let bodies = if config.others.is_some() { vehicles } else { 0 };
         let [low, high] = net.extent();
-        let junctions = net
-            .junctions
-            .first()
-            .map(|j| if worlds == 1 { vec![j.id.clone()] } else { (0..worlds).map(|w| tiled_id(w, &j.id)).collect() });
+        let junctions = net.junctions.first().map(|j| {
+            if worlds == 1 {
+                vec![j.id.clone()]
+            } else {
+                (0..worlds).map(|w| tiled_id(w, &j.id)).collect()
+            }
+        });
         let routes = (0..worlds).flat_map(|world| {
             config.routes.iter().map(move |route| {
                 if worlds == 1 {
@@ -122,7 +140,12 @@ impl Fleet {
                     return TileRoute { id, edges, lane, walked };
                 }
                 let edges = route.edges.iter().map(|edge| tiled_id(world, edge)).collect();
-                TileRoute { id: tiled_id(world, &route.id), edges, lane: route.lane, walked: route.walked }
+                TileRoute {
+                    id: tiled_id(world, &route.id),
+                    edges,
+                    lane: route.lane,
+                    walked: route.walked,
+                }
             })
         });
         Ok(Fleet {
@@ -138,7 +161,11 @@ impl Fleet {
             departed: vec![0.0; vehicles],
             next_departed: vec![0.0; vehicles],
             walking: vec![false; bodies],
-            snapshot: Snapshot { vehicles: vec![None; vehicles], bodies: vec![None; bodies], ..Snapshot::default() },
+            snapshot: Snapshot {
+                vehicles: vec![None; vehicles],
+                bodies: vec![None; bodies],
+                ..Snapshot::default()
+            },
             config,
         })
     }
@@ -218,7 +245,9 @@ impl Fleet {
     /// Takes in a collision of SUMO's report; those with vehicles of others are none of ours, and pedestrians have another shape
     /// there.
     pub(super) fn collision(&mut self, collider: &str, victim: &str) {
-        let (Some(collider), Some(victim)) = (self.vehicle_named(collider), self.vehicle_named(victim)) else {
+        let (Some(collider), Some(victim)) =
+            (self.vehicle_named(collider), self.vehicle_named(victim))
+        else {
             return;
         };
         if self.walks(collider) || self.walks(victim) {
@@ -239,11 +268,16 @@ impl Fleet {
     pub(super) fn vehicle_named(&self, name: &str) -> Option<usize> {
         let (world, slot) = name.strip_prefix('w')?.split_once('s')?;
         let (world, slot): (u32, u32) = (world.parse().ok()?, slot.parse().ok()?);
-        (world < self.config.worlds && slot < self.config.slots).then_some((world * self.config.slots + slot) as usize)
+        (world < self.config.worlds && slot < self.config.slots)
+            .then_some((world * self.config.slots + slot) as usize)
     }
 
     /// Checks the commands and passes them on.
-    pub(super) fn order(&mut self, commands: &[Command], orders: &mut impl Orders) -> Result<(), Error> {
+    pub(super) fn order(
+        &mut self,
+        commands: &[Command],
+        orders: &mut impl Orders,
+    ) -> Result<(), Error> {
         self.next.copy_from_slice(&self.known);
         self.next_departed.copy_from_slice(&self.departed);
         for command in commands {
@@ -251,13 +285,17 @@ impl Fleet {
                 Command::Add { world, slot, route, vehicle_type, depart_pos, depart_speed } => {
                     let vehicle = self.vehicle(world, slot)?;
                     if self.next[vehicle] {
-                        return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
+                        return Err(Error::invalid(format!(
+                            "slot {slot} holds a vehicle; remove it first"
+                        )));
                     }
                     finite("a departure position", depart_pos)?;
                     finite("a departure speed", depart_speed)?;
                     let known = self.config.routes.len();
                     if route as usize >= known {
-                        return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
+                        return Err(Error::invalid(format!(
+                            "there is no route {route}: there are {known}"
+                        )));
                     }
                     let route = &self.routes[world as usize * known + route as usize];
                     let kind = self.kind(vehicle_type)?;
@@ -271,15 +309,24 @@ impl Fleet {
                 Command::Depart { world, slot, departure, vehicle_type } => {
                     let vehicle = self.vehicle(world, slot)?;
                     if self.next[vehicle] {
-                        return Err(Error::invalid(format!("slot {slot} holds a vehicle; remove it first")));
+                        return Err(Error::invalid(format!(
+                            "slot {slot} holds a vehicle; remove it first"
+                        )));
                     }
-                    let ways = self.config.others.as_ref().map_or(&[][..], |others| &others.departures);
-                    let unknown =
-                        || Error::invalid(format!("there is no departure {departure}: there are {}", ways.len()));
+                    let ways =
+                        self.config.others.as_ref().map_or(&[][..], |others| &others.departures);
+                    let unknown = || {
+                        Error::invalid(format!(
+                            "there is no departure {departure}: there are {}",
+                            ways.len()
+                        ))
+                    };
                     let way = ways.get(departure as usize).ok_or_else(unknown)?;
                     let (route, known) = (way.route() as usize, self.config.routes.len());
                     if route >= known {
-                        return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
+                        return Err(Error::invalid(format!(
+                            "there is no route {route}: there are {known}"
+                        )));
                     }
                     let route = &self.routes[world as usize * known + route];
                     let (named, kind) = (self.named(vehicle), self.kind(vehicle_type)?);
@@ -287,7 +334,9 @@ impl Fleet {
                         Departure::Drive { lane, pos, speed, .. } => {
                             orders.depart(named, route, kind, [lane, pos, speed]);
                         }
-                        Departure::Walk { pos, arrival, .. } => orders.walk(named, route, kind, [*pos, *arrival]),
+                        Departure::Walk { pos, arrival, .. } => {
+                            orders.walk(named, route, kind, [*pos, *arrival])
+                        }
                     }
                     if let Some(walks) = self.walking.get_mut(vehicle) {
                         *walks = route.walked;
@@ -323,7 +372,10 @@ impl Fleet {
                     }
                 }
                 Command::KeepLane { world, slot } => {
-                    orders.set_lane_change_mode(self.named(self.vehicle(world, slot)?), NO_LANE_CHANGES);
+                    orders.set_lane_change_mode(
+                        self.named(self.vehicle(world, slot)?),
+                        NO_LANE_CHANGES,
+                    );
                 }
                 Command::MoveTo { world, slot, x, y, heading, keep_route } => {
                     finite("a coordinate", x)?;
@@ -348,9 +400,12 @@ impl Fleet {
     /// Id of a vehicle type.
     fn kind(&self, index: u32) -> Result<&str, Error> {
         let own = self.config.vehicle_types.iter().map(|kind| kind.id.as_str());
-        let others = self.config.others.iter().flat_map(|others| others.types.iter().map(String::as_str));
+        let others =
+            self.config.others.iter().flat_map(|others| others.types.iter().map(String::as_str));
         let all = || own.clone().chain(others.clone());
-        let unknown = || Error::invalid(format!("there is no vehicle type {index}: there are {}", all().count()));
+        let unknown = || {
+            Error::invalid(format!("there is no vehicle type {index}: there are {}", all().count()))
+        };
         all().nth(index as usize).ok_or_else(unknown)
     }
 
@@ -373,7 +428,9 @@ impl Fleet {
         let config = &self.config;
         let milliseconds = config.step_length * 1000.0;
         // SUMO counts time in milliseconds.
-        if !((1.0..=1e6).contains(&milliseconds) && (milliseconds - milliseconds.round()).abs() < 1e-6) {
+        if !((1.0..=1e6).contains(&milliseconds)
+            && (milliseconds - milliseconds.round()).abs() < 1e-6)
+        {
             let length = config.step_length;
             return Err(Error::invalid(format!(
                 "the step length must be a whole number of milliseconds of at least 1 ms, not {length} s"
@@ -417,7 +474,11 @@ fn path_of(file: &File) -> PathBuf {
 }
 
 fn finite(what: &str, value: f64) -> Result<(), Error> {
-    if value.is_finite() { Ok(()) } else { Err(Error::invalid(format!("{what} must be a number, not {value}"))) }
+    if value.is_finite() {
+        Ok(())
+    } else {
+        Err(Error::invalid(format!("{what} must be a number, not {value}")))
+    }
 }
 
 /// Options that hold for every simulation.

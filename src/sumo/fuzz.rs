@@ -56,17 +56,30 @@ fn dialogue(rng: &mut Rng) -> (Batch, Vec<u8>, usize) {
     for _ in 0..below(rng, 6) {
         let (variable, name) = (pick(rng, &VARIABLES), pick(rng, &NAMES));
         let domain = pick(rng, &[Domain::VEHICLE, Domain::SIMULATION, Domain::JUNCTION]);
-        let variables = |domain| VARIABLES.map(|number| Variable::<Value>::new(domain, number).id());
+        let variables =
+            |domain| VARIABLES.map(|number| Variable::<Value>::new(domain, number).id());
         let count = below(rng, VARIABLES.len());
         let answer = below(rng, 5);
         match answer {
             0 => batch.get(domain, variable, name),
             1 => batch.subscribe(domain, name, &variables(domain)[..count]),
-            2 => batch.subscribe_context(domain, name, Domain::VEHICLE, 9.0, &variables(Domain::VEHICLE)[..count]),
+            2 => batch.subscribe_context(
+                domain,
+                name,
+                Domain::VEHICLE,
+                9.0,
+                &variables(Domain::VEHICLE)[..count],
+            ),
             3 => drop(batch.vehicle().add(name, &vehicle::Addition::on_route("r"))),
             _ => drop(batch.vehicle().set_speed(name, 1.0)),
         }
-        let command = [domain.get, domain.subscribe, domain.context, Domain::VEHICLE.set, Domain::VEHICLE.set][answer];
+        let command = [
+            domain.get,
+            domain.subscribe,
+            domain.context,
+            Domain::VEHICLE.set,
+            Domain::VEHICLE.set,
+        ][answer];
         let ok = below(rng, 6) > 0;
         refused += usize::from(!ok);
         status(&mut w, command, ok, name);
@@ -144,7 +157,11 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
         w.compound(1 + 4 * count as i32).integer(count as i32);
         for _ in 0..count {
             w.string(pick(rng, &NAMES)).string(pick(rng, &NAMES)).string("t").string("t");
-            w.double(number(rng)).double(number(rng)).string("junction").string("l").double(number(rng));
+            w.double(number(rng))
+                .double(number(rng))
+                .string("junction")
+                .string("l")
+                .double(number(rng));
         }
         return;
     }
@@ -162,7 +179,11 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
         8 => Value::LonLatAlt([number(rng); 3]),
         9 => Value::Position2D([number(rng); 2]),
         10 => Value::Position3D([number(rng); 3]),
-        11 => Value::RoadMap { edge: pick(rng, &NAMES).to_owned(), position: number(rng), lane: rng.random() },
+        11 => Value::RoadMap {
+            edge: pick(rng, &NAMES).to_owned(),
+            position: number(rng),
+            lane: rng.random(),
+        },
         // SUMO writes one without points in a way of its own.
         12 => Value::Polygon(vec![[number(rng); 2]; 1 + count]),
         13 => Value::Polygon(vec![[number(rng); 2]; 250 + count]),
@@ -205,7 +226,12 @@ fn damage(rng: &mut Rng, message: &mut Vec<u8>) {
             0 => message.truncate(at),
             1 => drop(message.drain(start..end)),
             2 => drop(message.splice(at..at, message[start..end].to_vec())),
-            3 => drop(message.splice(at..at, (0..below(rng, 300)).map(|_| rng.random()).collect::<Vec<u8>>())),
+            3 => {
+                drop(message.splice(
+                    at..at,
+                    (0..below(rng, 300)).map(|_| rng.random()).collect::<Vec<u8>>(),
+                ))
+            }
             4 => {
                 let few = message[start..end.min(start + 24)].repeat(below(rng, 400));
                 message.splice(at..at, few);
@@ -224,7 +250,11 @@ fn damage(rng: &mut Rng, message: &mut Vec<u8>) {
 fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
     let within = |what: &str, heap: u64| {
         let limit = HEAP.0 * message.len() as u64 + HEAP.1;
-        assert!(heap <= limit, "{what}: {heap} bytes of heap for a message of {} bytes", message.len());
+        assert!(
+            heap <= limit,
+            "{what}: {heap} bytes of heap for a message of {} bytes",
+            message.len()
+        );
     };
     let mut collector = Collector::new(batch);
     let mut collected = Ok(0);
@@ -239,8 +269,12 @@ fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
     within("stepped", heap.bytes_max);
     let snapshot = &fleet.snapshot;
     assert_eq!(snapshot.vehicles.len(), 4);
-    assert!(snapshot.vehicles.iter().flatten().all(|v| v.distance.is_finite() && v.speed.is_finite()));
-    assert!(snapshot.collisions.iter().all(|collision| collision.collider < 4 && collision.victim < 4));
+    assert!(
+        snapshot.vehicles.iter().flatten().all(|v| v.distance.is_finite() && v.speed.is_finite())
+    );
+    assert!(
+        snapshot.collisions.iter().all(|collision| collision.collider < 4 && collision.victim < 4)
+    );
     [collected.map(|_| refused), stepped]
 }
 

@@ -39,7 +39,9 @@ impl FromStr for Backend {
 
     fn from_str(name: &str) -> Result<Self, Error> {
         let found = Self::ALL.into_iter().find(|backend| backend.name() == name);
-        found.ok_or_else(|| Error::invalid(format!("there is no backend `{name}`: choose traci or libsumo")))
+        found.ok_or_else(|| {
+            Error::invalid(format!("there is no backend `{name}`: choose traci or libsumo"))
+        })
     }
 }
 
@@ -60,7 +62,9 @@ impl Choice {
     /// The backend to use.
     pub fn backend(self) -> Backend {
         match self {
-            Choice::Auto if cores() == 1 && available().any(|b| b == Backend::Libsumo) => Backend::Libsumo,
+            Choice::Auto if cores() == 1 && available().any(|b| b == Backend::Libsumo) => {
+                Backend::Libsumo
+            }
             Choice::Auto | Choice::Traci => Backend::Traci,
             Choice::Libsumo => Backend::Libsumo,
         }
@@ -86,7 +90,12 @@ pub struct Hosting {
 
 impl Default for Hosting {
     fn default() -> Self {
-        Hosting { backend: Backend::Traci, processes: 0, timeout: Duration::from_secs(20), audit: true }
+        Hosting {
+            backend: Backend::Traci,
+            processes: 0,
+            timeout: Duration::from_secs(20),
+            audit: true,
+        }
     }
 }
 
@@ -139,7 +148,9 @@ pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simul
 
 /// The backends that this program was built with.
 pub fn available() -> impl Iterator<Item = Backend> {
-    Backend::ALL.into_iter().filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
+    Backend::ALL
+        .into_iter()
+        .filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
 }
 
 /// The arguments of the program `sumo`, without the port, for a simulation of a single world.
@@ -148,7 +159,9 @@ pub fn available() -> impl Iterator<Item = Backend> {
 /// [`Error::Invalid`] for a configuration that SUMO cannot have, or of more worlds; [`Error::Net`].
 pub fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
     if config.worlds != 1 || config.others.is_some() {
-        return Err(Error::invalid("files that are kept in memory for SUMO end with their simulation"));
+        return Err(Error::invalid(
+            "files that are kept in memory for SUMO end with their simulation",
+        ));
     }
     Fleet::new(config.clone())?.arguments()
 }

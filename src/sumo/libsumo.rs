@@ -132,9 +132,12 @@ impl LibsumoSimulation {
             self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
         };
         match describe().map_err(|e| failed("introduce vehicle types and routes", py, &e))? {
-            Some((id, message)) => {
-                Err(Error::Refused { command: Domain::ROUTE.set, call: "route.add".to_owned(), id, message })
-            }
+            Some((id, message)) => Err(Error::Refused {
+                command: Domain::ROUTE.set,
+                call: "route.add".to_owned(),
+                id,
+                message,
+            }),
             None => Ok(()),
         }
     }
@@ -144,13 +147,32 @@ impl LibsumoSimulation {
         type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
         type Refusal = Option<(String, String, String)>;
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
-        type Reply = (f64, Vec<String>, Vec<f64>, Vec<f64>, Vec<(String, String)>, Refusal, Bodies, Pedestrians);
+        type Reply = (
+            f64,
+            Vec<String>,
+            Vec<f64>,
+            Vec<f64>,
+            Vec<(String, String)>,
+            Refusal,
+            Bodies,
+            Pedestrians,
+        );
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
-        let orders = self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
+        let orders =
+            self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
         let others = self.fleet.config().others.is_some();
-        let reply = self.step.bind(py).call1((orders, &self.asked_names, others, &self.asked_on_foot));
-        let (time, gone, distances, speeds, collisions, refusal, (positions, angles, losses), pedestrians) =
-            reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
+        let reply =
+            self.step.bind(py).call1((orders, &self.asked_names, others, &self.asked_on_foot));
+        let (
+            time,
+            gone,
+            distances,
+            speeds,
+            collisions,
+            refusal,
+            (positions, angles, losses),
+            pedestrians,
+        ) = reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
         for name in &gone {
@@ -177,7 +199,9 @@ impl LibsumoSimulation {
             self.fleet.collision(collider, victim);
         }
         match refusal {
-            Some((call, id, message)) => Err(Error::Refused { command: Domain::VEHICLE.set, call, id, message }),
+            Some((call, id, message)) => {
+                Err(Error::Refused { command: Domain::VEHICLE.set, call, id, message })
+            }
             None => Ok(()),
         }
     }
@@ -189,7 +213,8 @@ impl LibsumoSimulation {
             PyList::new(py, names).map(Bound::unbind)
         };
         let fleet = &self.fleet;
-        let wanted = |walks: bool| fleet.expected().filter(move |&vehicle| fleet.walks(vehicle) == walks);
+        let wanted =
+            |walks: bool| fleet.expected().filter(move |&vehicle| fleet.walks(vehicle) == walks);
         if !wanted(false).eq(self.asked.iter().copied()) {
             let asked: Vec<usize> = wanted(false).collect();
             (self.asked_names, self.asked) = (list(&asked)?, asked);
@@ -324,22 +349,42 @@ impl Columns {
             match run[0].0 {
                 Kind::Add => {
                     let additions: Vec<&[String; 5]> = texts.by_ref().take(run.len()).collect();
-                    let column = |k: usize| PyList::new(py, additions.iter().map(|texts| texts[k].as_str()));
+                    let column =
+                        |k: usize| PyList::new(py, additions.iter().map(|texts| texts[k].as_str()));
                     let [routes, types, lanes, positions, speeds] =
                         [column(0)?, column(1)?, column(2)?, column(3)?, column(4)?];
-                    orders.append(("vehicle.add", vehicles, routes, types, lanes, positions, speeds))?;
+                    orders.append((
+                        "vehicle.add",
+                        vehicles,
+                        routes,
+                        types,
+                        lanes,
+                        positions,
+                        speeds,
+                    ))?;
                 }
                 Kind::Walk => {
                     let (types, edges): (Vec<_>, Vec<_>) =
                         walks.by_ref().take(run.len()).map(|(kind, edges)| (kind, edges)).unzip();
-                    orders.append(("person.add", vehicles, types, edges, numbers(0)?, numbers(1)?))?;
+                    orders.append((
+                        "person.add",
+                        vehicles,
+                        types,
+                        edges,
+                        numbers(0)?,
+                        numbers(1)?,
+                    ))?;
                 }
                 Kind::RemovePerson => orders.append(("person.remove", vehicles))?,
                 Kind::WalkingSpeed => orders.append(("person.setSpeed", vehicles, numbers(0)?))?,
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
-                Kind::SpeedMode => orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?,
-                Kind::LaneChangeMode => orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?,
+                Kind::SpeedMode => {
+                    orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?
+                }
+                Kind::LaneChangeMode => {
+                    orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?
+                }
                 Kind::Move => {
                     orders.append((
                         "vehicle.moveToXY",
@@ -357,7 +402,14 @@ impl Columns {
 }
 
 impl Orders for Columns {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64) {
+    fn add(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        position: f64,
+        speed: f64,
+    ) {
         self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
         // SUMO wants numbers as text here.
         let numbers = [f64::from(route.lane), position, speed].map(|number| number.to_string());
@@ -365,13 +417,25 @@ impl Orders for Columns {
         self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, position, speed]);
     }
 
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]) {
+    fn depart(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        start: [&str; 3],
+    ) {
         let [lane, pos, speed] = start.map(str::to_owned);
         self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
         self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, pos, speed]);
     }
 
-    fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, [pos, arrival]: [f64; 2]) {
+    fn walk(
+        &mut self,
+        person: Vehicle<'_>,
+        route: &TileRoute,
+        person_type: &str,
+        [pos, arrival]: [f64; 2],
+    ) {
         self.rows.push((Kind::Walk, person.index, [pos, arrival, 0.0, 0.0]));
         self.walks.push((person_type.to_owned(), route.edges.clone()));
     }

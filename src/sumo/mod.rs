@@ -33,7 +33,7 @@ pub use libsumo::LibsumoSimulation;
 pub use process::{find_program, find_sumo, sumo_version, traci_version};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
-    Body, Collision, Command, Departure, Meter, Others, Renewal, Route, Simulation, SimulationConfig, Snapshot,
-    VehicleState, VehicleType,
+    Body, Collision, Command, Departure, Meter, Others, Renewal, Route, Simulation,
+    SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;

@@ -169,7 +169,8 @@ impl Net {
 
     /// The text of a net file.
     pub(super) fn text(path: &FilePath) -> Result<String, NetError> {
-        let text = xml::read(path, MAX_BYTES).map_err(|source| NetError::Read { path: path.into(), source })?;
+        let text = xml::read(path, MAX_BYTES)
+            .map_err(|source| NetError::Read { path: path.into(), source })?;
         text.ok_or_else(|| NetError::TooLarge { path: path.into(), limit: MAX_BYTES })
     }
 
@@ -189,8 +190,17 @@ impl Net {
 
     /// Lower left and upper right corner of everything that has a place \[m\].
     pub fn extent(&self) -> [[f64; 2]; 2] {
-        let shapes = self.lanes.iter().flat_map(|l| &l.shape).chain(self.junctions.iter().flat_map(|j| &j.shape));
-        let points = self.boundary.iter().chain(shapes).copied().chain(self.junctions.iter().map(|j| [j.x, j.y]));
+        let shapes = self
+            .lanes
+            .iter()
+            .flat_map(|l| &l.shape)
+            .chain(self.junctions.iter().flat_map(|j| &j.shape));
+        let points = self
+            .boundary
+            .iter()
+            .chain(shapes)
+            .copied()
+            .chain(self.junctions.iter().map(|j| [j.x, j.y]));
         points.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], p| {
             [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
         })
@@ -235,16 +245,20 @@ impl Net {
         let Some(last) = edges.len().checked_sub(1) else {
             return Err(NetError::EmptyRoute { path: self.path.clone() });
         };
-        let route: Vec<&Edge> = edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
+        let route: Vec<&Edge> =
+            edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
         // Backwards: for each lane of an edge the best connection from which the route's end can be reached.
         let mut ways: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
             let mut connected = false;
             for lane in route[i].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
-                let onward = self.connections_from(lane).filter(|c| next.contains(&c.to) && self.lanes[c.to].cars);
+                let onward = self
+                    .connections_from(lane)
+                    .filter(|c| next.contains(&c.to) && self.lanes[c.to].cars);
                 let onward = onward.inspect(|_| connected = true);
-                let onward = onward.filter(|c| ways.get(i + 1).is_none_or(|ways| ways.contains_key(&c.to)));
+                let onward =
+                    onward.filter(|c| ways.get(i + 1).is_none_or(|ways| ways.contains_key(&c.to)));
                 if let Some(best) = onward.min_by_key(|c| c.to) {
                     ways[i].insert(lane, best);
                 }
@@ -254,9 +268,13 @@ impl Net {
                 return Err(NetError::NotConnected { path: self.path.clone(), from, to });
             }
         }
-        let lane_change = || NetError::LaneChange { path: self.path.clone(), route: shorten(&edges.join(" ")) };
-        let wanted = |lane: usize| self.lanes[lane].cars && first.is_none_or(|first| self.lanes[lane].index == first);
-        let good = |lane: &usize| wanted(*lane) && ways.first().is_none_or(|ways| ways.contains_key(lane));
+        let lane_change =
+            || NetError::LaneChange { path: self.path.clone(), route: shorten(&edges.join(" ")) };
+        let wanted = |lane: usize| {
+            self.lanes[lane].cars && first.is_none_or(|first| self.lanes[lane].index == first)
+        };
+        let good =
+            |lane: &usize| wanted(*lane) && ways.first().is_none_or(|ways| ways.contains_key(lane));
         let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
         for way in &ways {
@@ -270,7 +288,8 @@ impl Net {
 
     /// The first lane of a path from which more than one connection leads to the next road.
     pub fn fork(&self, path: &Path) -> Option<usize> {
-        let road = |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
+        let road =
+            |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
         let roads: Vec<usize> = path.lanes.iter().copied().filter(road).collect();
         let forks = |pair: &&[usize]| {
             let next = self.lanes[pair[1]].edge;
@@ -307,7 +326,8 @@ impl Net {
 
     /// Whether cars may drive on an edge that is no part of a junction.
     fn is_road(&self, edge: &Edge) -> bool {
-        edge.function == EdgeFunction::Normal && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
+        edge.function == EdgeFunction::Normal
+            && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
     }
 
     /// The lanes of an edge that are for vehicles: all without the sidewalks at its sides.
@@ -375,11 +395,20 @@ impl Reader<'_, '_> {
             let via = match node.attribute("via") {
                 None => None,
                 Some(id) => match lane_by_id.get(id) {
-                    Some(&lane) if net.edges[net.lanes[lane].edge].function == EdgeFunction::Normal => {
+                    Some(&lane)
+                        if net.edges[net.lanes[lane].edge].function == EdgeFunction::Normal =>
+                    {
                         return Err(self.value(node, "via", "a lane within a junction"));
                     }
                     Some(&lane) => Some(lane),
-                    None => return Err(self.reference(node, "via", id, lane_by_id.keys().map(String::as_str))),
+                    None => {
+                        return Err(self.reference(
+                            node,
+                            "via",
+                            id,
+                            lane_by_id.keys().map(String::as_str),
+                        ));
+                    }
                 },
             };
             let from = self.lane_end(node, &net, "from", "fromLane")?;
@@ -392,7 +421,9 @@ impl Reader<'_, '_> {
     }
 
     fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
-        let location = elements(root, "location").next().ok_or_else(|| self.missing(root, "the element <location>"))?;
+        let location = elements(root, "location")
+            .next()
+            .ok_or_else(|| self.missing(root, "the element <location>"))?;
         let text = self.text(location, "convBoundary")?;
         let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
         match numbers.as_deref() {
@@ -401,14 +432,23 @@ impl Reader<'_, '_> {
         }
     }
 
-    fn edge(&self, node: Node, net: &mut Net, lane_by_id: &mut HashMap<String, usize>) -> Result<(), NetError> {
+    fn edge(
+        &self,
+        node: Node,
+        net: &mut Net,
+        lane_by_id: &mut HashMap<String, usize>,
+    ) -> Result<(), NetError> {
         let id = self.text(node, "id")?.to_owned();
         let edge = net.edges.len();
         let start = net.lanes.len();
         for lane_node in elements(node, "lane") {
             let lane = self.lane(lane_node, edge)?;
             if lane.index as usize != net.lanes.len() - start {
-                return Err(self.value(lane_node, "index", "lanes numbered 0, 1, 2, ... in this order"));
+                return Err(self.value(
+                    lane_node,
+                    "index",
+                    "lanes numbered 0, 1, 2, ... in this order",
+                ));
             }
             if lane_by_id.insert(lane.id.clone(), net.lanes.len()).is_some() {
                 return Err(self.duplicate(lane_node, "lane", &lane.id));
@@ -455,10 +495,21 @@ impl Reader<'_, '_> {
     }
 
     /// The lane that a connection's edge id and lane number mean.
-    fn lane_end(&self, node: Node, net: &Net, edge_key: &str, lane_key: &str) -> Result<usize, NetError> {
+    fn lane_end(
+        &self,
+        node: Node,
+        net: &Net,
+        edge_key: &str,
+        lane_key: &str,
+    ) -> Result<usize, NetError> {
         let id = self.text(node, edge_key)?;
         let Some(edge) = net.edge_index(id) else {
-            return Err(self.reference(node, edge_key, id, net.edges.iter().map(|e| e.id.as_str())));
+            return Err(self.reference(
+                node,
+                edge_key,
+                id,
+                net.edges.iter().map(|e| e.id.as_str()),
+            ));
         };
         let index = self.integer(node, lane_key)?;
         let lane = net.edges[edge].lanes.clone().nth(index as usize);
@@ -480,19 +531,27 @@ impl Reader<'_, '_> {
     }
 
     fn integer(&self, node: Node, key: &str) -> Result<u32, NetError> {
-        self.text(node, key)?.parse().map_err(|_| self.value(node, key, "a whole number of at least 0"))
+        self.text(node, key)?
+            .parse()
+            .map_err(|_| self.value(node, key, "a whole number of at least 0"))
     }
 
     /// The attribute `shape`: `x,y` or `x,y,z` separated by spaces.
     fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
-        let text = if least == 0 { node.attribute("shape").unwrap_or_default() } else { self.text(node, "shape")? };
+        let text = if least == 0 {
+            node.attribute("shape").unwrap_or_default()
+        } else {
+            self.text(node, "shape")?
+        };
         let point = |text: &str| {
             let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
             matches!(numbers.len(), 2 | 3).then(|| [numbers[0], numbers[1]])
         };
         let points: Option<Vec<_>> = text.split_whitespace().map(point).collect();
         let points = points.filter(|points| points.len() >= least);
-        points.ok_or_else(|| self.value(node, "shape", "points x,y separated by spaces, two or more for a lane"))
+        points.ok_or_else(|| {
+            self.value(node, "shape", "points x,y separated by spaces, two or more for a lane")
+        })
     }
 
     fn position(&self, offset: usize) -> (u32, u32) {
@@ -524,7 +583,13 @@ impl Reader<'_, '_> {
         }
     }
 
-    fn reference<'v>(&self, node: Node, key: &str, value: &str, valid: impl Iterator<Item = &'v str>) -> NetError {
+    fn reference<'v>(
+        &self,
+        node: Node,
+        key: &str,
+        value: &str,
+        valid: impl Iterator<Item = &'v str>,
+    ) -> NetError {
         let (line, column) = self.attribute_position(node, key);
         NetError::Reference {
             path: self.path.into(),
@@ -548,7 +613,10 @@ fn allows(lane: Node, class: &str) -> bool {
     lane.attribute("allow").is_none_or(named) && !lane.attribute("disallow").is_some_and(named)
 }
 
-fn elements<'a, 'i>(parent: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+fn elements<'a, 'i>(
+    parent: Node<'a, 'i>,
+    name: &'static str,
+) -> impl Iterator<Item = Node<'a, 'i>> {
     parent.children().filter(move |n| n.is_element() && n.tag_name().name() == name)
 }
 

@@ -103,7 +103,9 @@ impl Process {
                 None => choose()?,
             };
             match Self::try_start(&binary, options, port) {
-                Err(Error::PortTaken { port }) if options.port.is_none() && attempt < PORT_ATTEMPTS => {
+                Err(Error::PortTaken { port })
+                    if options.port.is_none() && attempt < PORT_ATTEMPTS =>
+                {
                     tracing::debug!(port, "another program was faster; trying another port");
                 }
                 result => return result,
@@ -111,7 +113,11 @@ impl Process {
         }
     }
 
-    fn try_start(binary: &Path, options: &Options, port: u16) -> Result<(Process, Client, Version), Error> {
+    fn try_start(
+        binary: &Path,
+        options: &Options,
+        port: u16,
+    ) -> Result<(Process, Client, Version), Error> {
         // SUMO would see this itself, but only after it has loaded its net.
         if let Err(e) = TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)) {
             return Err(match e.kind() {
@@ -137,7 +143,8 @@ impl Process {
         let mut process = Process { child, port, stderr: Arc::clone(&stderr), reader: None };
         if let Some(pipe) = pipe {
             let reader = thread::Builder::new().name("sumo-stderr".to_owned());
-            process.reader = Some(reader.spawn(move || keep_tail(pipe, &stderr)).map_err(spawn_error)?);
+            process.reader =
+                Some(reader.spawn(move || keep_tail(pipe, &stderr)).map_err(spawn_error)?);
         }
         Ok(process)
     }
@@ -150,7 +157,9 @@ impl Process {
             attempts += 1;
             let source = match TcpStream::connect(address) {
                 // A connection attempt to a free port can, by chance, get that port and meet itself.
-                Ok(stream) if stream.local_addr().ok() == Some(address) => io::ErrorKind::ConnectionRefused.into(),
+                Ok(stream) if stream.local_addr().ok() == Some(address) => {
+                    io::ErrorKind::ConnectionRefused.into()
+                }
                 Ok(stream) => break stream,
                 Err(e) => e,
             };
@@ -168,7 +177,9 @@ impl Process {
         let owned = self.owns_other_end(client.stream());
         match (answer, owned) {
             (Ok(version), Ok(true)) => Ok((client, version)),
-            (Ok(_), Err(source)) => Err(Error::Io { doing: "find out whose port it is that answers", source }),
+            (Ok(_), Err(source)) => {
+                Err(Error::Io { doing: "find out whose port it is that answers", source })
+            }
             (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
             (Err(error), _) => Err(self.explain(error)),
         }
@@ -176,24 +187,29 @@ impl Process {
 
     /// Whether the other end of the connection belongs to the process that was started.
     fn owns_other_end(&self, stream: &TcpStream) -> io::Result<bool> {
-        let (SocketAddr::V4(ours), SocketAddr::V4(theirs)) = (stream.local_addr()?, stream.peer_addr()?) else {
+        let (SocketAddr::V4(ours), SocketAddr::V4(theirs)) =
+            (stream.local_addr()?, stream.peer_addr()?)
+        else {
             return Ok(false);
         };
         // As the table writes addresses: the four bytes read as a number of this machine, then the port.
-        let cell = |a: std::net::SocketAddrV4| format!("{:08X}:{:04X}", u32::from_ne_bytes(a.ip().octets()), a.port());
+        let cell = |a: std::net::SocketAddrV4| {
+            format!("{:08X}:{:04X}", u32::from_ne_bytes(a.ip().octets()), a.port())
+        };
         let (local, remote) = (cell(theirs), cell(ours));
         let table = fs::read_to_string("/proc/net/tcp")?;
         let inode = table.lines().find_map(|line| {
             let cells: Vec<&str> = line.split_whitespace().collect();
-            (cells.len() > 9 && cells[1] == local && cells[2] == remote).then(|| cells[9].to_owned())
+            (cells.len() > 9 && cells[1] == local && cells[2] == remote)
+                .then(|| cells[9].to_owned())
         });
         let Some(socket) = inode.map(|inode| format!("socket:[{inode}]")) else {
             return Ok(false);
         };
         match fs::read_dir(format!("/proc/{}/fd", self.child.id())) {
-            Ok(entries) => Ok(entries
-                .flatten()
-                .any(|e| fs::read_link(e.path()).is_ok_and(|t| t.as_os_str() == OsStr::new(&socket)))),
+            Ok(entries) => Ok(entries.flatten().any(|e| {
+                fs::read_link(e.path()).is_ok_and(|t| t.as_os_str() == OsStr::new(&socket))
+            })),
             // The process is gone.
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
             Err(e) => Err(e),
@@ -215,7 +231,9 @@ impl Process {
     pub fn explain(&mut self, error: Error) -> Error {
         match error {
             Error::Closed { .. } => self.exited(LAST_WORDS).unwrap_or(error),
-            Error::Timeout { .. } | Error::Protocol { .. } => self.exited(Duration::ZERO).unwrap_or(error),
+            Error::Timeout { .. } | Error::Protocol { .. } => {
+                self.exited(Duration::ZERO).unwrap_or(error)
+            }
             other => other,
         }
     }
@@ -225,7 +243,8 @@ impl Process {
         let status = wait(&mut self.child, patience)?;
         // The pipe ends with the process; the bound is for a stranger that inherited it.
         let start = Instant::now();
-        while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && start.elapsed() < LAST_WORDS {
+        while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && start.elapsed() < LAST_WORDS
+        {
             thread::sleep(POLL);
         }
         Some(Error::Exited { status: status.to_string(), stderr_tail: self.stderr_tail() })
@@ -235,7 +254,9 @@ impl Process {
     fn port_lost(&mut self) -> Option<Error> {
         match self.exited(Duration::ZERO) {
             Some(Error::Exited { stderr_tail, .. })
-                if ["listening socket", "peer shutdown"].iter().any(|words| stderr_tail.contains(words)) =>
+                if ["listening socket", "peer shutdown"]
+                    .iter()
+                    .any(|words| stderr_tail.contains(words)) =>
             {
                 Some(Error::PortTaken { port: self.port })
             }
@@ -245,7 +266,8 @@ impl Process {
 
     /// The last lines that SUMO wrote to its standard error.
     pub fn stderr_tail(&self) -> String {
-        let bytes: Vec<u8> = self.stderr.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect();
+        let bytes: Vec<u8> =
+            self.stderr.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect();
         let text = String::from_utf8_lossy(&bytes);
         let lines: Vec<&str> = text.lines().map(str::trim_end).filter(|l| !l.is_empty()).collect();
         lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
@@ -286,8 +308,11 @@ fn keep_tail(mut pipe: ChildStderr, tail: &Mutex<VecDeque<u8>>) {
 }
 
 fn free_port() -> Result<u16, Error> {
-    let bound = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|listener| listener.local_addr());
-    bound.map(|address| address.port()).map_err(|source| Error::Io { doing: "find a free port", source })
+    let bound =
+        TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|listener| listener.local_addr());
+    bound
+        .map(|address| address.port())
+        .map_err(|source| Error::Io { doing: "find a free port", source })
 }
 
 type Job = (Command, mpsc::Sender<io::Result<Child>>);
@@ -316,7 +341,10 @@ fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
     result.recv().map_err(gone)?
 }
 
-#[allow(unsafe_code, reason = "the kernel's tie between parent and child can be made in the child only")]
+#[allow(
+    unsafe_code,
+    reason = "the kernel's tie between parent and child can be made in the child only"
+)]
 fn spawn_bound(mut command: Command) -> io::Result<Child> {
     let parent = std::process::id();
     command.process_group(0);
@@ -356,11 +384,11 @@ pub fn find_program(binary: &str) -> Result<PathBuf, Error> {
 fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<PathBuf, Error> {
     let home = home.filter(|h| !h.is_empty()).map(|h| Path::new(h).join("bin"));
     let path = path.map(|p| std::env::split_paths(p).collect::<Vec<_>>()).unwrap_or_default();
-    let looked_in: Vec<PathBuf> = home.into_iter().chain(path).filter(|f| !f.as_os_str().is_empty()).collect();
-    let found = looked_in
-        .iter()
-        .map(|folder| folder.join(binary))
-        .find(|file| fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0));
+    let looked_in: Vec<PathBuf> =
+        home.into_iter().chain(path).filter(|f| !f.as_os_str().is_empty()).collect();
+    let found = looked_in.iter().map(|folder| folder.join(binary)).find(|file| {
+        fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0)
+    });
     found.ok_or(Error::NotFound { binary: binary.to_owned(), looked_in })
 }
 
@@ -372,7 +400,11 @@ pub fn sumo_version(binary: &Path) -> Result<String, Error> {
     let run = Command::new(binary).arg("--version").stdin(Stdio::null()).output();
     let output = run.map_err(|source| Error::Spawn { binary: binary.to_owned(), source })?;
     let text = String::from_utf8_lossy(&output.stdout);
-    let version = text.lines().next().and_then(|line| line.split_once("Version ")).map(|(_, v)| v.trim().to_owned());
+    let version = text
+        .lines()
+        .next()
+        .and_then(|line| line.split_once("Version "))
+        .map(|(_, v)| v.trim().to_owned());
     version.filter(|v| !v.is_empty()).ok_or_else(|| Error::Exited {
         status: output.status.to_string(),
         stderr_tail: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
@@ -392,7 +424,8 @@ pub fn traci_version() -> Result<Version, Error> {
 /// answers no handshake without a net.
 fn empty_net() -> Result<(tempfile::NamedTempFile, Options), Error> {
     let doing = "write a net to a temporary file";
-    let mut file = tempfile::NamedTempFile::with_suffix(".net.xml").map_err(|source| Error::Io { doing, source })?;
+    let mut file = tempfile::NamedTempFile::with_suffix(".net.xml")
+        .map_err(|source| Error::Io { doing, source })?;
     file.write_all(b"<net version=\"1.0\"/>\n").map_err(|source| Error::Io { doing, source })?;
     let words = ["--xml-validation", "never", "--no-step-log", "--net-file"].map(OsString::from);
     let arguments = words.into_iter().chain([file.path().into()]).collect();

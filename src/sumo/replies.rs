@@ -32,9 +32,14 @@ impl Replies {
     /// ticket of another batch; [`Error::Type`] if the value is not of the type that it should be of.
     pub fn take<T>(&mut self, ticket: Ticket<T>) -> Result<T, Error> {
         let Ticket { batch, commands, decode } = ticket;
-        let last = commands.end.checked_sub(1).filter(|last| batch == self.batch && *last < self.outcomes.len());
+        let last = commands
+            .end
+            .checked_sub(1)
+            .filter(|last| batch == self.batch && *last < self.outcomes.len());
         let Some(last) = last else {
-            return Err(Error::invalid("the ticket is for another batch than that of these replies"));
+            return Err(Error::invalid(
+                "the ticket is for another batch than that of these replies",
+            ));
         };
         let mut answer = None;
         for outcome in &mut self.outcomes[commands] {
@@ -179,9 +184,11 @@ impl Reports {
     fn find<T: FromValue>(&self, key: Key<'_>) -> Option<Result<T, Error>> {
         let order = self.order();
         let end = order.partition_point(|i| self.at(*i).key() <= key);
-        let observed = order[..end].last().map(|i| self.at(*i)).filter(|observed| observed.key() == key)?;
+        let observed =
+            order[..end].last().map(|i| self.at(*i)).filter(|observed| observed.key() == key)?;
         Some(match &observed.value {
-            Ok(value) => T::from_value(value.clone()).map_err(|error| error.in_answer_to(&observed.subscription())),
+            Ok(value) => T::from_value(value.clone())
+                .map_err(|error| error.in_answer_to(&observed.subscription())),
             Err(message) => Err(Error::Refused {
                 command: observed.response.wrapping_sub(0x10),
                 call: observed.subscription(),
@@ -217,15 +224,18 @@ impl<'a> Context<'a> {
     pub fn objects(&self) -> impl Iterator<Item = &'a str> + use<'a> {
         let Context { reports, response, centre } = *self;
         let order = reports.order();
-        let head = move |o: &Observed| (o.response, o.around.as_deref()).cmp(&(response, Some(centre)));
+        let head =
+            move |o: &Observed| (o.response, o.around.as_deref()).cmp(&(response, Some(centre)));
         let start = order.partition_point(|i| head(reports.at(*i)) == Ordering::Less);
         let mut last: Option<(u8, &str)> = None;
-        order[start..].iter().map(|i| reports.at(*i)).take_while(move |o| head(o) == Ordering::Equal).filter_map(
-            move |observed| {
+        order[start..]
+            .iter()
+            .map(|i| reports.at(*i))
+            .take_while(move |o| head(o) == Ordering::Equal)
+            .filter_map(move |observed| {
                 let object = (observed.domain, &*observed.object);
                 (last.replace(object) != Some(object)).then_some(object.1)
-            },
-        )
+            })
     }
 
     /// A variable of one of the objects, as [`Reports::get`].
@@ -276,11 +286,18 @@ impl<'a> Collector<'a> {
             first: Reports::default(),
         };
         let reply = StepReply { outcomes, ..StepReply::default() };
-        Collector { batch, reply, time_s: None, around: Shared::default(), object: Shared::default() }
+        Collector {
+            batch,
+            reply,
+            time_s: None,
+            around: Shared::default(),
+            object: Shared::default(),
+        }
     }
 
     fn note_time(&mut self, domain: u8, variable: u8, value: &Value) {
-        if let (true, Value::Double(time)) = (domain == Domain::SIMULATION.get && variable == VAR_TIME.number(), value)
+        if let (true, Value::Double(time)) =
+            (domain == Domain::SIMULATION.get && variable == VAR_TIME.number(), value)
         {
             self.time_s = Some(*time);
         }
@@ -294,7 +311,13 @@ impl Sink for Collector<'_> {
         }
     }
 
-    fn answer(&mut self, index: usize, response: u8, variable: u8, value: &mut Reader<'_>) -> Result<(), Error> {
+    fn answer(
+        &mut self,
+        index: usize,
+        response: u8,
+        variable: u8,
+        value: &mut Reader<'_>,
+    ) -> Result<(), Error> {
         let value = read_value(response, variable, value)?;
         self.note_time(response.wrapping_sub(0x10), variable, &value);
         if let Some(outcome) = self.reply.outcomes.outcomes.get_mut(index) {
@@ -304,7 +327,8 @@ impl Sink for Collector<'_> {
     }
 
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
-        let value = if report.known { Ok(report.read(value)?) } else { Err(value.string()?.to_owned()) };
+        let value =
+            if report.known { Ok(report.read(value)?) } else { Err(value.string()?.to_owned()) };
         if let Ok(value) = &value {
             self.note_time(report.domain, report.variable, value);
         }

@@ -41,7 +41,13 @@ pub trait Sink {
     ///
     /// # Errors
     /// [`Error::Protocol`] if the bytes are not what they should be.
-    fn answer(&mut self, index: usize, response: u8, variable: u8, value: &mut Reader<'_>) -> Result<(), Error> {
+    fn answer(
+        &mut self,
+        index: usize,
+        response: u8,
+        variable: u8,
+        value: &mut Reader<'_>,
+    ) -> Result<(), Error> {
         let _ = index;
         read_value(response, variable, value).map(drop)
     }
@@ -66,7 +72,11 @@ impl Report<'_> {
 }
 
 /// Reads the reply to a sealed batch.
-pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
+pub(super) fn parse_reply(
+    message: &[u8],
+    batch: &Batch,
+    sink: &mut impl Sink,
+) -> Result<(), Error> {
     let mut reader = Reader::new(message, 0);
     reader.i32()?;
     let (queued, stepped) = batch.sealed();
@@ -97,7 +107,9 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
             // has the identifier of such an answer.
             let mut ahead = reader.clone();
             let subscription = matches!(call.answer, Answer::Subscription { .. });
-            if subscription && ahead.command().is_ok_and(|(id, _)| id == call.command.wrapping_add(0x10)) {
+            if subscription
+                && ahead.command().is_ok_and(|(id, _)| id == call.command.wrapping_add(0x10))
+            {
                 reader = ahead;
             }
             continue;
@@ -106,7 +118,11 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
             continue;
         }
         let (id, mut answer) = reader.command()?;
-        let expected = if call.answer == Answer::Version { c::CMD_GETVERSION } else { call.command.wrapping_add(0x10) };
+        let expected = if call.answer == Answer::Version {
+            c::CMD_GETVERSION
+        } else {
+            call.command.wrapping_add(0x10)
+        };
         if id != expected {
             return Err(answer.unexpected("the answer to the command", format!("answer {id:#04x}")));
         }
@@ -122,9 +138,12 @@ pub(super) fn parse_reply(message: &[u8], batch: &Batch, sink: &mut impl Sink) -
                 answer.str()?;
                 sink.answer(index, id, variable, &mut answer)
             }
-            Answer::Subscription { context } => parse_reports(id, context, false, &mut answer, sink),
+            Answer::Subscription { context } => {
+                parse_reports(id, context, false, &mut answer, sink)
+            }
         };
-        read.and_then(|()| answer.end("the end of an answer")).map_err(|error| error.in_answer_to(call.name))?;
+        read.and_then(|()| answer.end("the end of an answer"))
+            .map_err(|error| error.in_answer_to(call.name))?;
     }
     // The step is the last command.
     if stepped && carried_out {
@@ -160,7 +179,11 @@ const NEIGHBORS: u8 = 0xbf;
 /// [`Reader::value`] where SUMO departs from its own types: [`LISTS`] are not counted right; the neighbours
 /// of a vehicle are a compound of untyped items; a polygon without points lacks the number that its first
 /// byte announces.
-pub(super) fn read_value(response: u8, variable: u8, reader: &mut Reader<'_>) -> Result<Value, Error> {
+pub(super) fn read_value(
+    response: u8,
+    variable: u8,
+    reader: &mut Reader<'_>,
+) -> Result<Value, Error> {
     let of = |domain: Domain| [domain.get + 0x10, domain.subscribe + 0x10].contains(&response);
     let compound = reader.peek() == Some(c::TYPE_COMPOUND);
     let list = LISTS.iter().find(|(domain, listed, _)| *listed == variable && of(*domain));
@@ -226,7 +249,10 @@ fn parse_reports(
             let variable = reader.u8()?;
             let known = reader.u8()? == c::RTYPE_OK;
             let around = context.then_some(centre);
-            sink.report(Report { response, around, object, domain, variable, known, after_step }, reader)?;
+            sink.report(
+                Report { response, around, object, domain, variable, known, after_step },
+                reader,
+            )?;
         }
     }
     Ok(())

@@ -15,7 +15,9 @@ use super::{
     domain::{
         person::{self, Walk},
         simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
-        vehicle::{Addition, Placement, VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
+        vehicle::{
+            Addition, Placement, VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS,
+        },
     },
     fleet::{Fleet, Orders, TileRoute, Vehicle},
     process::{Options, Process},
@@ -108,19 +110,42 @@ impl TraciSimulation {
         for route in self.fleet.routes.iter().filter(|route| !route.walked) {
             batch.route().add(&route.id, &route.edges);
         }
-        let of_simulation =
-            [VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id(), VAR_ARRIVED_PERSONS_IDS.id()];
+        let of_simulation = [
+            VAR_TIME.id(),
+            VAR_COLLISIONS.id(),
+            VAR_ARRIVED_VEHICLES_IDS.id(),
+            VAR_ARRIVED_PERSONS_IDS.id(),
+        ];
         let walks = self.fleet.has_walks();
         batch.subscribe(Domain::SIMULATION, "", &of_simulation[..if walks { 4 } else { 3 }]);
-        let all = [VAR_DISTANCE.id(), VAR_SPEED.id(), VAR_POSITION.id(), VAR_ANGLE.id(), VAR_TIMELOSS.id()];
+        let all = [
+            VAR_DISTANCE.id(),
+            VAR_SPEED.id(),
+            VAR_POSITION.id(),
+            VAR_ANGLE.id(),
+            VAR_TIMELOSS.id(),
+        ];
         let of_vehicles = if self.fleet.config().others.is_some() { &all[..] } else { &all[..2] };
         // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
         // that one for each vehicle would make respawns slow.
         for junction in &self.fleet.junctions {
-            batch.subscribe_context(Domain::JUNCTION, junction, Domain::VEHICLE, self.fleet.diagonal, of_vehicles);
+            batch.subscribe_context(
+                Domain::JUNCTION,
+                junction,
+                Domain::VEHICLE,
+                self.fleet.diagonal,
+                of_vehicles,
+            );
             if walks {
-                let of_persons = [person::VAR_POSITION.id(), person::VAR_ANGLE.id(), person::VAR_SPEED.id()];
-                batch.subscribe_context(Domain::JUNCTION, junction, Domain::PERSON, self.fleet.diagonal, &of_persons);
+                let of_persons =
+                    [person::VAR_POSITION.id(), person::VAR_ANGLE.id(), person::VAR_SPEED.id()];
+                batch.subscribe_context(
+                    Domain::JUNCTION,
+                    junction,
+                    Domain::PERSON,
+                    self.fleet.diagonal,
+                    &of_persons,
+                );
             }
         }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
@@ -136,22 +161,45 @@ struct Message<'a> {
 }
 
 impl Orders for Message<'_> {
-    fn add(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, position: f64, speed: f64) {
+    fn add(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        position: f64,
+        speed: f64,
+    ) {
         for (text, number) in self.texts.iter_mut().zip([position, speed, f64::from(route.lane)]) {
             text.clear();
             // Writing to a `String` cannot fail.
             let _ = write!(text, "{number}");
         }
         let [depart_pos, depart_speed, depart_lane] = &*self.texts;
-        let addition =
-            Addition { vehicle_type, depart_lane, depart_pos, depart_speed, ..Addition::on_route(&route.id) };
+        let addition = Addition {
+            vehicle_type,
+            depart_lane,
+            depart_pos,
+            depart_speed,
+            ..Addition::on_route(&route.id)
+        };
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 
-    fn depart(&mut self, vehicle: Vehicle<'_>, route: &TileRoute, vehicle_type: &str, start: [&str; 3]) {
+    fn depart(
+        &mut self,
+        vehicle: Vehicle<'_>,
+        route: &TileRoute,
+        vehicle_type: &str,
+        start: [&str; 3],
+    ) {
         let [depart_lane, depart_pos, depart_speed] = start;
-        let addition =
-            Addition { vehicle_type, depart_lane, depart_pos, depart_speed, ..Addition::on_route(&route.id) };
+        let addition = Addition {
+            vehicle_type,
+            depart_lane,
+            depart_pos,
+            depart_speed,
+            ..Addition::on_route(&route.id)
+        };
         self.batch.vehicle().add(vehicle.name, &addition);
     }
 
@@ -159,7 +207,13 @@ impl Orders for Message<'_> {
         self.batch.vehicle().remove(vehicle.name, c::REMOVE_VAPORIZED);
     }
 
-    fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, [pos, arrival_pos]: [f64; 2]) {
+    fn walk(
+        &mut self,
+        person: Vehicle<'_>,
+        route: &TileRoute,
+        person_type: &str,
+        [pos, arrival_pos]: [f64; 2],
+    ) {
         let first = route.edges.first().map_or("", String::as_str);
         self.batch.person().add(person.name, person_type, first, c::DEPART_NOW, pos);
         self.batch.person().append_walking_stage(person.name, &route.edges, &Walk::to(arrival_pos));
@@ -285,7 +339,14 @@ pub(super) struct StepSink<'a> {
 
 impl<'a> StepSink<'a> {
     pub(super) fn new(fleet: &'a mut Fleet) -> Self {
-        Self { fleet, distance: None, speed: None, position: None, angle: None, refused: Vec::new() }
+        Self {
+            fleet,
+            distance: None,
+            speed: None,
+            position: None,
+            angle: None,
+            refused: Vec::new(),
+        }
     }
 }
 
@@ -324,7 +385,8 @@ impl Sink for StepSink<'_> {
             _ => drop(read_value(report.response, report.variable, value)?),
         }
         // The last that is asked for of pedestrians, who have no distance.
-        if let (None, Some(position), Some(angle), Some(speed)) = (self.distance, self.position, self.angle, self.speed)
+        if let (None, Some(position), Some(angle), Some(speed)) =
+            (self.distance, self.position, self.angle, self.speed)
         {
             (self.position, self.angle, self.speed) = (None, None, None);
             if let Some(person) = self.fleet.vehicle_named(report.object) {
@@ -344,7 +406,11 @@ impl Sink for StepSink<'_> {
 /// Reads a double that takes part in the environments' arithmetic.
 fn finite(value: &mut Reader<'_>) -> Result<f64, Error> {
     let number = value.double()?;
-    if number.is_finite() { Ok(number) } else { Err(value.unexpected("a finite number", number.to_string())) }
+    if number.is_finite() {
+        Ok(number)
+    } else {
+        Err(value.unexpected("a finite number", number.to_string()))
+    }
 }
 
 /// As [`finite`], a point.

@@ -23,11 +23,17 @@ pub(super) fn resolve<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T,
 }
 
 fn parse<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
-    toml::from_str(text)
-        .map_err(|e| Error::Syntax { file: file.display().to_string(), message: e.to_string().trim_end().to_owned() })
+    toml::from_str(text).map_err(|e| Error::Syntax {
+        file: file.display().to_string(),
+        message: e.to_string().trim_end().to_owned(),
+    })
 }
 
-fn with_base<T: DeserializeOwned>(text: &str, file: &Path, before: &mut Vec<PathBuf>) -> Result<Table, Error> {
+fn with_base<T: DeserializeOwned>(
+    text: &str,
+    file: &Path,
+    before: &mut Vec<PathBuf>,
+) -> Result<Table, Error> {
     // Each file alone first, from its text: what is wrong with it has a line there, and none once it is merged.
     let _: T = parse(text, file)?;
     let mut own: Table = parse(text, file)?;
@@ -36,7 +42,8 @@ fn with_base<T: DeserializeOwned>(text: &str, file: &Path, before: &mut Vec<Path
     let text = read(&path)?;
     let real = path.canonicalize().map_err(|source| Error::Read { path: path.clone(), source })?;
     if before.contains(&real) {
-        let message = format!("base goes round in a circle: `{}` is built on itself", path.display());
+        let message =
+            format!("base goes round in a circle: `{}` is built on itself", path.display());
         return Err(Error::Content { file: file.display().to_string(), message });
     }
     before.push(real);
@@ -86,16 +93,26 @@ mod tests {
                 "first.toml",
                 "title = 'a'\n[settings]\nsteps = 1\n\"ppo.gamma\" = 0.9\nppo.clip = 0.2\n[grid]\nseed = [0, 1]",
             ),
-            ("second.toml", "base = 'first.toml'\n[settings.ppo]\ngamma = 0.8\n[grid]\nagents = [4]"),
-            ("third.toml", "base = 'second.toml'\ntitle = 'c'\n[grid]\nseed = [2]\n[[skip]]\nwhen = {}"),
+            (
+                "second.toml",
+                "base = 'first.toml'\n[settings.ppo]\ngamma = 0.8\n[grid]\nagents = [4]",
+            ),
+            (
+                "third.toml",
+                "base = 'second.toml'\ntitle = 'c'\n[grid]\nseed = [2]\n[[skip]]\nwhen = {}",
+            ),
         ]);
         let expected: Table =
             "title = 'c'\nsettings = { steps = 1, 'ppo.gamma' = 0.8, 'ppo.clip' = 0.2 }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
                 .parse()
                 .unwrap();
         assert_eq!(resolved(&folder, "third.toml").unwrap(), expected);
-        let keys: Vec<_> =
-            resolved(&folder, "third.toml").unwrap()["grid"].as_table().unwrap().keys().cloned().collect();
+        let keys: Vec<_> = resolved(&folder, "third.toml").unwrap()["grid"]
+            .as_table()
+            .unwrap()
+            .keys()
+            .cloned()
+            .collect();
         assert_eq!(keys, ["seed", "agents"], "the grid keeps the base's order");
     }
 
@@ -119,16 +136,24 @@ mod tests {
         };
         assert!(refused("lost.toml").contains("nowhere.toml"));
         let number = refused("number.toml");
-        assert!(number.contains("line 1") && number.contains("base = 3") && number.contains("a string"), "{number}");
+        assert!(
+            number.contains("line 1") && number.contains("base = 3") && number.contains("a string"),
+            "{number}"
+        );
         assert!(refused("round.toml").contains("goes round in a circle"));
         let broken = refused("broken.toml");
         assert!(broken.contains("garbled.toml: ") && broken.contains("line 1"), "{broken}");
         let unknown = refused("unknown.toml");
         assert!(
-            unknown.contains("unknown.toml: ") && unknown.contains("line 3") && unknown.contains("settingz"),
+            unknown.contains("unknown.toml: ")
+                && unknown.contains("line 3")
+                && unknown.contains("settingz"),
             "{unknown}"
         );
         let below = refused("below.toml");
-        assert!(below.contains("field.toml: ") && below.contains("line 5") && below.contains("sett"), "{below}");
+        assert!(
+            below.contains("field.toml: ") && below.contains("line 5") && below.contains("sett"),
+            "{below}"
+        );
     }
 }

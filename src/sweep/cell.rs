@@ -121,7 +121,9 @@ impl Cell {
 
     /// Seconds of training that are recorded.
     pub fn seconds(&self) -> f64 {
-        last_line(&self.run().metrics()).and_then(|line| line["time/total_s"].as_f64()).unwrap_or(0.0)
+        last_line(&self.run().metrics())
+            .and_then(|line| line["time/total_s"].as_f64())
+            .unwrap_or(0.0)
     }
 
     fn missing<'a>(
@@ -137,11 +139,16 @@ impl Cell {
 
     /// Whether there is a result, and of the very evaluation that is asked for.
     pub fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
-        let read = || serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok();
+        let read = || {
+            serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok()
+        };
         let Some(found): Option<serde_json::Value> = read() else { return false };
-        let sets: Vec<serde_json::Value> = evaluate.sets(combination).into_iter().map(Into::into).collect();
+        let sets: Vec<serde_json::Value> =
+            evaluate.sets(combination).into_iter().map(Into::into).collect();
         let stored = found["set"].as_array().cloned().unwrap_or_default();
-        found["episodes"] == evaluate.episodes && found["checkpoint"] == evaluate.checkpoint.file() && stored == sets
+        found["episodes"] == evaluate.episodes
+            && found["checkpoint"] == evaluate.checkpoint.file()
+            && stored == sets
     }
 
     /// Refuses a folder whose run has other settings than this cell (but for those that change no result), or another scenario.
@@ -174,11 +181,16 @@ impl Cell {
             was.insert("init_from".to_owned(), is["init_from"].clone());
         }
         if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
-            return Err(Error::Scenario { folder: self.folder.clone(), path: self.config.scenario.clone() });
+            return Err(Error::Scenario {
+                folder: self.folder.clone(),
+                path: self.config.scenario.clone(),
+            });
         }
         match config::between(&was, &is).into_iter().next() {
             None => Ok(()),
-            Some(config::Change { key, was, is }) => Err(Error::Changed { folder: self.folder.clone(), key, was, is }),
+            Some(config::Change { key, was, is }) => {
+                Err(Error::Changed { folder: self.folder.clone(), key, was, is })
+            }
         }
     }
 
@@ -203,7 +215,8 @@ impl Cell {
             if resumed {
                 arguments.push("--resume".to_owned());
             } else {
-                arguments.extend(["--config".to_owned(), self.run().config().display().to_string()]);
+                arguments
+                    .extend(["--config".to_owned(), self.run().config().display().to_string()]);
             }
             return Ok(Some(Job { arguments, what: "train".to_owned() }));
         }
@@ -277,7 +290,9 @@ impl Cell {
         let log = std::fs::read_to_string(self.log()).unwrap_or_default();
         let lines: Vec<&str> = log.lines().filter(|line| !line.trim().is_empty()).collect();
         // From the last complaint on, or else the end.
-        let complaint = lines.iter().rposition(|line| line.starts_with("error:") || line.contains("panicked at"));
+        let complaint = lines
+            .iter()
+            .rposition(|line| line.starts_with("error:") || line.contains("panicked at"));
         let from = complaint.unwrap_or(lines.len().saturating_sub(6));
         let last = lines[from..(from + 6).min(lines.len())].join("\n");
         let text = format!("{why}\n{last}");

@@ -57,17 +57,23 @@ impl File {
         if parsed.evaluate.is_empty() {
             parsed.evaluate.push(toml::from_str("").expect("everything has a default"));
         }
-        let checked =
-            parsed.check_grid().and_then(|()| parsed.check_evaluations()).and_then(|()| parsed.check_references());
+        let checked = parsed
+            .check_grid()
+            .and_then(|()| parsed.check_evaluations())
+            .and_then(|()| parsed.check_references());
         checked.map_err(|message| wrong(file, message))?;
         Ok(parsed)
     }
 
     fn check_grid(&self) -> Result<(), String> {
         if self.grid.is_empty() {
-            return Err("there is no [grid]; give it a list of values, e.g. seed = [0, 1, 2]".to_owned());
+            return Err(
+                "there is no [grid]; give it a list of values, e.g. seed = [0, 1, 2]".to_owned()
+            );
         }
-        let Some((key, value)) = self.grid.iter().find(|(_, value)| value.as_array().is_none_or(Vec::is_empty)) else {
+        let Some((key, value)) =
+            self.grid.iter().find(|(_, value)| value.as_array().is_none_or(Vec::is_empty))
+        else {
             return Ok(());
         };
         let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
@@ -85,13 +91,20 @@ impl File {
                     "[[evaluate]] `{name}`: the name is part of a file name, and episodes are 1 or more"
                 ));
             }
-            if let Some((key, _)) = evaluate.grid.iter().find(|(_, v)| v.as_array().is_none_or(Vec::is_empty)) {
-                return Err(format!("[[evaluate]] `{name}`, grid: give a list of values for {key}"));
+            if let Some((key, _)) =
+                evaluate.grid.iter().find(|(_, v)| v.as_array().is_none_or(Vec::is_empty))
+            {
+                return Err(format!(
+                    "[[evaluate]] `{name}`, grid: give a list of values for {key}"
+                ));
             }
             for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
                 let Some(key) = key else { continue };
-                let several = |table: &Table| table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1);
-                if !several(&self.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels {
+                let several = |table: &Table| {
+                    table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1)
+                };
+                if !several(&self.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels
+                {
                     return Err(format!(
                         "[[evaluate]] `{name}`: {what} = \"{key}\" is no key of a grid that has several values, or is x and panels at once"
                     ));
@@ -107,7 +120,8 @@ impl File {
             if !alone && x.len() != y.len() {
                 return Err(format!("[[reference]] `{label}`: x and y differ in length"));
             }
-            let known = evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
+            let known =
+                evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
             if !known || !METRICS.contains(&metric.as_str()) {
                 return Err(format!(
                     "[[reference]] `{label}`: metric is one of {}, and evaluate the name of an evaluation",
@@ -128,17 +142,27 @@ impl File {
             let settings = settings_of(&self.settings, &self.rule, &values, &mut matched);
             cells.push(self.cell(values, settings, file, folder, &mut fingerprints)?);
         }
-        self.check_used(&cells, &matched).and_then(|()| check_order(&cells)).map_err(|message| wrong(file, message))?;
+        self.check_used(&cells, &matched)
+            .and_then(|()| check_order(&cells))
+            .map_err(|message| wrong(file, message))?;
         cells.sort_by_key(|cell| cell.config.seed);
-        match cells.iter().enumerate().find(|(i, cell)| cells[..*i].iter().any(|other| other.id == cell.id)) {
-            Some((_, twice)) => Err(wrong(file, format!("[grid]: two cells are called {}", twice.id))),
+        match cells
+            .iter()
+            .enumerate()
+            .find(|(i, cell)| cells[..*i].iter().any(|other| other.id == cell.id))
+        {
+            Some((_, twice)) => {
+                Err(wrong(file, format!("[grid]: two cells are called {}", twice.id)))
+            }
             None => Ok(cells),
         }
     }
 
     /// The grid's combinations but for those that are left out.
     fn combinations(&self) -> Result<Vec<Vec<(String, Value)>>, String> {
-        let left_out = |skip: &Skip, values: &[(String, Value)]| holds(&skip.when, |key| value_of(values, key));
+        let left_out = |skip: &Skip, values: &[(String, Value)]| {
+            holds(&skip.when, |key| value_of(values, key))
+        };
         let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&self.grid)
             .into_iter()
             .partition(|values| self.skip.iter().any(|skip| left_out(skip, values)));
@@ -169,10 +193,14 @@ impl File {
         }
         let document = Document::of_table("its settings".to_owned(), &settings);
         let layers = Layers { document, ..Layers::default() };
-        let resolve =
-            |layers: &Layers| Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source });
+        let resolve = |layers: &Layers| {
+            Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source })
+        };
         let (config, scenario) = resolve(&layers)?;
-        let fingerprint = fingerprints.entry(config.scenario.clone()).or_insert_with(|| scenario.fingerprint()).clone();
+        let fingerprint = fingerprints
+            .entry(config.scenario.clone())
+            .or_insert_with(|| scenario.fingerprint())
+            .clone();
         if let Some(why) = config.cannot_be_trained() {
             return Err(wrong(file, format!("cell {id}: {why}")));
         }
@@ -200,10 +228,17 @@ impl File {
     /// Rules, those that `matched`, and evaluations are for some cell.
     fn check_used(&self, cells: &[Cell], matched: &[bool]) -> Result<(), String> {
         if let Some(rule) = matched.iter().position(|matched| !matched) {
-            return Err(format!("[[rule]] number {}: no cell has {}", rule + 1, listed(&self.rule[rule].when)));
+            return Err(format!(
+                "[[rule]] number {}: no cell has {}",
+                rule + 1,
+                listed(&self.rule[rule].when)
+            ));
         }
-        match self.evaluate.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell))) {
-            Some(unused) => Err(format!("[[evaluate]] `{}`: no cell has {}", unused.name, listed(&unused.when))),
+        match self.evaluate.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell)))
+        {
+            Some(unused) => {
+                Err(format!("[[evaluate]] `{}`: no cell has {}", unused.name, listed(&unused.when)))
+            }
             None => Ok(()),
         }
     }
@@ -212,14 +247,18 @@ impl File {
 /// Cells that begin with the policy of another: that one is there, and some cell can be first.
 fn check_order(cells: &[Cell]) -> Result<(), String> {
     for cell in cells {
-        let begins_with = |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+        let begins_with =
+            |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
         if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
             return Err(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id));
         }
         if let Some(first) = begins_with(&cell) {
             let (of, trained) = (&first.config.algorithm, &cell.config.algorithm);
             if of != trained {
-                return Err(format!("cell {}: init_from: {} trains {of}, which has other networks", cell.id, first.id));
+                return Err(format!(
+                    "cell {}: init_from: {} trains {of}, which has other networks",
+                    cell.id, first.id
+                ));
             }
             if let Some(why) = first.config.cannot_serve(&cell.config) {
                 return Err(format!("cell {}: init_from: {why}", cell.id));
@@ -227,7 +266,10 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         }
         // As many steps as there are cells lead back to one that was there before.
         if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
-            return Err(format!("cell {}: init_from goes round in a circle: no cell of it can be first", last.id));
+            return Err(format!(
+                "cell {}: init_from goes round in a circle: no cell of it can be first",
+                last.id
+            ));
         }
     }
     Ok(())
@@ -251,16 +293,25 @@ fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Resul
             return Err(format!("init_from = {{ {key} = {wanted} }}: the grid has no such cell"));
         }
     }
-    let other: Vec<(String, Value)> =
-        values.iter().map(|(key, own)| (key.clone(), change.get(key).unwrap_or(own).clone())).collect();
+    let other: Vec<(String, Value)> = values
+        .iter()
+        .map(|(key, own)| (key.clone(), change.get(key).unwrap_or(own).clone()))
+        .collect();
     if other == values {
-        return Err("init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned());
+        return Err(
+            "init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned()
+        );
     }
     Ok(cell_id(&other))
 }
 
 /// The common settings, those of the rules that match in order, and the cell's own.
-fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], matched: &mut [bool]) -> Table {
+fn settings_of(
+    common: &Table,
+    rules: &[Rule],
+    values: &[(String, Value)],
+    matched: &mut [bool],
+) -> Table {
     let mut flat = flatten(common);
     flat.extend(values.iter().cloned());
     for (rule, matched) in rules.iter().zip(matched) {
@@ -294,8 +345,10 @@ fn settings_of(common: &Table, rules: &[Rule], values: &[(String, Value)], match
 
 /// Folder of a cell below the sweep's: what it is, then its seed.
 fn cell_id(values: &[(String, Value)]) -> String {
-    let (seed, others): (Vec<_>, Vec<_>) = values.iter().cloned().partition(|(key, _)| key == "seed");
+    let (seed, others): (Vec<_>, Vec<_>) =
+        values.iter().cloned().partition(|(key, _)| key == "seed");
     let parts = [label(&others), label(&seed).replace('=', "_")];
-    let parts: Vec<&str> = parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
+    let parts: Vec<&str> =
+        parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
     if parts.is_empty() { "run".to_owned() } else { parts.join("/") }
 }

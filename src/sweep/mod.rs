@@ -194,7 +194,8 @@ impl Sweep {
 /// Whether all these keys have the value that is wanted, or one of a list.
 fn holds<'a>(when: &Table, value: impl Fn(&str) -> Option<&'a Value>) -> bool {
     when.iter().all(|(key, wanted)| {
-        value(key).is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
+        value(key)
+            .is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
     })
 }
 
@@ -210,7 +211,9 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
         all = all
             .into_iter()
             .flat_map(|chosen: Vec<(String, Value)>| {
-                values.iter().map(move |value| [&chosen[..], &[(key.clone(), value.clone())]].concat())
+                values
+                    .iter()
+                    .map(move |value| [&chosen[..], &[(key.clone(), value.clone())]].concat())
             })
             .collect();
     }
@@ -220,11 +223,17 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
 /// `key=value` pairs with the last part of each key, joined by `_`, fit for a file name; the algorithm by itself.
 fn label(values: &[(String, Value)]) -> String {
     let safe = |text: String| {
-        text.chars().map(|c| if c.is_alphanumeric() || "-.+=".contains(c) { c } else { '-' }).collect::<String>()
+        text.chars()
+            .map(|c| if c.is_alphanumeric() || "-.+=".contains(c) { c } else { '-' })
+            .collect::<String>()
     };
     let part = |(key, value): &(String, Value)| {
         let value = safe(plain(value));
-        if key == "algorithm" { value } else { format!("{}={value}", key.rsplit('.').next().unwrap_or(key)) }
+        if key == "algorithm" {
+            value
+        } else {
+            format!("{}={value}", key.rsplit('.').next().unwrap_or(key))
+        }
     };
     values.iter().map(part).collect::<Vec<_>>().join("_")
 }
@@ -287,29 +296,44 @@ mod tests {
 
     #[test]
     fn a_cell_may_begin_with_the_policy_of_another() {
-        let with = |change: &str| FILE.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"));
+        let with =
+            |change: &str| FILE.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"));
         let sweep = parse(&with("agents = 4")).unwrap();
-        let after: Vec<_> =
-            sweep.cells.iter().filter_map(|cell| Some((cell.id.as_str(), cell.after.as_deref()?))).collect();
-        let expected =
-            [0, 1].map(|seed| (format!("mappo_agents=8/seed_{seed}"), format!("mappo_agents=4/seed_{seed}")));
+        let after: Vec<_> = sweep
+            .cells
+            .iter()
+            .filter_map(|cell| Some((cell.id.as_str(), cell.after.as_deref()?)))
+            .collect();
+        let expected = [0, 1].map(|seed| {
+            (format!("mappo_agents=8/seed_{seed}"), format!("mappo_agents=4/seed_{seed}"))
+        });
         assert_eq!(after, expected.each_ref().map(|(cell, first)| (cell.as_str(), first.as_str())));
         for cell in &sweep.cells {
             let first = sweep.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
             let path = first.map_or_else(PathBuf::new, |first| first.folder.clone());
             assert_eq!(cell.config.init_from, path);
-            assert_eq!(sweep.waits_for(cell).map(|first| &first.id), cell.after.as_ref(), "nothing is trained");
+            assert_eq!(
+                sweep.waits_for(cell).map(|first| &first.id),
+                cell.after.as_ref(),
+                "nothing is trained"
+            );
         }
         let refused = |change: &str| parse(&with(change)).expect_err("must be refused").to_string();
-        assert!(refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell"));
+        assert!(
+            refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell")
+        );
         assert!(refused("steps = 1").contains("the grid has no such cell"));
         assert!(refused("agents = 8").contains("names the cell itself"));
         let grid = FILE.replace("agents = [4, 8]", "agents = [8]\n\"ppo.gamma\" = [0.9, 0.99]");
         let grid = grid.replace("ppo = { gamma = 0.9 }, agents = 48", "steps = 8");
         let rule = "[[rule]]\nwhen = { \"ppo.gamma\" = 0.99 }\nset = { init_from = { \"ppo.gamma\" = 0.9 } }";
         let sweep = parse(&format!("{grid}\n{rule}")).unwrap();
-        let begins = |id: &str| sweep.cells.iter().find(|cell| cell.id == id).unwrap().after.as_deref();
-        assert_eq!(begins("mappo_agents=8_gamma=0.99/seed_0"), Some("mappo_agents=8_gamma=0.9/seed_0"));
+        let begins =
+            |id: &str| sweep.cells.iter().find(|cell| cell.id == id).unwrap().after.as_deref();
+        assert_eq!(
+            begins("mappo_agents=8_gamma=0.99/seed_0"),
+            Some("mappo_agents=8_gamma=0.9/seed_0")
+        );
         let back = format!(
             "{}\n[[rule]]\nwhen = {{ agents = 4 }}\nset = {{ init_from = {{ agents = 8 }} }}",
             with("agents = 4")
@@ -321,7 +345,8 @@ mod tests {
     #[test]
     fn cells_may_be_left_out_and_evaluated_by_choice() {
         let with = |lines: &str| parse(&FILE.replace("name = \"range\"", lines));
-        let sweep = with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4, 5] }").unwrap();
+        let sweep =
+            with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4, 5] }").unwrap();
         let applies: Vec<&str> = (sweep.cells.iter())
             .filter(|cell| sweep.evaluations[0].applies(cell))
             .map(|cell| cell.id.as_str())
@@ -330,17 +355,25 @@ mod tests {
         let message = with("when = { agents = 5 }").expect_err("must be refused").to_string();
         assert!(message.contains("[[evaluate]] `evaluation`: no cell has agents = 5"), "{message}");
 
-        let skip = |when: &str| parse(&FILE.replace("[[rule]]", &format!("[[skip]]\nwhen = {{ {when} }}\n[[rule]]")));
-        let ids: Vec<String> =
-            skip("agents = 8, seed = [1, 2]").unwrap().cells.into_iter().map(|cell| cell.id).collect();
+        let skip = |when: &str| {
+            parse(&FILE.replace("[[rule]]", &format!("[[skip]]\nwhen = {{ {when} }}\n[[rule]]")))
+        };
+        let ids: Vec<String> = skip("agents = 8, seed = [1, 2]")
+            .unwrap()
+            .cells
+            .into_iter()
+            .map(|cell| cell.id)
+            .collect();
         assert_eq!(ids.len(), 6);
         assert!(
-            !ids.contains(&"mappo_agents=8/seed_1".to_owned()) && ids.contains(&"mappo_agents=8/seed_0".to_owned())
+            !ids.contains(&"mappo_agents=8/seed_1".to_owned())
+                && ids.contains(&"mappo_agents=8/seed_0".to_owned())
         );
         let message = skip("agents = 5").expect_err("must be refused").to_string();
         assert!(message.contains("[[skip]]: no combination has agents = 5"), "{message}");
         let chain = FILE.replace("agents = 48 }", "init_from = { agents = 4 } }");
-        let broken = chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
+        let broken =
+            chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
         let message = parse(&broken).expect_err("must be refused").to_string();
         assert!(message.contains("a [[skip]] leaves mappo_agents=4/seed_1 out"), "{message}");
     }
@@ -377,32 +410,56 @@ mod tests {
     #[test]
     fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
         let with = |algorithms: &str, grid: &str| {
-            let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms).replace("agents = 48", "steps = 8");
-            parse(&file.replace("\"env.communication_range\" = [100.0, 10.0]", grid)).map_err(|error| error.to_string())
+            let file = FILE
+                .replace("[\"im-iwol\", \"mappo\"]", algorithms)
+                .replace("agents = 48", "steps = 8");
+            parse(&file.replace("\"env.communication_range\" = [100.0, 10.0]", grid))
+                .map_err(|error| error.to_string())
         };
         let refused = |algorithms: &str, grid: &str, why: &str| {
             let error = with(algorithms, grid).expect_err("must be refused");
             assert!(error.contains(why), "{error}");
         };
         let (many, lost) = ("agents = [4, 6]", "\"channel.loss\" = [0.0, 0.5]");
-        refused("[\"mappo\", \"commformer\"]", many, "`range`, cell commformer_agents=4/seed_0: commformer learned");
-        refused("[\"mappo\", \"mat\"]", lost, "cell mat_agents=4/seed_0: [channel] is for messages");
-        refused("[\"mappo\"]", "seed = [7, 8]", "seed=7: has no effect in an evaluation: episodes follow from --seed");
+        refused(
+            "[\"mappo\", \"commformer\"]",
+            many,
+            "`range`, cell commformer_agents=4/seed_0: commformer learned",
+        );
+        refused(
+            "[\"mappo\", \"mat\"]",
+            lost,
+            "cell mat_agents=4/seed_0: [channel] is for messages",
+        );
+        refused(
+            "[\"mappo\"]",
+            "seed = [7, 8]",
+            "seed=7: has no effect in an evaluation: episodes follow from --seed",
+        );
         refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the method is the checkpoint's");
         assert!(
-            with("[\"mappo\", \"magic\"]", many).is_ok() && with("[\"mappo\", \"magic\", \"ex-iwol\"]", lost).is_ok()
+            with("[\"mappo\", \"magic\"]", many).is_ok()
+                && with("[\"mappo\", \"magic\", \"ex-iwol\"]", lost).is_ok()
         );
         let rule = |algorithms: &str, change: &str| {
             let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms);
-            parse(&file.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"))).map_err(|e| e.to_string())
+            parse(&file.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}")))
+                .map_err(|e| e.to_string())
         };
-        let other = rule("[\"im-iwol\", \"mappo\"]", "algorithm = \"im-iwol\"").expect_err("must be refused");
-        assert!(other.contains("im-iwol_agents=8/seed_0 trains im-iwol, which has other networks"), "{other}");
-        let file = FILE.replace("\"mappo\"", "\"commformer\"").replace("agents = 48 }", "init_from = { agents = 4 } }");
+        let other = rule("[\"im-iwol\", \"mappo\"]", "algorithm = \"im-iwol\"")
+            .expect_err("must be refused");
+        assert!(
+            other.contains("im-iwol_agents=8/seed_0 trains im-iwol, which has other networks"),
+            "{other}"
+        );
+        let file = FILE
+            .replace("\"mappo\"", "\"commformer\"")
+            .replace("agents = 48 }", "init_from = { agents = 4 } }");
         let fixed = parse(&file).expect_err("must be refused").to_string();
         assert!(fixed.contains("each of 4 agents and cannot be used among 8"), "{fixed}");
         let disturbed =
-            parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { loss = 0.5 }")).expect_err("refused");
+            parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { loss = 0.5 }"))
+                .expect_err("refused");
         assert!(disturbed.to_string().contains("[channel] is for evaluation"), "{disturbed}");
     }
 
@@ -410,7 +467,8 @@ mod tests {
     fn mistakes_are_named() {
         let message = |change: (&str, &str)| {
             let error = parse(&FILE.replace(change.0, change.1)).expect_err("must be refused");
-            let source = std::error::Error::source(&error).map(|e| format!(": {e}")).unwrap_or_default();
+            let source =
+                std::error::Error::source(&error).map(|e| format!(": {e}")).unwrap_or_default();
             format!("{error}{source}")
         };
         assert!(message(("[grid]", "[gird]")).contains("unknown field `gird`"));
@@ -422,16 +480,31 @@ mod tests {
             "{unknown}"
         );
         assert_eq!(unknown.matches("seed_0").count(), 1, "the cell is named twice: {unknown}");
-        assert!(message(("[grid]\n", "[settings.train.more]\n")).contains("there is no [grid]; give it a list"));
+        assert!(
+            message(("[grid]\n", "[settings.train.more]\n"))
+                .contains("there is no [grid]; give it a list")
+        );
         assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
         assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
         assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
         assert!(
-            message(("agents = [8, 16]", "agents = [16]")).contains("[[rule]] number 1: no cell has agents = [16]")
+            message(("agents = [8, 16]", "agents = [16]"))
+                .contains("[[rule]] number 1: no cell has agents = [16]")
         );
-        assert!(message(("env.communication_range", "env.comunication_range")).contains("did you mean"));
-        assert!(message(("name = \"range\"", "panels = \"agent\"")).contains("panels = \"agent\" is no key of a grid"));
-        assert!(message(("name = \"range\"", "x = \"agents\"\npanels = \"agents\"")).contains("x and panels at once"));
-        assert!(message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]")).contains("leaves no cell"));
+        assert!(
+            message(("env.communication_range", "env.comunication_range")).contains("did you mean")
+        );
+        assert!(
+            message(("name = \"range\"", "panels = \"agent\""))
+                .contains("panels = \"agent\" is no key of a grid")
+        );
+        assert!(
+            message(("name = \"range\"", "x = \"agents\"\npanels = \"agents\""))
+                .contains("x and panels at once")
+        );
+        assert!(
+            message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]"))
+                .contains("leaves no cell")
+        );
     }
 }

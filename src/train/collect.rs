@@ -22,31 +22,39 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // Each iteration begins anew: what it draws depends on its number alone.
         let correlation = schedule::correlation(&self.config, &self.progress);
-        let mut noise = CorrelatedNoise::new(s.envs * s.agents, &self.task.spec.actions, correlation);
+        let mut noise =
+            CorrelatedNoise::new(s.envs * s.agents, &self.task.spec.actions, correlation);
         let correlated = noise.is_correlated();
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
         self.rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
         // An imposed schedule is for all noise there is.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
-        let schedule = if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
+        let schedule =
+            if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
         let imitates = schedule::pace(&self.config, &self.progress).imitation > 0.0;
         self.rollout.pursuit.resize(if imitates { self.rollout.action.len() } else { 0 }, 0.0);
         let pursuit = Pursuit { speed: self.config.train.imitate_speed, gives_way: false };
         for t in 0..s.steps {
-            timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, t));
+            timed(&mut self.timers.copy, || {
+                store_frames(&self.env, &self.memory, &mut self.rollout, t)
+            });
             if imitates {
                 let shown = &mut self.rollout.pursuit[self.rollout.action.len() / s.steps * t..];
                 let worlds = self.env.worlds().zip(shown.chunks_mut(s.agents * s.actions));
-                timed(&mut self.timers.act, || worlds.for_each(|(world, shown)| world.pursue(pursuit, shown)));
+                timed(&mut self.timers.act, || {
+                    worlds.for_each(|(world, shown)| world.pursue(pursuit, shown))
+                });
             }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 noise.advance(&mut rng);
-                let (mut carried, mut log_fresh) = (Tensor::zeros([0], FLOAT), Tensor::zeros([1], FLOAT));
+                let (mut carried, mut log_fresh) =
+                    (Tensor::zeros([0], FLOAT), Tensor::zeros([1], FLOAT));
                 if correlated {
                     let actions = self.rollout.at(t, s.actions);
                     self.rollout.carried[actions].copy_from_slice(noise.carried());
-                    self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions].copy_from_slice(noise.log_fresh());
+                    self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions]
+                        .copy_from_slice(noise.log_fresh());
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                     log_fresh = Tensor::from_slice(noise.log_fresh());
                 }
@@ -62,14 +70,18 @@ impl Trainer {
                 };
                 let action = Tensor::from_slice(noise.drawn()).view([e, n, a]);
                 let observation = Observation {
-                    observation: Tensor::from_slice(&self.rollout.observation[self.rollout.at(t, s.observation)])
-                        .view([e, n, -1]),
-                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)]).view([e, n, n]),
+                    observation: Tensor::from_slice(
+                        &self.rollout.observation[self.rollout.at(t, s.observation)],
+                    )
+                    .view([e, n, -1]),
+                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)])
+                        .view([e, n, n]),
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
                 let (action, carried, graph, log_fresh) = (&action, &carried, &graph, &log_fresh);
-                self.learner.act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
+                self.learner
+                    .act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut self.rollout.action, t);
@@ -85,11 +97,14 @@ impl Trainer {
                     self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
                     self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
                     self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
-                    self.rollout.interrupted[t * s.envs + e] = f32::from(u8::from(frame.interrupted));
+                    self.rollout.interrupted[t * s.envs + e] =
+                        f32::from(u8::from(frame.interrupted));
                 }
             });
         }
-        timed(&mut self.timers.copy, || store_frames(&self.env, &self.memory, &mut self.rollout, s.steps));
+        timed(&mut self.timers.copy, || {
+            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps)
+        });
         if self.learner.graph_lasts() {
             // The value of what the rollout ends with is that of the same graph.
             store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
@@ -104,7 +119,8 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
     for (e, world) in env.worlds().enumerate() {
         let frame = world.frame();
         let cell = |width| rollout.cell(t, e, width);
-        let (observation, state, comm, active) = (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
+        let (observation, state, comm, active) =
+            (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
         rollout.observation[observation].copy_from_slice(&frame.observation);
         rollout.state[state].copy_from_slice(&frame.state);
         rollout.comm[comm].copy_from_slice(&frame.comm);
@@ -150,9 +166,11 @@ mod tests {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
         let flags = [("scenario", scenario), ("algorithm", "mappo")];
         let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
-        let (mut config, scenario) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
+        let (mut config, scenario) =
+            Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
         (config.train.envs, config.train.segment) = (2, 6);
-        let (correlation, log_std) = (config.exploration.correlation, config.exploration.log_std_start);
+        let (correlation, log_std) =
+            (config.exploration.correlation, config.exploration.log_std_start);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
         // Nothing is left over from the rollout before.
         trainer.collect(Seed::new(1)).expect("SUMO runs");
@@ -160,7 +178,9 @@ mod tests {
         let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
         let (e, n) = (s.envs as i64, s.agents as i64);
         for t in 0..s.steps {
-            let part = |array: &[f32], width: usize| Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1]);
+            let part = |array: &[f32], width: usize| {
+                Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
+            };
             let input = Observation {
                 observation: part(&rollout.observation, s.observation),
                 comm: part(&rollout.comm, s.agents),
@@ -168,19 +188,29 @@ mod tests {
                 memory: Tensor::zeros([e, n, 0], FLOAT),
             };
             let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
-            let [mean, action, carried, log_prob] =
-                [&mean, &part(&rollout.action, 2), &part(&rollout.carried, 2), &part(&rollout.log_prob, 2)]
-                    .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
+            let [mean, action, carried, log_prob] = [
+                &mean,
+                &part(&rollout.action, 2),
+                &part(&rollout.carried, 2),
+                &part(&rollout.log_prob, 2),
+            ]
+            .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
             for (k, found) in log_prob.iter().enumerate() {
                 let steers = k % 2 == 0;
                 let scheduled = log_std + if steers { f64::from(0.37_f32.ln()) } else { 0.0 };
                 let kept = if steers || t == 0 { 0.0 } else { correlation };
                 let deviation = scheduled.exp() * (1.0 - kept * kept).sqrt();
                 let expected = f64::from(mean[k]) + scheduled.exp() * f64::from(carried[k]);
-                assert!(!(steers || t == 0) || carried[k] == 0.0, "only throttle and brake have lasting noise");
+                assert!(
+                    !(steers || t == 0) || carried[k] == 0.0,
+                    "only throttle and brake have lasting noise"
+                );
                 let z = (f64::from(action[k]) - expected) / deviation;
                 let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
-                assert!((f64::from(*found) - density).abs() < 1e-3, "step {t}, entry {k}: {found} {density}");
+                assert!(
+                    (f64::from(*found) - density).abs() < 1e-3,
+                    "step {t}, entry {k}: {found} {density}"
+                );
             }
         }
     }
@@ -191,12 +221,15 @@ mod tests {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
         let flags = [("scenario", scenario), ("algorithm", "commformer")];
         let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
-        let (mut config, scenario) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
+        let (mut config, scenario) =
+            Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
         (config.train.envs, config.train.segment) = (2, 8);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         let rollout = &trainer.rollout;
-        let row = |t: usize| &rollout.graph_noise[rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs)];
+        let row = |t: usize| {
+            &rollout.graph_noise[rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs)]
+        };
         assert!(row(0).iter().any(|&noise| noise != 0.0), "{:?}", row(0));
         for t in 1..=rollout.sizes.steps {
             assert_eq!(row(t), row(0), "{t}");

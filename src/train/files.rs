@@ -51,12 +51,19 @@ struct EpisodeLine<'a> {
 impl Files {
     /// Opens or creates them; lines beyond `step`, and validations beyond the step of the last one that counts, are from a future
     /// that is played again.
-    pub(super) fn open(dir: &RunDir, config: &Config, step: u64, validated: u64) -> Result<Self, Error> {
+    pub(super) fn open(
+        dir: &RunDir,
+        config: &Config,
+        step: u64,
+        validated: u64,
+    ) -> Result<Self, Error> {
         std::fs::create_dir_all(dir.path().join("checkpoints"))
             .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
         let resumed = step > 0;
-        let open = |path: PathBuf, future: &dyn Fn(&JsonObject) -> bool| -> Result<JsonLines, record::Error> {
+        let open = |path: PathBuf,
+                    future: &dyn Fn(&JsonObject) -> bool|
+         -> Result<JsonLines, record::Error> {
             if !resumed {
                 return JsonLines::create(&path);
             }
@@ -64,11 +71,14 @@ impl Files {
             lines.remove_where(future)?;
             Ok(lines)
         };
-        let beyond =
-            |line: &JsonObject, step: u64| line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step);
+        let beyond = |line: &JsonObject, step: u64| {
+            line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step)
+        };
         let validation = |line: &JsonObject| line.contains_key("validation/success");
         Ok(Self {
-            metrics: open(dir.metrics(), &|line| beyond(line, if validation(line) { validated } else { step }))?,
+            metrics: open(dir.metrics(), &|line| {
+                beyond(line, if validation(line) { validated } else { step })
+            })?,
             episodes: open(dir.episodes(), &|line| beyond(line, validated))?,
             board: TensorBoard::create(dir.path(), resumed.then_some(step))?,
         })
@@ -98,8 +108,11 @@ impl Files {
         losses: &Losses,
         steps_per_second: f64,
     ) -> Result<Option<f64>, Error> {
-        let episodes: Vec<_> = trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
-        let mean = |of: fn(&EpisodeRecord) -> f64| episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64;
+        let episodes: Vec<_> =
+            trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
+        let mean = |of: fn(&EpisodeRecord) -> f64| {
+            episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
+        };
         let mut values: Vec<(&str, f64)> = losses.clone();
         if !episodes.is_empty() {
             values.extend([
@@ -159,7 +172,8 @@ impl Files {
                 probe.and_then(|p| p.undetermined_explained),
                 probe.and_then(|p| p.undetermined_probe_explained),
             ];
-            values.extend(keys.iter().zip(numbers).filter_map(|(key, number)| Some((*key, number?))));
+            values
+                .extend(keys.iter().zip(numbers).filter_map(|(key, number)| Some((*key, number?))));
         }
         self.write(progress.step, &values)
     }

@@ -109,7 +109,8 @@ fn now() -> u64 {
 /// The command line of this process; of the program's own path its name alone, which is the same on
 /// every machine.
 fn command() -> Vec<String> {
-    let mut words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+    let mut words: Vec<String> =
+        std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     if let Some(program) = words.first_mut()
         && let Some(name) = Path::new(program.as_str()).file_name()
     {
@@ -148,7 +149,8 @@ mod tests {
         dir.begin_meta(&config, &at(64), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
         let older = meta.to_string().replace(&training.program.version, "0.0.7");
-        std::fs::write(dir.meta(), older.replace(&meta["started_unix_s"].to_string(), "12345")).unwrap();
+        std::fs::write(dir.meta(), older.replace(&meta["started_unix_s"].to_string(), "12345"))
+            .unwrap();
         dir.begin_meta(&config, &at(64), "f", "one").unwrap();
         let earlier = dir.training().expect("written").earlier;
         assert_eq!(earlier.iter().map(|p| p.version.as_str()).collect::<Vec<_>>(), ["0.0.7"]);

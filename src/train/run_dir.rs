@@ -62,9 +62,11 @@ impl RunDir {
     /// # Errors
     /// [`Error::Locked`] when another process trains there.
     pub fn lock(&self) -> Result<Claim, Error> {
-        std::fs::create_dir_all(&self.0).map_err(|source| Error::Folder { path: self.0.clone(), source })?;
+        std::fs::create_dir_all(&self.0)
+            .map_err(|source| Error::Folder { path: self.0.clone(), source })?;
         let failed = |source| Error::Folder { path: self.0.clone(), source };
-        let file = File::options().create(true).append(true).open(self.lock_file()).map_err(failed)?;
+        let file =
+            File::options().create(true).append(true).open(self.lock_file()).map_err(failed)?;
         match file.try_lock() {
             Ok(()) => Ok(Claim { dir: self.clone(), _lock: file }),
             Err(TryLockError::WouldBlock) => Err(Error::Locked { path: self.0.clone() }),
@@ -74,7 +76,8 @@ impl RunDir {
 
     /// Whether a process trains there.
     pub fn is_locked(&self) -> bool {
-        File::open(self.lock_file()).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+        File::open(self.lock_file())
+            .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     fn lock_file(&self) -> PathBuf {
@@ -87,7 +90,9 @@ impl RunDir {
         if path.is_dir() {
             return Some(Self::new(path));
         }
-        let folder = path.parent().filter(|folder| folder.file_name().is_some_and(|name| name == "checkpoints"))?;
+        let folder = path
+            .parent()
+            .filter(|folder| folder.file_name().is_some_and(|name| name == "checkpoints"))?;
         let run = folder.parent()?;
         Some(Self::new(if run.as_os_str().is_empty() { Path::new(".") } else { run }))
     }
@@ -112,7 +117,9 @@ pub struct Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        let alone = |entry: std::io::Result<std::fs::DirEntry>| entry.is_ok_and(|e| e.path() == self.dir.lock_file());
+        let alone = |entry: std::io::Result<std::fs::DirEntry>| {
+            entry.is_ok_and(|e| e.path() == self.dir.lock_file())
+        };
         if std::fs::read_dir(self.dir.path()).is_ok_and(|mut entries| entries.all(alone)) {
             // Whoever cannot tidy up has lost nothing.
             let _ = std::fs::remove_file(self.dir.lock_file());

@@ -15,7 +15,11 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let loud = between(noise.log_std_start, noise.log_std_explore, ramp(progress.step, noise.explore_steps));
+    let loud = between(
+        noise.log_std_start,
+        noise.log_std_explore,
+        ramp(progress.step, noise.explore_steps),
+    );
     let log_std = between(loud, noise.log_std_end.min(loud), quiet);
     let explored = progress.step >= noise.explore_steps;
     // A step of the same size changes a policy with less noise by more.
@@ -33,7 +37,8 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
 /// Correlation of the noise from step to step: none once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     let noise = &config.exploration;
-    let left = if noise.correlation_steps == 0 { 1.0 } else { fading(noise.correlation_steps, progress) };
+    let left =
+        if noise.correlation_steps == 0 { 1.0 } else { fading(noise.correlation_steps, progress) };
     if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
 }
 
@@ -118,13 +123,18 @@ mod tests {
     fn config() -> Config {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
         let flags = vec![("scenario", Value::String(scenario.display().to_string()))];
-        let (mut config, _) = Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
+        let (mut config, _) =
+            Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
         config.steps = 1000;
         config.exploration.explore_steps = 400;
-        (config.exploration.log_std_start, config.exploration.log_std_explore, config.exploration.log_std_end) =
-            (0.0, -1.0, -2.0);
+        (
+            config.exploration.log_std_start,
+            config.exploration.log_std_explore,
+            config.exploration.log_std_end,
+        ) = (0.0, -1.0, -2.0);
         (config.ppo.learning_rate, config.ppo.learning_rate_end) = (1e-3, 0.1);
-        (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) = (0.9, 200, 50);
+        (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) =
+            (0.9, 200, 50);
         (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
         config
     }
@@ -132,7 +142,9 @@ mod tests {
     #[test]
     fn imitation_fades() {
         let mut config = config();
-        let at = |config: &Config, step| pace(config, &Progress { step, ..Progress::default() }).imitation;
+        let at = |config: &Config, step| {
+            pace(config, &Progress { step, ..Progress::default() }).imitation
+        };
         assert_eq!(at(&config, 0), 0.0, "by default nobody is imitated");
         config.train.imitate_steps = 200;
         assert_eq!([0, 50, 200, 800].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
@@ -149,16 +161,27 @@ mod tests {
     #[test]
     fn the_view_grows_longer_when_the_noise_is_small() {
         let mut config = config();
-        let at = |config: &Config, step| pace(config, &Progress { step, ..Progress::default() }).gamma.to_bits();
+        let at = |config: &Config, step| {
+            pace(config, &Progress { step, ..Progress::default() }).gamma.to_bits()
+        };
         let bits = |gamma: [f64; 3]| gamma.map(f64::to_bits);
-        assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99; 3]), "by default it stays");
+        assert_eq!(
+            [0, 399, 400].map(|step| at(&config, step)),
+            bits([0.99; 3]),
+            "by default it stays"
+        );
         config.ppo.gamma_explored = 0.998;
         assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99, 0.99, 0.998]));
     }
 
     /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.
-    fn play(config: &Config, success: impl Fn(&Progress) -> f64, mut see: impl FnMut(&Progress, Pace)) -> Progress {
-        let mut progress = Progress { next_validation: config.train.validate_every, ..Progress::default() };
+    fn play(
+        config: &Config,
+        success: impl Fn(&Progress) -> f64,
+        mut see: impl FnMut(&Progress, Pace),
+    ) -> Progress {
+        let mut progress =
+            Progress { next_validation: config.train.validate_every, ..Progress::default() };
         while progress.step < config.steps && !solved(config, &progress) {
             advance(config, &mut progress, 10);
             see(&progress, pace(config, &progress));
@@ -189,9 +212,11 @@ mod tests {
     fn annealing_pauses_while_validations_fail() {
         let config = config();
         // Solved from step 300 on, but for a gap.
-        let success = |progress: &Progress| f64::from(u8::from(progress.step >= 300 && progress.step != 350));
+        let success =
+            |progress: &Progress| f64::from(u8::from(progress.step >= 300 && progress.step != 350));
         let mut annealed = Vec::new();
-        let end = play(&config, success, |progress, _| annealed.push((progress.step, progress.annealed)));
+        let end =
+            play(&config, success, |progress, _| annealed.push((progress.step, progress.annealed)));
         let at = |step: u64| annealed.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!((at(300), at(350), at(400), at(450)), (0, 50, 50, 100));
         assert_eq!(
@@ -208,11 +233,19 @@ mod tests {
     fn a_policy_that_swings_is_not_solved() {
         let config = config();
         let solved = |recent: [f64; 2]| {
-            let progress = Progress { recent: recent.into(), annealed: 200, annealing: true, ..Progress::default() };
+            let progress = Progress {
+                recent: recent.into(),
+                annealed: 200,
+                annealing: true,
+                ..Progress::default()
+            };
             super::solved(&config, &progress)
         };
         assert!(solved([0.95, 1.0]));
-        assert!(!solved([1.0, 0.94]) && !solved([0.94, 1.0]), "the mean of both would be good enough");
+        assert!(
+            !solved([1.0, 0.94]) && !solved([0.94, 1.0]),
+            "the mean of both would be good enough"
+        );
     }
 
     #[test]
@@ -224,21 +257,30 @@ mod tests {
         assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
         let quiet = paces.iter().position(|(_, pace)| pace.log_std <= -2.0).expect("it anneals");
         assert!(paces[quiet..].iter().all(|(_, pace)| pace.log_std <= -2.0));
-        let slowest = paces.iter().position(|(_, pace)| pace.learning_rate < 2e-4 * (-2.0_f64).exp()).expect("anneals");
-        assert!(paces[slowest..].iter().any(|(_, pace)| pace.learning_rate > 8e-4 * (-2.0_f64).exp()), "learns again");
+        let slowest = paces
+            .iter()
+            .position(|(_, pace)| pace.learning_rate < 2e-4 * (-2.0_f64).exp())
+            .expect("anneals");
+        assert!(
+            paces[slowest..].iter().any(|(_, pace)| pace.learning_rate > 8e-4 * (-2.0_f64).exp()),
+            "learns again"
+        );
     }
 
     #[test]
     fn a_run_that_loses_its_way_explores_again() {
         let config = config();
-        let mut lost = Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
+        let mut lost =
+            Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut lost, 0.5);
         assert_eq!((lost.annealing, lost.annealed), (false, 0));
         // It takes back no more than there is time for.
-        let mut late = Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
+        let mut late =
+            Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut late, 0.5);
         assert_eq!(late.annealed, 50);
-        let mut close = Progress { step: 990, annealed: 200, annealing: true, ..Progress::default() };
+        let mut close =
+            Progress { step: 990, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut close, 0.92);
         assert_eq!(close.annealed, 190);
     }
@@ -254,7 +296,9 @@ mod tests {
             400..550 => 0.92,
             _ => 0.0,
         };
-        play(&config, success, |progress, _| seen.push((progress.step, correlation(&config, progress))));
+        play(&config, success, |progress, _| {
+            seen.push((progress.step, correlation(&config, progress)))
+        });
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
         assert_eq!(at(560), 0.5, "it looks for a way again");
@@ -272,7 +316,8 @@ mod tests {
         config.steps = 2000;
         extended(&config, &mut progress, 1000);
         assert!((pace(&config, &progress).log_std - loud).abs() < 1e-12);
-        let mut earned = Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
+        let mut earned =
+            Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
         extended(&config, &mut earned, 1000);
         assert_eq!(earned.annealed, 200);
     }

@@ -39,7 +39,9 @@ fn wait_until(what: &str, seconds: u64, mut holds: impl FnMut() -> bool) {
 }
 
 fn signal(name: &str, pid: u32) {
-    assert!(Command::new("kill").args([name, &pid.to_string()]).status().expect("kill runs").success());
+    assert!(
+        Command::new("kill").args([name, &pid.to_string()]).status().expect("kill runs").success()
+    );
 }
 
 /// A folder for a run, and a `SUMO_HOME` in it whose `sumo` misbehaves.
@@ -70,7 +72,15 @@ impl Stage {
     fn train(&self, more: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
         command.current_dir(env!("CARGO_MANIFEST_DIR")).env("FAULT_STAGE", self.folder.path());
-        command.args(["train", "--scenario", "scenarios/intersection.xml", "--agents", "4", "--algorithm", "mappo"]);
+        command.args([
+            "train",
+            "--scenario",
+            "scenarios/intersection.xml",
+            "--agents",
+            "4",
+            "--algorithm",
+            "mappo",
+        ]);
         for set in [
             "train.envs=4",
             "train.segment=32",
@@ -82,7 +92,12 @@ impl Stage {
         ] {
             command.args(["--set", set]);
         }
-        command.arg("--out").arg(self.run()).args(more).stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+            .arg("--out")
+            .arg(self.run())
+            .args(more)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
         command
     }
 
@@ -92,7 +107,9 @@ impl Stage {
             .env("SUMO_HOME", self.path("home"))
             .env("FAULT_REAL", find_sumo().expect("SUMO"))
             .env("FAULT_KIND", kind);
-        command.env("FAULT_AFTER", "20").env("FAULT_ONCE", if once { self.path("once") } else { PathBuf::new() });
+        command
+            .env("FAULT_AFTER", "20")
+            .env("FAULT_ONCE", if once { self.path("once") } else { PathBuf::new() });
         command
     }
 
@@ -135,7 +152,9 @@ fn a_run_goes_on_when_one_sumo_fails() {
         let output = finish(&mut stage.faulty(kind, true, &["--steps", "512"]), 60);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{kind}: {errors}");
-        let warned = ["WARN", reason, "are dropped and SUMO starts afresh"].iter().all(|words| errors.contains(words));
+        let warned = ["WARN", reason, "are dropped and SUMO starts afresh"]
+            .iter()
+            .all(|words| errors.contains(words));
         assert!(warned, "{kind}: {errors}");
         let metrics = fs::read_to_string(stage.run().join("metrics.jsonl")).expect("metrics");
         let mut restarts = metrics.lines().filter_map(|line| {
@@ -159,7 +178,12 @@ fn a_run_whose_sumos_all_fail_ends_with_an_error_and_a_checkpoint() {
         stage.nobody_is_left();
         // With a SUMO in order the run comes to its end.
         let output = finish(&mut stage.train(&["--steps", "256", "--resume"]), 60);
-        assert_eq!(output.status.code(), Some(0), "{kind}: {}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{kind}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }
 
@@ -182,26 +206,41 @@ exec "$FAULT_REAL" "$@"
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{errors}");
     assert!(
-        errors.contains("no fuel") && errors.contains("after 256 steps") && errors.contains("--resume"),
+        errors.contains("no fuel")
+            && errors.contains("after 256 steps")
+            && errors.contains("--resume"),
         "{errors}"
     );
     stage.nobody_is_left();
-    let output = finish(&mut stage.train(&["--steps", "512", "--set", "train.validate_every=256", "--resume"]), 60);
+    let output = finish(
+        &mut stage.train(&["--steps", "512", "--set", "train.validate_every=256", "--resume"]),
+        60,
+    );
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 fn env(worlds: usize, processes: usize) -> VecEnv {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
-    let task = Arc::new(Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task"));
+    let task = Arc::new(
+        Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task"),
+    );
     let hosting = Hosting { processes, timeout: Duration::from_millis(500), ..Hosting::default() };
-    let options =
-        VecOptions { replay: 0.0, worlds, driver: Driver::Agents, seed: Seed::new(1), episodes: 0..u64::MAX, hosting };
+    let options = VecOptions {
+        replay: 0.0,
+        worlds,
+        driver: Driver::Agents,
+        seed: Seed::new(1),
+        episodes: 0..u64::MAX,
+        hosting,
+    };
     VecEnv::new(&task, &options).expect("SUMO runs")
 }
 
 fn sumos_of_this_process() -> Vec<u32> {
-    let children = |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();
-    let all: String = fs::read_dir("/proc/self/task").expect("proc").flatten().map(children).collect();
+    let children =
+        |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();
+    let all: String =
+        fs::read_dir("/proc/self/task").expect("proc").flatten().map(children).collect();
     all.split_whitespace().map(|pid| pid.parse().expect("a number")).collect()
 }
 
@@ -237,7 +276,8 @@ fn a_simulation_is_made_fresh_by_the_cheapest_means_that_is_sound() {
     let task = Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task");
     for worlds in [1, 3] {
         let mut simulation =
-            TraciSimulation::start(task.simulation_config(1, worlds, &Hosting::default())).expect("SUMO");
+            TraciSimulation::start(task.simulation_config(1, worlds, &Hosting::default()))
+                .expect("SUMO");
         let pid = simulation.pid();
         for _ in 0..5 {
             simulation.step(&[]).expect("a step");
@@ -267,14 +307,18 @@ fn a_full_disk_leaves_the_last_checkpoint_whole() {
     let mut limited = Command::new("sh");
     limited.args(["-c", "trap '' XFSZ; ulimit -f 256; exec \"$@\"", "sh"]);
     let resume = train(&["--steps", "256", "--resume"]);
-    limited.arg(resume.get_program()).args(resume.get_args()).current_dir(env!("CARGO_MANIFEST_DIR"));
+    limited
+        .arg(resume.get_program())
+        .args(resume.get_args())
+        .current_dir(env!("CARGO_MANIFEST_DIR"));
     limited.stdout(Stdio::null()).stderr(Stdio::piped()).env("FAULT_STAGE", stage.folder.path());
     let output = finish(&mut limited, 60);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{errors}");
     assert!(errors.contains("checkpoints"), "names the file: {errors}");
     assert!(fs::read(&last).expect("a checkpoint") == before, "the old checkpoint is untouched");
-    let names: Vec<_> = fs::read_dir(stage.run().join("checkpoints")).expect("a folder").flatten().collect();
+    let names: Vec<_> =
+        fs::read_dir(stage.run().join("checkpoints")).expect("a folder").flatten().collect();
     assert!(names.len() <= 2, "no litter: {names:?}");
     stage.nobody_is_left();
     let output = finish(&mut train(&["--steps", "256", "--resume"]), 60);
@@ -286,7 +330,8 @@ fn a_signal_at_any_moment_ends_the_run_in_order() {
     let _alone = alone();
     for milliseconds in [0, 20, 60, 120, 250, 500, 900] {
         let stage = Stage::new();
-        let mut child: Child = stage.train(&["--steps", "1000000"]).spawn().expect("the program runs");
+        let mut child: Child =
+            stage.train(&["--steps", "1000000"]).spawn().expect("the program runs");
         thread::sleep(Duration::from_millis(milliseconds));
         // Not SIGINT: where this test runs in the background it may be ignored, until the program listens to it.
         signal("-TERM", child.id());
@@ -302,11 +347,19 @@ fn a_signal_at_any_moment_ends_the_run_in_order() {
             thread::sleep(Duration::from_millis(5));
         };
         // Before the program listens to the signal it just ends.
-        assert!(status.code() == Some(130) || status.code().is_none(), "after {milliseconds} ms: {status}");
+        assert!(
+            status.code() == Some(130) || status.code().is_none(),
+            "after {milliseconds} ms: {status}"
+        );
         stage.nobody_is_left();
         if status.code() == Some(130) && stage.run().join("config.toml").exists() {
             let output = finish(&mut stage.train(&["--steps", "128", "--resume"]), 60);
-            assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+            assert_eq!(
+                output.status.code(),
+                Some(0),
+                "{}",
+                String::from_utf8_lossy(&output.stderr)
+            );
         }
     }
 }
@@ -318,12 +371,16 @@ fn sixty_four_sumos_start_at_once() {
     let task = Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task");
     let config = task.simulation_config(1, 1, &Hosting::default());
     let mut all: Vec<TraciSimulation> = thread::scope(|scope| {
-        let starting: Vec<_> =
-            (0..64).map(|_| scope.spawn(|| TraciSimulation::start(config.clone()).expect("SUMO"))).collect();
+        let starting: Vec<_> = (0..64)
+            .map(|_| scope.spawn(|| TraciSimulation::start(config.clone()).expect("SUMO")))
+            .collect();
         starting.into_iter().map(|thread| thread.join().expect("no panic")).collect()
     });
     for simulation in &mut all {
-        assert!((simulation.step(&[]).expect("a step").time - 0.1).abs() < 1e-9, "each talks to its own");
+        assert!(
+            (simulation.step(&[]).expect("a step").time - 0.1).abs() < 1e-9,
+            "each talks to its own"
+        );
     }
     drop(all);
     assert_eq!(sumos_of_this_process(), [0_u32; 0]);
@@ -350,7 +407,10 @@ fn ten_thousand_resets_take_no_memory() {
     }
     assert_eq!(env.resets().respawns, 10_002);
     let (first, last) = (memory[1], memory[memory.len() - 1]);
-    assert!(last.0 < first.0 + 1024 && last.1 < first.1 + 1024, "[SUMO, this program] in kB: {memory:?}");
+    assert!(
+        last.0 < first.0 + 1024 && last.1 < first.1 + 1024,
+        "[SUMO, this program] in kB: {memory:?}"
+    );
 }
 
 #[test]
@@ -358,7 +418,8 @@ fn loading_again_and_again_takes_no_memory() {
     let _alone = alone();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
     let task = Task::new(&Scenario::load(&path).expect("the shipped scenario"), 8).expect("a task");
-    let mut simulation = TraciSimulation::start(task.simulation_config(1, 1, &Hosting::default())).expect("SUMO");
+    let mut simulation =
+        TraciSimulation::start(task.simulation_config(1, 1, &Hosting::default())).expect("SUMO");
     let mut memory = Vec::new();
     for round in 0..=400 {
         if round % 100 == 0 {

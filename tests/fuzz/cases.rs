@@ -38,5 +38,9 @@ pub fn run(default: u64, mut case: impl FnMut(u64) + Send + 'static) {
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }
-    assert!(worker.join().is_ok(), "a case failed; IWOL_FUZZ_CASES={last}..{} repeats it", last + 1);
+    assert!(
+        worker.join().is_ok(),
+        "a case failed; IWOL_FUZZ_CASES={last}..{} repeats it",
+        last + 1
+    );
 }

@@ -58,7 +58,8 @@ fn root() -> PathBuf {
 
 /// The XML files of a folder of the project, in order of their names.
 fn files(folder: &str) -> Vec<String> {
-    let mut paths: Vec<_> = fs::read_dir(root().join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut paths: Vec<_> =
+        fs::read_dir(root().join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.retain(|path| path.extension().is_some_and(|e| e == "xml"));
     paths.sort();
     paths.iter().map(|path| fs::read_to_string(path).unwrap()).collect()
@@ -68,7 +69,10 @@ fn files(folder: &str) -> Vec<String> {
 fn bounded<T>(bytes: usize, read: impl FnOnce() -> T) -> T {
     let mut result = None;
     let heap = measure(|| result = Some(read())).bytes_max;
-    assert!(heap <= HEAP.0 * bytes as u64 + HEAP.1, "{heap} bytes of heap for a file of {bytes} bytes");
+    assert!(
+        heap <= HEAP.0 * bytes as u64 + HEAP.1,
+        "{heap} bytes of heap for a file of {bytes} bytes"
+    );
     result.unwrap()
 }
 
@@ -85,7 +89,18 @@ fn assert_finite(numbers: &[f64]) {
 
 /// Positions and offsets at which a path is asked.
 fn extremes(path: &Path, rng: &mut Rng) -> Vec<f64> {
-    let mut all = vec![0.0, -0.0, 5e-324, 1e-308, -1e-6, 1e9, -1e9, path.length(), -path.length(), path.length() + 1.0];
+    let mut all = vec![
+        0.0,
+        -0.0,
+        5e-324,
+        1e-308,
+        -1e-6,
+        1e9,
+        -1e9,
+        path.length(),
+        -path.length(),
+        path.length() + 1.0,
+    ];
     all.extend((0..4).map(|_| path.cumulative[below(rng, path.cumulative.len())]));
     all
 }
@@ -98,7 +113,13 @@ fn check_path(net: &Net, path: &Path, edges: &[String], rng: &mut Rng) {
     assert_eq!(path.edges, edges);
     assert_eq!((path.edge_start.len(), path.edge_length.len()), (edges.len(), edges.len()));
     assert!(path.lanes.iter().all(|&lane| lane < net.lanes.len()));
-    for list in [&path.cumulative, &path.widths, &path.edge_start, &path.edge_length, path.points.as_flattened()] {
+    for list in [
+        &path.cumulative,
+        &path.widths,
+        &path.edge_start,
+        &path.edge_length,
+        path.points.as_flattened(),
+    ] {
         assert_finite(list);
     }
     let extremes = extremes(path, rng);
@@ -113,7 +134,11 @@ fn check_path(net: &Net, path: &Path, edges: &[String], rng: &mut Rng) {
         }
         let (along, lateral, _) = path.nearest(beside);
         assert_finite(&[along, lateral]);
-        assert_finite(&[path.arc(0, s).unwrap(), path.arc(edges.len() - 1, s).unwrap(), path.arc_of_distance(s)]);
+        assert_finite(&[
+            path.arc(0, s).unwrap(),
+            path.arc(edges.len() - 1, s).unwrap(),
+            path.arc_of_distance(s),
+        ]);
         let (front, heading, segment) = path.body(s, 4.5);
         assert_finite(&[front[0], front[1], heading]);
         assert!(segment < path.widths.len());
@@ -154,7 +179,10 @@ fn damaged_nets_are_read_or_refused() {
         // Beyond that the copies' coordinates are larger than a net's may be.
         if net.extent().as_flattened().iter().all(|number| number.abs() < 1e8) {
             let copies = Net::parse(&tiled.text, path).unwrap();
-            assert_eq!((copies.lanes.len(), copies.edges.len()), (2 * net.lanes.len(), 2 * net.edges.len()));
+            assert_eq!(
+                (copies.lanes.len(), copies.edges.len()),
+                (2 * net.lanes.len(), 2 * net.edges.len())
+            );
             assert_eq!(copies.connections.len(), 2 * net.connections.len());
         }
         let some = |rng: &mut Rng| net.edges[below(rng, net.edges.len())].id.clone();
@@ -166,8 +194,12 @@ fn damaged_nets_are_read_or_refused() {
         // Along connections, as far as they lead.
         let mut way = vec!["west_in".to_owned()];
         for _ in 0..below(&mut rng, 8) {
-            let last = way.last().and_then(|id| net.edge_index(id)).map(|edge| net.edges[edge].lanes.clone());
-            let onward: Vec<_> = last.into_iter().flatten().flat_map(|lane| net.connections_from(lane)).collect();
+            let last = way
+                .last()
+                .and_then(|id| net.edge_index(id))
+                .map(|edge| net.edges[edge].lanes.clone());
+            let onward: Vec<_> =
+                last.into_iter().flatten().flat_map(|lane| net.connections_from(lane)).collect();
             if !onward.is_empty() {
                 let to = onward[below(&mut rng, onward.len())].to;
                 way.push(net.edges[net.lanes[to].edge].id.clone());
@@ -190,12 +222,15 @@ fn drive(task: Task, rng: &mut Rng) {
     world.reset(0);
     let mut vehicles: Vec<Option<(f64, f64)>> = vec![None; task.agents + task.others];
     for _ in 0..8 {
-        let actions: Vec<f32> = (0..task.agents).map(|_| [1.0, 0.0, -1.0, f32::NAN][below(rng, 4)]).collect();
+        let actions: Vec<f32> =
+            (0..task.agents).map(|_| [1.0, 0.0, -1.0, f32::NAN][below(rng, 4)]).collect();
         let mut commands = Vec::new();
         world.act(0, &actions, &mut commands);
         for command in commands {
             match command {
-                Command::Add { slot, depart_pos, .. } => vehicles[slot as usize] = Some((depart_pos, 0.0)),
+                Command::Add { slot, depart_pos, .. } => {
+                    vehicles[slot as usize] = Some((depart_pos, 0.0))
+                }
                 Command::Remove { slot, .. } => vehicles[slot as usize] = None,
                 Command::SetSpeed { slot, speed, .. } => {
                     assert_finite(&[speed]);
@@ -218,9 +253,18 @@ fn drive(task: Task, rng: &mut Rng) {
         world.observe(0, &snapshot).unwrap();
         let frame = world.frame();
         for list in [&frame.observation, &frame.state, &frame.comm, &frame.reward] {
-            assert!(list.iter().all(|number| number.is_finite()), "a frame with numbers that are none");
+            assert!(
+                list.iter().all(|number| number.is_finite()),
+                "a frame with numbers that are none"
+            );
         }
-        assert!(frame.observation.iter().chain(&frame.state).all(|number| (-1.0..=1.0).contains(number)));
+        assert!(
+            frame
+                .observation
+                .iter()
+                .chain(&frame.state)
+                .all(|number| (-1.0..=1.0).contains(number))
+        );
     }
 }
 
@@ -245,7 +289,8 @@ fn damaged_scenarios_are_read_or_refused() {
         };
         fs::write(&path, &text).unwrap();
         fs::write(folder.path().join("intersection/arm30.net.xml"), &net).unwrap();
-        let read = std::str::from_utf8(&text).map(|text| bounded(text.len(), || Scenario::parse(text, &path)));
+        let read = std::str::from_utf8(&text)
+            .map(|text| bounded(text.len(), || Scenario::parse(text, &path)));
         if let Ok(Ok(scenario)) = read {
             assert_eq!(Scenario::parse(&scenario.to_xml(), &path).unwrap(), scenario);
         }
@@ -254,7 +299,9 @@ fn damaged_scenarios_are_read_or_refused() {
             Err(error) => {
                 use std::error::Error as _;
                 assert_short(&error, &path);
-                if let Some(source) = error.source().and_then(|source| source.downcast_ref::<NetError>()) {
+                if let Some(source) =
+                    error.source().and_then(|source| source.downcast_ref::<NetError>())
+                {
                     assert_short(source, FilePath::new(".net.xml"));
                 }
                 return;
@@ -276,7 +323,11 @@ fn damaged_route_files_are_read_or_refused() {
     let read = |name: &str| fs::read_to_string(nets.join(name)).unwrap();
     let trips = "<routes><trip id=\"t\" depart=\"0:01\" from=\"west_in\" to=\"east_out\" via=\"west_in\"/>\n\
                  <flow id=\"f\" end=\"9\" number=\"3\" from=\"south_in\" to=\"north_out\"/></routes>";
-    let texts = [read("mixed_cross/humans.rou.xml"), read("pedestrians_cross/people.rou.xml"), trips.to_owned()];
+    let texts = [
+        read("mixed_cross/humans.rou.xml"),
+        read("pedestrians_cross/people.rou.xml"),
+        trips.to_owned(),
+    ];
     let net = read("pedestrians_cross/pedestrians_cross.net.xml");
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("people.rou.xml");
@@ -293,7 +344,9 @@ fn damaged_route_files_are_read_or_refused() {
             Ok(demand) => demand,
             Err(error) => return assert_short(&error, &path),
         };
-        let Ok(net) = std::str::from_utf8(&net).map_err(drop).and_then(|net| Net::parse(net, &path).map_err(drop))
+        let Ok(net) = std::str::from_utf8(&net)
+            .map_err(drop)
+            .and_then(|net| Net::parse(net, &path).map_err(drop))
         else {
             return;
         };
@@ -326,14 +379,20 @@ fn damaged_scenarios_are_checked() {
         let (file, text) = &made[below(&mut rng, made.len())];
         let damaged = mutate::damaged(&mut rng, text, NET);
         fs::write(file, &damaged).unwrap();
-        let net = fs::metadata(Scenario::parse(text, file).unwrap().net_for(2).unwrap().file.clone()).unwrap().len();
+        let net =
+            fs::metadata(Scenario::parse(text, file).unwrap().net_for(2).unwrap().file.clone())
+                .unwrap()
+                .len();
         let findings = bounded(damaged.len() + 2 * net as usize, || Scenario::check(file));
         let errors = findings.list.iter().filter(|finding| finding.severity == Severity::Error);
         for error in errors.clone() {
-            let unreadable =
-                error.message.contains("cannot read the scenario") || error.message.contains("larger than");
+            let unreadable = error.message.contains("cannot read the scenario")
+                || error.message.contains("larger than");
             assert!(error.at.is_some() || unreadable, "without a place: {error}");
-            assert!(error.message.len() <= MESSAGE && !error.message.chars().any(char::is_control), "{error:?}");
+            assert!(
+                error.message.len() <= MESSAGE && !error.message.chars().any(char::is_control),
+                "{error:?}"
+            );
         }
         // What the check calls sound can be loaded, and nothing else can.
         assert_eq!(findings.scenario.is_some(), Scenario::load(file).is_ok());

@@ -108,7 +108,12 @@ fn insert_anywhere(rng: &mut Rng, bytes: &mut Vec<u8>, new: &[u8]) {
 
 /// What stands between the quotes of each attribute.
 fn values(bytes: &[u8]) -> Vec<Range<usize>> {
-    let quotes = bytes.iter().enumerate().filter(|(_, byte)| **byte == b'"').map(|(at, _)| at).collect::<Vec<_>>();
+    let quotes = bytes
+        .iter()
+        .enumerate()
+        .filter(|(_, byte)| **byte == b'"')
+        .map(|(at, _)| at)
+        .collect::<Vec<_>>();
     quotes
         .chunks_exact(2)
         .map(|pair| pair[0] + 1..pair[1])
@@ -121,7 +126,8 @@ fn elements(bytes: &[u8]) -> Vec<Range<usize>> {
     let (mut found, mut open) = (Vec::new(), Vec::new());
     let mut at = 0;
     while let Some(start) = bytes[at..].iter().position(|byte| *byte == b'<').map(|i| at + i) {
-        let Some(end) = bytes[start..].iter().position(|byte| *byte == b'>').map(|i| start + i + 1) else {
+        let Some(end) = bytes[start..].iter().position(|byte| *byte == b'>').map(|i| start + i + 1)
+        else {
             break;
         };
         match bytes[start + 1] {
@@ -149,7 +155,8 @@ fn value(rng: &mut Rng, bytes: &mut Vec<u8>) {
         // One item of a list.
         let item = |byte: &u8| b" ,:".contains(byte);
         let cut = at.start + below(rng, at.len() + 1);
-        let start = bytes[at.start..cut].iter().rposition(item).map_or(at.start, |i| at.start + i + 1);
+        let start =
+            bytes[at.start..cut].iter().rposition(item).map_or(at.start, |i| at.start + i + 1);
         at = start..bytes[start..at.end].iter().position(item).map_or(at.end, |i| start + i);
     }
     let old = String::from_utf8_lossy(&bytes[at.clone()]).into_owned();
@@ -230,7 +237,8 @@ fn transplant(rng: &mut Rng, bytes: &mut Vec<u8>, other: &[u8]) {
 /// Makes one thing very long, very deep or very many.
 fn blow_up(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let size = 1 << below(rng, 16);
-    let list = |item: &dyn Fn(usize) -> String| (0..size).map(item).collect::<String>().into_bytes();
+    let list =
+        |item: &dyn Fn(usize) -> String| (0..size).map(item).collect::<String>().into_bytes();
     match below(rng, 6) {
         0 => insert_anywhere(rng, bytes, &list(&|_| "<edge>".into())),
         kind => {
@@ -238,7 +246,9 @@ fn blow_up(rng: &mut Rng, bytes: &mut Vec<u8>) {
             let (Some(value), Some(tag)) = (any(rng, &all), any(rng, &tags)) else {
                 return;
             };
-            let name = tag.start + 1 + bytes[tag.start + 1..].iter().take_while(|b| b.is_ascii_alphabetic()).count();
+            let name = tag.start
+                + 1
+                + bytes[tag.start + 1..].iter().take_while(|b| b.is_ascii_alphabetic()).count();
             let (at, new) = match kind {
                 1 => (value.end, list(&|i| format!(" {i}"))),
                 2 => (value.end, list(&|i| format!(" {i},{}", i % 7))),

@@ -70,7 +70,8 @@ impl World {
         for (kind, text) in files {
             std::fs::write(world.file(&format!("n.{kind}.xml")), text).unwrap();
         }
-        let sumo = find_sumo().unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
+        let sumo =
+            find_sumo().unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
         let output = Command::new(sumo.with_file_name("netconvert"))
             .args(["-n", "n.nod.xml", "-e", "n.edg.xml", "-o", "n.net.xml", "--proj.utm"])
             .args(["--sidewalks.guess", "--crossings.guess", "--tls.default-type", "actuated"])
@@ -88,15 +89,17 @@ impl World {
     /// SUMO's command line, without the program.
     pub fn arguments(&self) -> Vec<String> {
         let files = [("-n", "n.net.xml"), ("-a", "n.add.xml"), ("-r", "n.rou.xml")];
-        let files = files.map(|(option, name)| [option.to_owned(), self.file(name).to_str().unwrap().to_owned()]);
-        let words =
-            "--seed 4 --xml-validation never --no-step-log --no-warnings --device.taxi.dispatch-algorithm traci";
+        let files = files.map(|(option, name)| {
+            [option.to_owned(), self.file(name).to_str().unwrap().to_owned()]
+        });
+        let words = "--seed 4 --xml-validation never --no-step-log --no-warnings --device.taxi.dispatch-algorithm traci";
         files.into_iter().flatten().chain(words.split(' ').map(String::from)).collect()
     }
 
     pub fn start(&self) -> (Process, Client) {
         let arguments = self.arguments().into_iter().map(Into::into).collect();
-        let (process, client, _) = Process::start(&Options { arguments, ..Options::default() }).unwrap();
+        let (process, client, _) =
+            Process::start(&Options { arguments, ..Options::default() }).unwrap();
         (process, client)
     }
 }

@@ -101,7 +101,8 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
 /// Times decisions on random observations of vehicles that are all within reach of each other.
 fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
     let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)?;
-    let (e, n, o) = (i64::from(args.worlds), task.agents as i64, task.spec.observation.len() as i64);
+    let (e, n, o) =
+        (i64::from(args.worlds), task.agents as i64, task.spec.observation.len() as i64);
     let mut numbers = vec![0.0; (e * n * o) as usize];
     rng::fill_normal(&mut Seed::new(1).rng(), &mut numbers);
     let mut input = Observation {

@@ -53,7 +53,8 @@ impl Client {
     fn name(&self) -> String {
         match self {
             Client::Ours(backend, worlds, processes) => {
-                let worlds = if *worlds == 1 { "1 world".to_owned() } else { format!("{worlds} worlds") };
+                let worlds =
+                    if *worlds == 1 { "1 world".to_owned() } else { format!("{worlds} worlds") };
                 let place = match (backend, *processes) {
                     (Backend::Libsumo, _) => "in process".to_owned(),
                     (Backend::Traci, 1) => "1 process".to_owned(),
@@ -86,7 +87,8 @@ pub(super) fn run(
     steps: u32,
     repetitions: u32,
 ) -> anyhow::Result<Vec<Line>> {
-    let mut clients = vec![Client::Python("traci"), Client::Python("subscribed"), Client::Python("libsumo")];
+    let mut clients =
+        vec![Client::Python("traci"), Client::Python("subscribed"), Client::Python("libsumo")];
     if Path::new(TRACI_RS).exists() {
         clients.extend([Client::TraciRs("plain"), Client::TraciRs("subscribed")]);
     } else {
@@ -95,7 +97,9 @@ pub(super) fn run(
         );
     }
     for &(worlds, processes) in layouts {
-        for &backend in backends.iter().filter(|backend| **backend == Backend::Traci || processes == 1) {
+        for &backend in
+            backends.iter().filter(|backend| **backend == Backend::Traci || processes == 1)
+        {
             clients.push(Client::Ours(backend, worlds, processes));
         }
     }
@@ -106,7 +110,9 @@ pub(super) fn run(
     let file = folder.path().join("workload.json");
     let players = folder.path().join("players.py");
     let write = |path: &Path, bytes: &[u8]| {
-        std::fs::File::create(path).and_then(|mut f| f.write_all(bytes)).context("could not write the workload")
+        std::fs::File::create(path)
+            .and_then(|mut f| f.write_all(bytes))
+            .context("could not write the workload")
     };
     write(&file, workload.export(&arguments, WARMUP, steps).to_string().as_bytes())?;
     write(&players, PLAYERS.as_bytes())?;
@@ -120,12 +126,22 @@ pub(super) fn run(
                 Client::Ours(backend, worlds, processes) => {
                     (play(workload, *backend, *worlds, *processes, steps)?, *worlds)
                 }
-                Client::Python(kind) => {
-                    (external(Program::new(PYTHON).arg(&players).arg(kind).arg(&file).args(["--steps", &limit]))?, 1)
-                }
-                Client::TraciRs(kind) => {
-                    (external(Program::new(TRACI_RS).arg(kind).arg(&file).args(["--steps", &limit]))?, 1)
-                }
+                Client::Python(kind) => (
+                    external(
+                        Program::new(PYTHON)
+                            .arg(&players)
+                            .arg(kind)
+                            .arg(&file)
+                            .args(["--steps", &limit]),
+                    )?,
+                    1,
+                ),
+                Client::TraciRs(kind) => (
+                    external(
+                        Program::new(TRACI_RS).arg(kind).arg(&file).args(["--steps", &limit]),
+                    )?,
+                    1,
+                ),
             };
             match checksums.iter().find(|(steps, ..)| *steps == played.steps) {
                 None => checksums.push((played.steps, played.checksum, client.name())),
@@ -141,14 +157,27 @@ pub(super) fn run(
     }
     let line = |(client, mut rates): (&Client, Vec<f64>)| {
         let middle = median(&mut rates);
-        let (least, most) = (rates.first().copied().unwrap_or(middle), rates.last().copied().unwrap_or(middle));
-        Line { agents: workload.task.agents as u32, client: client.name(), steps_per_second: middle, least, most }
+        let (least, most) =
+            (rates.first().copied().unwrap_or(middle), rates.last().copied().unwrap_or(middle));
+        Line {
+            agents: workload.task.agents as u32,
+            client: client.name(),
+            steps_per_second: middle,
+            least,
+            most,
+        }
     };
     Ok(clients.iter().zip(rates).map(line).collect())
 }
 
 /// Ours: all worlds are sent the same commands, and all that is reported is turned into positions and angles.
-fn play(workload: &Workload, backend: Backend, worlds: usize, processes: usize, steps: u32) -> anyhow::Result<Played> {
+fn play(
+    workload: &Workload,
+    backend: Backend,
+    worlds: usize,
+    processes: usize,
+    steps: u32,
+) -> anyhow::Result<Played> {
     let mut hosts = Host::start(workload, backend, worlds, processes)?;
     let mut checksum = 0.0;
     let mut begin = Instant::now();
@@ -161,7 +190,9 @@ fn play(workload: &Workload, backend: Backend, worlds: usize, processes: usize, 
         let read = |snapshot: &Snapshot| {
             let mut sums = snapshot.vehicles.chunks(workload.task.agents).map(|world| {
                 let vehicles = world.iter().enumerate();
-                vehicles.filter_map(|(slot, vehicle)| Some(workload.checksum(slot, vehicle.as_ref()?))).sum::<f64>()
+                vehicles
+                    .filter_map(|(slot, vehicle)| Some(workload.checksum(slot, vehicle.as_ref()?)))
+                    .sum::<f64>()
             });
             let first = sums.next().unwrap_or_default();
             for sum in sums {
@@ -180,15 +211,20 @@ fn play(workload: &Workload, backend: Backend, worlds: usize, processes: usize, 
 fn external(program: &mut Program) -> anyhow::Result<Played> {
     let output = program.output().with_context(|| format!("could not run {program:?}"))?;
     if !output.status.success() {
-        bail!("{program:?} failed ({}): {}", output.status, String::from_utf8_lossy(&output.stderr).trim());
+        bail!(
+            "{program:?} failed ({}): {}",
+            output.status,
+            String::from_utf8_lossy(&output.stderr).trim()
+        );
     }
     serde_json::from_slice(&output.stdout).with_context(|| format!("{program:?} printed no result"))
 }
 
 /// As Markdown, with the rates as multiples of the first client's.
 pub(super) fn table(lines: &[Line]) -> String {
-    let mut text =
-        String::from("| client | vehicles | world steps/s | least to most | × plain Python |\n|---|--:|--:|--:|--:|\n");
+    let mut text = String::from(
+        "| client | vehicles | world steps/s | least to most | × plain Python |\n|---|--:|--:|--:|--:|\n",
+    );
     let mut base = f64::NAN;
     let mut agents = None;
     for line in lines {

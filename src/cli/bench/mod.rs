@@ -122,7 +122,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
 fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
     let scenario = Scenario::load(&args.scenario)?;
-    let backends = if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
+    let backends =
+        if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
     let mut workloads = Vec::new();
     for &agents in &args.agents {
         workloads.push(Workload::new(Task::new(&scenario, agents)?, args.control, args.audit));
@@ -130,10 +131,18 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
     if args.compare {
         let mut lines = Vec::new();
         for workload in &workloads {
-            lines.extend(compare::run(workload, &backends, &args.worlds, args.steps, args.repetitions)?);
+            lines.extend(compare::run(
+                workload,
+                &backends,
+                &args.worlds,
+                args.steps,
+                args.repetitions,
+            )?);
         }
         if args.json {
-            lines.iter().try_for_each(|line| serde_json::to_string(line).map(|text| tell!("{text}")))?;
+            lines
+                .iter()
+                .try_for_each(|line| serde_json::to_string(line).map(|text| tell!("{text}")))?;
         } else {
             super::print(format_args!("{}", compare::table(&lines)));
         }
@@ -163,12 +172,17 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
                     continue;
                 }
                 let row = measure(workload, backend, worlds, processes, args.seconds)
-                    .with_context(|| format!("{backend}, {worlds} worlds in {processes} processes"))?;
+                    .with_context(|| {
+                        format!("{backend}, {worlds} worlds in {processes} processes")
+                    })?;
                 if args.json {
                     tell!("{}", serde_json::to_string(&row)?);
                 } else {
-                    let share = row.sumo_share.map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
-                    let respawn = row.respawn_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2} ms"));
+                    let share = row
+                        .sumo_share
+                        .map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
+                    let respawn =
+                        row.respawn_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2} ms"));
                     tell!(
                         "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {respawn:>10}",
                         backend.name(),
@@ -191,7 +205,12 @@ struct Host {
 }
 
 impl Host {
-    fn start(workload: &Workload, backend: Backend, worlds: usize, processes: usize) -> Result<Vec<Host>, sumo::Error> {
+    fn start(
+        workload: &Workload,
+        backend: Backend,
+        worlds: usize,
+        processes: usize,
+    ) -> Result<Vec<Host>, sumo::Error> {
         let host = |h: usize| {
             let worlds = ((h + 1) * worlds / processes - h * worlds / processes) as u32;
             let simulation = sumo::start(backend, workload.config(worlds))?;
@@ -260,9 +279,18 @@ fn measure(
     }
     let elapsed = begin.elapsed().as_secs_f64();
     let after: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
-    let cpu = |(m, before): (&Meter, &Option<f64>)| Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed);
-    let share = after.iter().zip(&cpu_before).map(cpu).sum::<Option<f64>>().map(|sum| sum / processes as f64);
-    let total = |of: fn(&Meter) -> u64| after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>();
+    let cpu = |(m, before): (&Meter, &Option<f64>)| {
+        Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed)
+    };
+    let share = after
+        .iter()
+        .zip(&cpu_before)
+        .map(cpu)
+        .sum::<Option<f64>>()
+        .map(|sum| sum / processes as f64);
+    let total = |of: fn(&Meter) -> u64| {
+        after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>()
+    };
     let exchanges = total(|m| m.exchanges);
     Ok(Row {
         backend: backend.name(),
@@ -276,7 +304,8 @@ fn measure(
         sumo_share: share,
         sent: total(|m| m.sent) / exchanges,
         received: total(|m| m.received) / exchanges,
-        respawn_ms: Some(1000.0 * (median(&mut respawning) - median(&mut plain))).filter(|ms| ms.is_finite()),
+        respawn_ms: Some(1000.0 * (median(&mut respawning) - median(&mut plain)))
+            .filter(|ms| ms.is_finite()),
     })
 }
 

@@ -93,7 +93,9 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
             tell!("{}", serde_json::to_string(&row)?);
             continue;
         }
-        let optional = |value: Option<f64>, unit: &str| value.map_or("-".to_owned(), |v| format!("{v:.1} {unit}"));
+        let optional = |value: Option<f64>, unit: &str| {
+            value.map_or("-".to_owned(), |v| format!("{v:.1} {unit}"))
+        };
         tell!(
             "{name:9} {:>6} {:>8} {:>7} {:>8.1} ms {:>9.2} µs {:>12} {:>7}",
             row.agents,
@@ -161,22 +163,35 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
     });
     let mut rng = Seed::new(1).rng();
     let s = rollout.sizes;
-    for array in [&mut rollout.observation, &mut rollout.state, &mut rollout.action, &mut rollout.reward] {
+    for array in
+        [&mut rollout.observation, &mut rollout.state, &mut rollout.action, &mut rollout.reward]
+    {
         rng::fill_normal(&mut rng, array);
     }
     rng::fill_logistic(&mut rng, &mut rollout.graph_noise);
     rollout.log_prob.fill(-1.4);
-    rollout.active.iter_mut().for_each(|active| *active = f32::from(u8::from(rng::below(&mut rng, 100) < ACTIVE)));
+    rollout
+        .active
+        .iter_mut()
+        .for_each(|active| *active = f32::from(u8::from(rng::below(&mut rng, 100) < ACTIVE)));
     for (k, link) in rollout.comm.iter_mut().enumerate() {
         let (row, i, j) = (k / (s.agents * s.agents), k / s.agents % s.agents, k % s.agents);
         *link = rollout.active[row * s.agents + i] * rollout.active[row * s.agents + j];
     }
-    rollout.terminated.iter_mut().for_each(|end| *end = f32::from(u8::from(rng::below(&mut rng, 100) == 0)));
+    rollout
+        .terminated
+        .iter_mut()
+        .for_each(|end| *end = f32::from(u8::from(rng::below(&mut rng, 100) == 0)));
     rollout
 }
 
 /// Milliseconds of one update in PyTorch, after one that is not timed.
-fn reference(python: &PathBuf, name: &str, config: &Config, task: &Task) -> anyhow::Result<Vec<f64>> {
+fn reference(
+    python: &PathBuf,
+    name: &str,
+    config: &Config,
+    task: &Task,
+) -> anyhow::Result<Vec<f64>> {
     let sizes = [
         ("agents", i64::from(config.agents)),
         ("envs", config.train.envs as i64),
@@ -216,8 +231,13 @@ fn reference(python: &PathBuf, name: &str, config: &Config, task: &Task) -> anyh
     program.args(["--decoded", &config.iwol.decoded.to_string()]);
     program.args(sizes.iter().flat_map(|(key, value)| [format!("--{key}"), value.to_string()]));
     let output = program.output().with_context(|| format!("cannot run `{}`", python.display()))?;
-    let (text, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    ensure!(output.status.success(), "the reference failed: {}", errors.lines().last().unwrap_or("it said nothing"));
+    let (text, errors) =
+        (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    ensure!(
+        output.status.success(),
+        "the reference failed: {}",
+        errors.lines().last().unwrap_or("it said nothing")
+    );
     let last = text.lines().last().unwrap_or_default();
     serde_json::from_str(last).with_context(|| format!("the reference printed `{last}`"))
 }

@@ -40,7 +40,9 @@ pub(super) struct Workload {
 impl Workload {
     pub(super) fn new(task: Task, control: Control, audit: bool) -> Self {
         let interval = task.scenario.control.interval;
-        let speed = |agent: usize, step: u32| 6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * agent as f64).sin();
+        let speed = |agent: usize, step: u32| {
+            6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * agent as f64).sin()
+        };
         let mut ways = Vec::with_capacity(task.agents * EPISODE as usize);
         for agent in 0..task.agents {
             let place = &task.places[agent];
@@ -48,7 +50,8 @@ impl Workload {
             let longest = task.routes[place.routes[0]].arrival - place.pos;
             let mut way = 0.0_f64;
             for step in 0..EPISODE {
-                way = (way + f64::from(u8::from(step > 0)) * speed(agent, step) * interval).min(longest);
+                way = (way + f64::from(u8::from(step > 0)) * speed(agent, step) * interval)
+                    .min(longest);
                 ways.push(way);
             }
         }
@@ -88,11 +91,16 @@ impl Workload {
             match self.control {
                 Control::Throttle => {
                     let way = self.way(slot, episode_step) - self.way(slot, episode_step - 1);
-                    out.push(Command::SetSpeed { world, slot, speed: way / self.task.scenario.control.interval });
+                    out.push(Command::SetSpeed {
+                        world,
+                        slot,
+                        speed: way / self.task.scenario.control.interval,
+                    });
                 }
                 Control::Steering => {
                     let place = &self.task.places[slot as usize];
-                    let (route, front) = (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
+                    let (route, front) =
+                        (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
                     let ([x, y], heading, segment) =
                         self.task.routes[route].path.body(front, self.task.scenario.vehicle.length);
                     let keep_route = self.task.locate(route, [x, y], segment).0.keep_route();
@@ -105,7 +113,8 @@ impl Workload {
     /// x + y + navigational angle + speed of a vehicle: a number that shows whether two clients did the same.
     pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
         let path = &self.task.routes[self.task.places[slot].routes[0]].path;
-        let ([x, y], heading, _) = path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
+        let ([x, y], heading, _) =
+            path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
         x + y + (90.0 - heading.to_degrees()).rem_euclid(360.0) + vehicle.speed
     }
 
@@ -134,8 +143,10 @@ impl Workload {
                 })
             })
             .collect();
-        let routes: Vec<Value> = config.routes.iter().map(|r| json!({"id": r.id, "edges": r.edges})).collect();
-        let vehicles: Vec<String> = (0..self.task.agents).map(|slot| format!("w0s{slot}")).collect();
+        let routes: Vec<Value> =
+            config.routes.iter().map(|r| json!({"id": r.id, "edges": r.edges})).collect();
+        let vehicles: Vec<String> =
+            (0..self.task.agents).map(|slot| format!("w0s{slot}")).collect();
         json!({
             "arguments": arguments, "vehicle_types": types, "routes": routes, "vehicles": vehicles,
             "warmup": warmup, "steps": steps,

@@ -52,7 +52,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let trial = match &findings.scenario {
         Some(scenario) if args.steps > 0 => {
             let agents = args.agents.unwrap_or(scenario.agents.default);
-            let trial = Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &Hosting::default());
+            let trial =
+                Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &Hosting::default());
             match trial {
                 Ok(trial) => {
                     findings.list.extend(trial.findings(scenario));
@@ -67,11 +68,17 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
         _ => None,
     };
-    let count = |severity| findings.list.iter().filter(|finding| finding.severity == severity).count();
+    let count =
+        |severity| findings.list.iter().filter(|finding| finding.severity == severity).count();
     let (errors, warnings) = (count(Severity::Error), count(Severity::Warning));
     if args.json {
-        let report =
-            Report { scenario: &args.scenario, errors, warnings, findings: &findings.list, trial: trial.as_ref() };
+        let report = Report {
+            scenario: &args.scenario,
+            errors,
+            warnings,
+            findings: &findings.list,
+            trial: trial.as_ref(),
+        };
         tell!("{}", serde_json::to_string(&report)?);
     } else {
         print(&findings, trial.as_ref());
@@ -84,7 +91,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 fn is_fault_of_scenario(error: &env::Error) -> bool {
     match error {
         env::Error::Sumo { source, .. } => {
-            matches!(source, sumo::Error::Exited { .. } | sumo::Error::Refused { .. } | sumo::Error::Closed { .. })
+            matches!(
+                source,
+                sumo::Error::Exited { .. }
+                    | sumo::Error::Refused { .. }
+                    | sumo::Error::Closed { .. }
+            )
         }
         env::Error::Scenario(_) | env::Error::Panicked { .. } | env::Error::Replay => false,
         _ => true,
@@ -93,7 +105,8 @@ fn is_fault_of_scenario(error: &env::Error) -> bool {
 
 fn failed(error: &env::Error, path: &Path) -> Finding {
     let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
-    let message = causes.fold(format!("the trial failed: {error}"), |text, cause| format!("{text}: {cause}"));
+    let message =
+        causes.fold(format!("the trial failed: {error}"), |text, cause| format!("{text}: {cause}"));
     Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
 }
 
@@ -112,7 +125,13 @@ fn print(findings: &Findings, trial: Option<&Trial>) {
 fn print_trial(trial: &Trial) {
     tell!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
     for range in &trial.observation {
-        tell!("{:<32} {:>8.3} {:>8.3}  {}", range.name, range.least + 0.0, range.most + 0.0, range.unit);
+        tell!(
+            "{:<32} {:>8.3} {:>8.3}  {}",
+            range.name,
+            range.least + 0.0,
+            range.most + 0.0,
+            range.unit
+        );
     }
     tell!(
         "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",

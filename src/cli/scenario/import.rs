@@ -41,7 +41,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (None, Some(file)) => Map::Net(file),
         (None, None) => unreachable!("one of them is required"),
     };
-    let imported = import(&args.root, &args.out, map, args.junction.as_deref(), args.agents, args.steering)?;
+    let imported =
+        import(&args.root, &args.out, map, args.junction.as_deref(), args.agents, args.steering)?;
     for warning in imported.warnings.iter().take(LISTED) {
         say!("netconvert: {warning}");
     }
@@ -49,7 +50,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("netconvert: {} more warnings", imported.warnings.len() - LISTED);
     }
     say!("{:<32} {:<20} {:>5} {:>7} {:>7}", "junction", "type", "arms", "routes", "places");
-    for (i, Candidate { junction, kind, arms, routes, places }) in imported.candidates.iter().enumerate().take(LISTED) {
+    for (i, Candidate { junction, kind, arms, routes, places }) in
+        imported.candidates.iter().enumerate().take(LISTED)
+    {
         let chosen = if i == 0 { "  chosen" } else { "" };
         say!("{junction:<32} {kind:<20} {arms:>5} {routes:>7} {places:>7}{chosen}");
     }

@@ -32,7 +32,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Some("svg") => write_atomic(&args.out, picture(&task, &net).svg().as_bytes())?,
         Some("png") => picture(&task, &net).png(&args.out)?,
         Some("html") => write_atomic(&args.out, page(&task, &net).as_bytes())?,
-        _ => bail!("`{}` is no picture: give a name that ends in .svg, .png or .html", args.out.display()),
+        _ => bail!(
+            "`{}` is no picture: give a name that ends in .svg, .png or .html",
+            args.out.display()
+        ),
     }
     tell!("{}", args.out.display());
     Ok(Verdict::Good)

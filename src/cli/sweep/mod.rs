@@ -59,22 +59,31 @@ fn matches(wanted: &str, name: &str) -> bool {
     match wanted.split_once('*') {
         None => wanted == name,
         Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {
-            rest.char_indices().map(|(at, _)| at).chain([rest.len()]).any(|at| matches(after, &rest[at..]))
+            rest.char_indices()
+                .map(|(at, _)| at)
+                .chain([rest.len()])
+                .any(|at| matches(after, &rest[at..]))
         }),
     }
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.out)?;
-    let named = |wanted: &str, number: usize, cell: &Cell| wanted == number.to_string() || matches(wanted, &cell.id);
+    let named = |wanted: &str, number: usize, cell: &Cell| {
+        wanted == number.to_string() || matches(wanted, &cell.id)
+    };
     let mine = |(number, cell): &(usize, &Cell)| match args.shard {
         Some((i, n)) => number % n == i - 1,
         None => args.cell.is_empty() || args.cell.iter().any(|wanted| named(wanted, *number, cell)),
     };
     let count = sweep.cells.len();
-    let unknown = |wanted: &&String| !sweep.cells.iter().enumerate().any(|(number, cell)| named(wanted, number, cell));
+    let unknown = |wanted: &&String| {
+        !sweep.cells.iter().enumerate().any(|(number, cell)| named(wanted, number, cell))
+    };
     if let Some(wanted) = args.cell.iter().find(unknown) {
-        bail!("there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them");
+        bail!(
+            "there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them"
+        );
     }
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
@@ -99,7 +108,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     work::run(&sweep, &cells, usize::from(args.jobs.unwrap_or(1)), &stop)?;
     super::print(format_args!("{}", table(&sweep, &cells)));
     let states = || cells.iter().map(|(_, cell)| cell.state(&sweep.evaluations));
-    let failed: Vec<_> = cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
+    let failed: Vec<_> =
+        cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
     for ((_, cell), state) in &failed {
         if let State::Failed(lines) = state {
             say!("\n{} failed; all that it said is in {}\n{lines}", cell.id, cell.log().display());
@@ -119,7 +129,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
         return Ok(Verdict::Bad);
     }
-    let open = states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
+    let open =
+        states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
     if open > 0 {
         say!(
             "{open} of {} cells are not finished: somebody stopped them, or works on them; the same command goes on",
@@ -151,7 +162,9 @@ mod tests {
         ] {
             assert!(matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
         }
-        for wanted in ["", "mappo", "*seed_1", "mappo*/seed_", "mappo_agents=8/seed_0*0", "agents=8*"] {
+        for wanted in
+            ["", "mappo", "*seed_1", "mappo*/seed_", "mappo_agents=8/seed_0*0", "agents=8*"]
+        {
             assert!(!matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
         }
     }

@@ -9,12 +9,20 @@ use iwol_sumo::train::human_duration;
 /// A line per cell, and how long the rest will take.
 pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
     let width = cells.iter().map(|(_, cell)| cell.id.len()).max().unwrap_or(0).max(4);
-    let mut text = format!("{:>6}  {:width$}  {:22} {:>10} {:>9}\n", "number", "cell", "state", "steps", "minutes");
+    let mut text = format!(
+        "{:>6}  {:width$}  {:22} {:>10} {:>9}\n",
+        "number", "cell", "state", "steps", "minutes"
+    );
     for (number, cell) in cells {
         let (state, trained) = (cell.state(&sweep.evaluations), cell.trained());
         let steps = trained.as_ref().map_or_else(|| cell.steps(), |t| t.steps);
         let minutes = trained.map_or_else(String::new, |t| format!("{:.1}", t.seconds / 60.0));
-        let _ = write!(text, "{number:>6}  {:width$}  {:22} {steps:>10} {minutes:>9}", cell.id, name(&state));
+        let _ = write!(
+            text,
+            "{number:>6}  {:width$}  {:22} {steps:>10} {minutes:>9}",
+            cell.id,
+            name(&state)
+        );
         if let Some(first) = sweep.waits_for(cell) {
             let _ = write!(text, "  waits for {}", first.id);
         }
@@ -23,8 +31,10 @@ pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
     let count = |wanted: &dyn Fn(&State) -> bool| {
         cells.iter().filter(|(_, cell)| wanted(&cell.state(&sweep.evaluations))).count()
     };
-    let (finished, failed) =
-        (count(&|state| *state == State::Finished), count(&|state| matches!(state, State::Failed(_))));
+    let (finished, failed) = (
+        count(&|state| *state == State::Finished),
+        count(&|state| matches!(state, State::Failed(_))),
+    );
     let _ = writeln!(text, "{finished} of {} cells finished, {failed} failed", cells.len());
     if finished + failed < cells.len() {
         let left = time_left(sweep, cells).map_or_else(
@@ -53,17 +63,23 @@ pub(super) fn time_left(sweep: &Sweep, cells: &[(usize, &Cell)]) -> Option<Durat
         sweep.cells.iter().filter_map(|cell| Some((cell, cell.trained()?.seconds))).collect();
     let expected = |cell: &Cell| {
         let alike: [&dyn Fn(&Cell) -> bool; 3] = [
-            &|other| other.config.algorithm == cell.config.algorithm && other.config.agents == cell.config.agents,
+            &|other| {
+                other.config.algorithm == cell.config.algorithm
+                    && other.config.agents == cell.config.agents
+            },
             &|other| other.config.algorithm == cell.config.algorithm,
             &|_| true,
         ];
         alike.iter().find_map(|alike| {
-            let seconds: Vec<f64> = trained.iter().filter(|(other, _)| alike(other)).map(|(_, s)| *s).collect();
+            let seconds: Vec<f64> =
+                trained.iter().filter(|(other, _)| alike(other)).map(|(_, s)| *s).collect();
             (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
         })
     };
-    let open =
-        cells.iter().filter(|(_, cell)| matches!(cell.state(&sweep.evaluations), State::New | State::Partial(_)));
-    let seconds: Option<f64> = open.map(|(_, cell)| Some((expected(cell)? - cell.seconds()).max(0.0))).sum();
+    let open = cells.iter().filter(|(_, cell)| {
+        matches!(cell.state(&sweep.evaluations), State::New | State::Partial(_))
+    });
+    let seconds: Option<f64> =
+        open.map(|(_, cell)| Some((expected(cell)? - cell.seconds()).max(0.0))).sum();
     seconds.map(Duration::from_secs_f64)
 }

@@ -14,20 +14,29 @@ use crate::cli::Verdict;
 
 /// Writes the script and hands it to `sbatch`.
 pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
-    let open = |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
-    let numbers: Vec<usize> = (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
+    let open =
+        |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
+    let numbers: Vec<usize> =
+        (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
     if numbers.is_empty() {
-        say!("nothing to submit: all cells are finished or failed (--retry runs the failed ones again)");
+        say!(
+            "nothing to submit: all cells are finished or failed (--retry runs the failed ones again)"
+        );
         return Ok(Verdict::Good);
     }
     for option in &args.slurm_option {
-        let known = option.split_once('=').is_some_and(|(key, _)| !matches!(key, "array" | "job-name" | "output"));
+        let known = option
+            .split_once('=')
+            .is_some_and(|(key, _)| !matches!(key, "array" | "job-name" | "output"));
         if !known {
-            bail!("--slurm-option {option}: write it as key=value; array, job-name and output are the sweep's own");
+            bail!(
+                "--slurm-option {option}: write it as key=value; array, job-name and output are the sweep's own"
+            );
         }
     }
     let folder = args.out.join(&sweep.name);
-    std::fs::create_dir_all(folder.join("slurm")).with_context(|| format!("cannot make `{}`", folder.display()))?;
+    std::fs::create_dir_all(folder.join("slurm"))
+        .with_context(|| format!("cannot make `{}`", folder.display()))?;
     // Tasks that wait in the queue go by this list, whatever becomes of the sweep file and of later submissions.
     let stamp = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let list = folder.join(format!("slurm/{stamp}.cells"));
@@ -61,10 +70,10 @@ fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Resu
     let here = std::env::current_dir().context("cannot tell the current folder")?;
     let program = std::env::current_exe().context("cannot find this program's file")?;
     let quoted = |path: &Path| -> anyhow::Result<String> {
-        let text = path
-            .to_str()
-            .filter(|text| !text.contains(['\'', '\n']))
-            .with_context(|| format!("the path {} cannot be written into a script", path.display()))?;
+        let text =
+            path.to_str().filter(|text| !text.contains(['\'', '\n'])).with_context(|| {
+                format!("the path {} cannot be written into a script", path.display())
+            })?;
         Ok(format!("'{text}'"))
     };
     let mut text = String::from("#!/bin/sh\n");
@@ -74,7 +83,8 @@ fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Resu
     let _ = writeln!(text, "#SBATCH --array=1-{count}{throttle}");
     let _ = writeln!(text, "#SBATCH --output={}", quoted(&logs)?);
     // A task that has to go gets its time to write a checkpoint; queued again, it goes on.
-    let _ = writeln!(text, "#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n#SBATCH --open-mode=append");
+    let _ =
+        writeln!(text, "#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n#SBATCH --open-mode=append");
     for option in &args.slurm_option {
         let _ = writeln!(text, "#SBATCH --{option}");
     }

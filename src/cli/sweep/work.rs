@@ -24,9 +24,15 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Runs what is not finished of `cells`, `jobs` at a time, until all is done or `stop` is raised. A cell that fails leaves its
 /// mark and does not disturb the others.
-pub(super) fn run(sweep: &Sweep, cells: &[(usize, &Cell)], jobs: usize, stop: &AtomicBool) -> anyhow::Result<()> {
-    let open =
-        cells.iter().filter(|(_, cell)| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_)));
+pub(super) fn run(
+    sweep: &Sweep,
+    cells: &[(usize, &Cell)],
+    jobs: usize,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
+    let open = cells.iter().filter(|(_, cell)| {
+        !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_))
+    });
     let queue: Mutex<VecDeque<&Cell>> = Mutex::new(open.map(|(_, cell)| *cell).collect());
     let count = queue.lock().expect("no worker panics").len();
     say!("{count} of {} cells to do, {jobs} at a time", cells.len());
@@ -86,7 +92,12 @@ enum End {
 }
 
 /// Does all that is left to do in a cell.
-fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&str)) -> anyhow::Result<End> {
+fn finish(
+    sweep: &Sweep,
+    cell: &Cell,
+    stop: &AtomicBool,
+    show: &mut dyn FnMut(&str),
+) -> anyhow::Result<End> {
     loop {
         // What is next depends on what such a process leaves behind.
         let since = Instant::now();
@@ -108,7 +119,10 @@ fn finish(sweep: &Sweep, cell: &Cell, stop: &AtomicBool, show: &mut dyn FnMut(&s
             _ if cell.run().is_locked() => return Ok(End::Busy),
             Some(code) if code == i32::from(INTERRUPTED) => return Ok(End::Interrupted),
             code => {
-                let how = code.map_or_else(|| "was killed".to_owned(), |code| format!("ended with code {code}"));
+                let how = code.map_or_else(
+                    || "was killed".to_owned(),
+                    |code| format!("ended with code {code}"),
+                );
                 cell.mark_failed(&format!("iwol {} {how}", job.arguments.join(" ")))?;
                 return Ok(End::Failed);
             }
@@ -133,7 +147,11 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
 
 /// Waits for a child; its exit code, `None` when a signal ended it. When `stop` is raised, the child is asked to stop, and
 /// given the time to write its checkpoint.
-fn wait(child: &mut Child, stop: &AtomicBool, mut show: impl FnMut()) -> anyhow::Result<Option<i32>> {
+fn wait(
+    child: &mut Child,
+    stop: &AtomicBool,
+    mut show: impl FnMut(),
+) -> anyhow::Result<Option<i32>> {
     let mut asked = false;
     loop {
         if let Some(status) = child.try_wait().context("cannot wait for a child process")? {
@@ -162,7 +180,8 @@ struct Screen {
 impl Screen {
     fn new(cells: usize, jobs: usize) -> Self {
         let group = MultiProgress::new();
-        let style = |template: &str| ProgressStyle::with_template(template).expect("a valid template");
+        let style =
+            |template: &str| ProgressStyle::with_template(template).expect("a valid template");
         let bar = |_| {
             let bar = group.add(ProgressBar::new(1));
             bar.set_style(style("{bar:20} {human_pos:>9}/{human_len} steps  {msg}"));
@@ -193,7 +212,15 @@ impl Screen {
         last[number] = said;
     }
 
-    fn done(&self, number: usize, cell: &Cell, end: End, took: Duration, left: Option<Duration>, jobs: usize) {
+    fn done(
+        &self,
+        number: usize,
+        cell: &Cell,
+        end: End,
+        took: Duration,
+        left: Option<Duration>,
+        jobs: usize,
+    ) {
         let end = match end {
             End::Finished => "finished in",
             End::Failed => "FAILED after",
@@ -202,7 +229,9 @@ impl Screen {
             End::Stopped => return,
         };
         self.all.inc(1);
-        let left = left.map_or_else(String::new, |left| format!(", about {} left", human_duration(left / jobs as u32)));
+        let left = left.map_or_else(String::new, |left| {
+            format!(", about {} left", human_duration(left / jobs as u32))
+        });
         let line = format!("{} {end} {}{left}", cell.id, human_duration(took));
         if self.terminal {
             self.bars[number].println(line);

@@ -10,7 +10,8 @@ fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
     exchange(&mut world, &mut rails, &[0.0; 16]);
-    let start: Vec<(usize, f64)> = rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
+    let start: Vec<(usize, f64)> =
+        rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
     let mut lane: Vec<usize> = (0..16).filter(|&i| start[i].0 == 0).collect();
     lane.sort_by(|&a, &b| start[b].1.total_cmp(&start[a].1));
     let half = task.scenario.vehicle.length / 2.0;
@@ -70,7 +71,11 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
         let (mut world, mut rails) = (world(&close, seed), Rails::new(&close));
         world.reset(0);
         for step in 0.. {
-            exchange(&mut world, &mut rails, &[if step <= steps { 0.5 } else { -1.0 }, 0.0, 0.0, 0.0]);
+            exchange(
+                &mut world,
+                &mut rails,
+                &[if step <= steps { 0.5 } else { -1.0 }, 0.0, 0.0, 0.0],
+            );
             if let Some(record) = world.take_finished() {
                 return record.loitering;
             }
@@ -84,7 +89,11 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
 #[test]
 fn distance_and_crashes_are_counted() {
     let (record, driven) = lane(&[None]);
-    assert!(driven > 0.05 && (record.distance_km - driven).abs() < 1e-3, "{} {driven}", record.distance_km);
+    assert!(
+        driven > 0.05 && (record.distance_km - driven).abs() < 1e-3,
+        "{} {driven}",
+        record.distance_km
+    );
     assert_eq!(record.crashes, 0);
     // The second of the lane runs into the first, which stands: one crash of two. The third runs
     // into the wrecks: one more.

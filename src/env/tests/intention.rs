@@ -39,7 +39,12 @@ fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario 
 /// The task of a scenario, made once.
 fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> {
     static MADE: Mutex<BTreeMap<String, Arc<Task>>> = Mutex::new(BTreeMap::new());
-    let make = || Arc::new(Task::new(&scenario(name, intention, signal_distance), VEHICLES as u32).expect("a task"));
+    let make = || {
+        Arc::new(
+            Task::new(&scenario(name, intention, signal_distance), VEHICLES as u32)
+                .expect("a task"),
+        )
+    };
     let mut made = MADE.lock().expect("no test has panicked while it made a task");
     Arc::clone(made.entry(format!("{name} {intention:?} {signal_distance}")).or_insert_with(make))
 }
@@ -55,12 +60,15 @@ fn place() -> impl Strategy<Value = Place> {
 /// Sends the vehicle of a slot along another route from where it is.
 fn send(task: &Task, slot: &mut Slot, route: usize) {
     slot.route = route;
-    (slot.s, slot.lateral, slot.segment) = task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
+    (slot.s, slot.lateral, slot.segment) =
+        task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
 }
 
 fn scene(task: &Task, places: &[Place]) -> Traffic {
     let mut traffic = Traffic::new(places.len(), task.routes.len());
-    for (k, (slot, &(route, at, lateral, turned, speed))) in traffic.slots.iter_mut().zip(places).enumerate() {
+    for (k, (slot, &(route, at, lateral, turned, speed))) in
+        traffic.slots.iter_mut().zip(places).enumerate()
+    {
         let route = (route * task.routes.len() as f64) as usize;
         let path = &task.routes[route].path;
         let (point, heading) = path.at(at * path.length());
@@ -83,9 +91,12 @@ fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
     }
     traffic.take_turns(&task.routes, intentions.as_ref(), task.scenario.observation.turns);
     let knowledge = Knowledge::public(task, &traffic, intentions.as_ref());
-    let (mut turns, mut seen) = (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
+    let (mut turns, mut seen) =
+        (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
     inherit(knowledge, &mut turns, &mut Vec::new());
-    seen.iter_mut().enumerate().for_each(|(i, seen)| observation::write(task, knowledge, &turns, i, seen));
+    seen.iter_mut()
+        .enumerate()
+        .for_each(|(i, seen)| observation::write(task, knowledge, &turns, i, seen));
     seen
 }
 
@@ -95,7 +106,8 @@ fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<Str
     for (i, (a, b)) in a.iter().zip(b).enumerate().filter(|(i, _)| *i != but) {
         let values = a.iter().zip(b).zip(&task.spec.observation.list);
         let differ = values.filter(|((a, b), _)| a.to_bits() != b.to_bits());
-        names.extend(differ.map(|((a, b), feature)| format!("agent {i}: {} {a} {b}", feature.name)));
+        names
+            .extend(differ.map(|((a, b), feature)| format!("agent {i}: {} {a} {b}", feature.name)));
     }
     names
 }
@@ -207,7 +219,9 @@ fn a_seen_route_changes_what_depends_on_it() {
         };
         (0..VEHICLES).map(|_| (draw(0.0, 1.0), draw(0.0, 0.6), 0.0, 0.0, draw(0.0, 10.0))).collect()
     };
-    for (intention, told) in [(Intention::Seen, true), (Intention::Signalled, true), (Intention::Hidden, false)] {
+    for (intention, told) in
+        [(Intention::Seen, true), (Intention::Signalled, true), (Intention::Hidden, false)]
+    {
         let mut groups = HashSet::new();
         for name in FORKED {
             let task = task_of(name, intention, 30.0);
@@ -218,9 +232,15 @@ fn a_seen_route_changes_what_depends_on_it() {
                     let mut other = traffic.clone();
                     send(&task, &mut other.slots[0], route);
                     for feature in differing(&task, &before, &observe(&task, &other), 0) {
-                        let group = feature.split(' ').nth(2).and_then(|name| name.split(['.', '_']).next());
+                        let group = feature
+                            .split(' ')
+                            .nth(2)
+                            .and_then(|name| name.split(['.', '_']).next());
                         groups.insert(
-                            group.unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit()).to_owned(),
+                            group
+                                .unwrap_or_default()
+                                .trim_end_matches(|c: char| c.is_ascii_digit())
+                                .to_owned(),
                         );
                     }
                 }
@@ -229,7 +249,10 @@ fn a_seen_route_changes_what_depends_on_it() {
         for group in ["leader", "stream", "apart", "encounter", "free"] {
             assert_eq!(groups.contains(group), told, "{intention:?}: {groups:?}");
         }
-        assert!(!["ego", "neighbour", "lidar", "borders"].iter().any(|group| groups.contains(*group)), "{groups:?}");
+        assert!(
+            !["ego", "neighbour", "lidar", "borders"].iter().any(|group| groups.contains(*group)),
+            "{groups:?}"
+        );
     }
 }
 
@@ -237,13 +260,20 @@ fn a_seen_route_changes_what_depends_on_it() {
 #[test]
 fn an_indicator_is_seen_past_nobody() {
     let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
-    let route = |id: &str| (0..task.routes.len()).find(|&k| task.route_id(k) == id).expect("a route");
+    let route =
+        |id: &str| (0..task.routes.len()).find(|&k| task.route_id(k) == id).expect("a route");
     let mut traffic = Traffic::new(VEHICLES, task.routes.len());
     let mut put = |k: usize, id: &str, at: f64| {
         let path = &task.routes[route(id)].path;
         let ([x, y], heading) = path.at(at);
         let status = Status::Active;
-        traffic.slots[k] = Slot { status, size: [4.5, 1.8], pose: Pose { x, y, heading }, departed: true, ..EMPTY };
+        traffic.slots[k] = Slot {
+            status,
+            size: [4.5, 1.8],
+            pose: Pose { x, y, heading },
+            departed: true,
+            ..EMPTY
+        };
         send(&task, &mut traffic.slots[k], route(id));
     };
     let end = task.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
@@ -291,14 +321,18 @@ fn routes_close_where_they_part() {
         let mut traffic = Traffic::new(VEHICLES, task.routes.len());
         let ([x, y], heading) = path.at(end - 10.0 + f64::from(k) / 2.0);
         let pose = Pose { x, y, heading };
-        traffic.slots[0] = Slot { status: Status::Active, size: [4.5, 1.8], pose, departed: true, ..EMPTY };
+        traffic.slots[0] =
+            Slot { status: Status::Active, size: [4.5, 1.8], pose, departed: true, ..EMPTY };
         send(&task, &mut traffic.slots[0], left);
         traffic.refresh();
         intentions.update(&task, &traffic, true);
         open.push(Knowledge::public(&task, &traffic, Some(&intentions)).candidates(0).count());
     }
     assert!(open.is_sorted_by(|a, b| a >= b), "{open:?}");
-    assert!(open[..20].iter().all(|&count| count == 3) && open[40..].iter().all(|&count| count == 1), "{open:?}");
+    assert!(
+        open[..20].iter().all(|&count| count == 3) && open[40..].iter().all(|&count| count == 1),
+        "{open:?}"
+    );
     // Where every vehicle's route is the only one from its lane, hiding costs nothing.
     for name in ["intersection", "mixed_cross", "pedestrians_cross"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
@@ -339,7 +373,9 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
                 for world in &mut worlds {
                     world.observe(0, &snapshot).expect("nothing vanishes");
                 }
-                let ends = |world: &World| world.agents().map(|agent| (agent.driving, agent.wreck)).collect::<Vec<_>>();
+                let ends = |world: &World| {
+                    world.agents().map(|agent| (agent.driving, agent.wreck)).collect::<Vec<_>>()
+                };
                 if ends(&worlds[0]) != ends(&worlds[1]) || !worlds[0].is_running() {
                     break;
                 }
@@ -347,7 +383,10 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
                 let [a, b] = worlds.each_ref().map(|world| world.frame().observation.chunks(width));
                 for (i, (a, b)) in a.zip(b).enumerate().filter(|(i, _)| !sent[*i]) {
                     differences[k] += usize::from(a != b);
-                    assert!(a == b || intention == Intention::Seen, "{name}, seed {seed}, step {step}, agent {i}");
+                    assert!(
+                        a == b || intention == Intention::Seen,
+                        "{name}, seed {seed}, step {step}, agent {i}"
+                    );
                 }
                 worlds[0].pursue(Pursuit { speed: 6.0, gives_way: step % 40 < 30 }, &mut actions);
                 for world in &mut worlds {

@@ -7,7 +7,8 @@ fn mixed(penetration: f64, capacity: u32, horizon: u32) -> Arc<Task> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/mixed_cross.xml");
     let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
     (scenario.traffic.penetration, scenario.traffic.capacity) = (penetration, capacity);
-    (scenario.termination.horizon, scenario.observation.groups) = (horizon, ObservationGroups::Both);
+    (scenario.termination.horizon, scenario.observation.groups) =
+        (horizon, ObservationGroups::Both);
     Arc::new(Task::new(&scenario, 8).expect("a task"))
 }
 

@@ -53,19 +53,26 @@ fn who_is_in_the_way_is_an_encounter() {
         for (a, own) in task.routes.iter().enumerate() {
             for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
                 // From where whole vehicles are on their routes, up to where they arrive.
-                let ways = |route: &RouteGeometry| (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0);
+                let ways = |route: &RouteGeometry| {
+                    (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0)
+                };
                 for s in ways(other) {
                     if own.shared_position(b, s).is_some() {
                         continue;
                     }
                     let live = |t: f64| own.next_meeting(t, b, s, CLEARED).is_some();
                     // Who is past the meeting drives on.
-                    let ahead = |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
+                    let ahead =
+                        |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
                     let past = |t: f64| own.meeting(b).is_some() && !ahead(t);
                     let there = pose(&other.path, s);
-                    let touched = |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
+                    let touched =
+                        |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
                     if let Some(t) = ways(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
-                        unseen.push(format!("{name}: {} at {s} for {} at {t}", task.route_ids[b], task.route_ids[a]));
+                        unseen.push(format!(
+                            "{name}: {} at {s} for {} at {t}",
+                            task.route_ids[b], task.route_ids[a]
+                        ));
                         break;
                     }
                 }
@@ -95,15 +102,28 @@ fn pursuit_stays_on_the_road_of_every_route() {
                 let at = [motion.pose.x, motion.pose.y];
                 let lateral;
                 (s, lateral, segment) = route.path.project(at, segment);
-                assert!(lateral.abs() < 1.0, "{name}: {id} is {lateral} m beside its way, at {at:?}");
+                assert!(
+                    lateral.abs() < 1.0,
+                    "{name}: {id} is {lateral} m beside its way, at {at:?}"
+                );
                 let steer = pursuit::steer(steering, &route.path, s, &motion.pose);
-                motion = motion.advance(control, steering, &scenario.vehicle, steer, throttle.clamp(-1.0, 1.0));
+                motion = motion.advance(
+                    control,
+                    steering,
+                    &scenario.vehicle,
+                    steer,
+                    throttle.clamp(-1.0, 1.0),
+                );
                 assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
                 if s > route.path.length() - 4.0 {
                     break;
                 }
             }
-            assert!(s > route.path.length() - 4.0, "{name}: {id} has come to {s:.1} m of {:.1}", route.path.length());
+            assert!(
+                s > route.path.length() - 4.0,
+                "{name}: {id} has come to {s:.1} m of {:.1}",
+                route.path.length()
+            );
         }
     }
     assert_eq!(around, 4, "the inner lane of each arm of the large intersection");
@@ -130,7 +150,8 @@ fn an_agent_that_steers_arrives_on_any_lane() {
 fn routes_meet_where_the_lanes_cross() {
     let task = task(8, |_| {});
     let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
-    let (east, west, south, north) = (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
+    let (east, west, south, north) =
+        (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
     // Eastbound along y = 0 from x = 0 meets southbound at x = 40, then northbound at x = 43.5; westbound never.
     let conflicts = &task.routes[east].conflicts;
     assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
@@ -140,7 +161,8 @@ fn routes_meet_where_the_lanes_cross() {
     assert_eq!(task.routes[east].apart, [west]);
     for (a, own) in task.routes.iter().enumerate() {
         for c in &own.conflicts {
-            let back = task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
+            let back =
+                task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
             assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
         }
     }
@@ -151,14 +173,17 @@ fn ways_that_lie_on_each_other_meet() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
     let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
     let task = Task::new(&scenario, 5).expect("a task");
-    let index = |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
+    let index =
+        |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
     let meeting = |a: &str, b: &str| task.routes[index(a)].meeting(index(b));
     // Into a space, and out of it: they share its lanes' ground, and the last metres before it.
     let met = meeting("west_space1", "space1_north").expect("they meet");
     assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
-    for (leaves, enters) in
-        [("space1_north", "west_space1"), ("space5_west", "north_space5"), ("space7_south", "west_space7")]
-    {
+    for (leaves, enters) in [
+        ("space1_north", "west_space1"),
+        ("space5_west", "north_space5"),
+        ("space7_south", "west_space7"),
+    ] {
         // Who leaves meets who enters at the end of their common way: out of the space, which is 7 m long.
         let met = meeting(leaves, enters).expect("they meet");
         assert!((2.0..12.0).contains(&met.own), "{leaves}, {enters}: {met:?}");
@@ -166,10 +191,16 @@ fn ways_that_lie_on_each_other_meet() {
         let (a, b) = (place(leaves, met.own), place(enters, met.other));
         assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.2, "one place for both: {a:?} {b:?}");
         let back = meeting(enters, leaves).expect("they meet");
-        assert!((met.own - back.other).abs() < 0.2 && (met.other - back.own).abs() < 0.2, "{met:?} {back:?}");
+        assert!(
+            (met.own - back.other).abs() < 0.2 && (met.other - back.own).abs() < 0.2,
+            "{met:?} {back:?}"
+        );
     }
     assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
-    assert!(meeting("west_space2", "space1_west").is_some() && meeting("west_space5", "space1_west").is_none());
+    assert!(
+        meeting("west_space2", "space1_west").is_some()
+            && meeting("west_space5", "space1_west").is_none()
+    );
 }
 
 /// The reward for speed counts its magnitude, as the paper's simulator does: who drives backwards
@@ -179,7 +210,10 @@ fn the_reward_for_speed_is_for_its_magnitude() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
     let scenario = Scenario::load(&path).expect("a scenario");
     let task = Arc::new(Task::new(&scenario, 1).expect("a task"));
-    let there = Snapshot { vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })], ..Snapshot::default() };
+    let there = Snapshot {
+        vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })],
+        ..Snapshot::default()
+    };
     for steer in [0.0, 1.0] {
         let mut world = world(&task, 0);
         world.reset(0);

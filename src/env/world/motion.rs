@@ -36,7 +36,10 @@ impl World {
             // Where full brake drives nobody backwards, it is the shortest way to stand.
             let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
             // Who is on rails has no steering.
-            action.iter_mut().zip(&wanted[2 - task.spec.actions.len()..]).for_each(|(to, from)| *to = *from as f32);
+            action
+                .iter_mut()
+                .zip(&wanted[2 - task.spec.actions.len()..])
+                .for_each(|(to, from)| *to = *from as f32);
         }
     }
 
@@ -64,23 +67,36 @@ impl World {
                     let at = i as u32;
                     match slot.status {
                         Status::Active if self.driver == Driver::Agents => {
-                            let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
-                            let actions = &actions[i * task.spec.actions.len()..(i + 1) * task.spec.actions.len()];
+                            let (control, vehicle) =
+                                (&task.scenario.control, &task.scenario.vehicle);
+                            let actions = &actions
+                                [i * task.spec.actions.len()..(i + 1) * task.spec.actions.len()];
                             let action = |k: usize| {
                                 let action = f64::from(actions[k]);
                                 if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }
                             };
                             if let Some(steering) = &control.steering {
                                 (slot.steer, slot.action) = (action(0), action(1));
-                                slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
+                                slot.motion = slot.motion.advance(
+                                    control,
+                                    steering,
+                                    vehicle,
+                                    slot.steer,
+                                    slot.action,
+                                );
                                 slot.speed = slot.motion.velocity.x;
                                 moves(task, world, at, slot, commands);
                             } else {
                                 slot.action = action(0);
-                                let (way, speed) = dynamics::advance(control, vehicle, slot.speed, slot.action);
+                                let (way, speed) =
+                                    dynamics::advance(control, vehicle, slot.speed, slot.action);
                                 slot.speed = speed;
                                 // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
-                                commands.push(Command::SetSpeed { world, slot: at, speed: way / control.interval });
+                                commands.push(Command::SetSpeed {
+                                    world,
+                                    slot: at,
+                                    speed: way / control.interval,
+                                });
                             }
                         }
                         Status::Wreck if slot.wreck_steps == 0 => {
@@ -93,8 +109,12 @@ impl World {
                             match &task.scenario.control.steering {
                                 // SUMO knows no vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
-                                Some(_) if self.driver == Driver::Agents => moves(task, world, at, slot, commands),
-                                _ => commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 }),
+                                Some(_) if self.driver == Driver::Agents => {
+                                    moves(task, world, at, slot, commands)
+                                }
+                                _ => {
+                                    commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 })
+                                }
                             }
                         }
                         Status::Empty if slot.added => {
@@ -140,7 +160,8 @@ impl World {
         let mut taken = Vec::new();
         let mut draw = |place: usize, rng: &mut rng::Rng| {
             let place = &task.places[places[place]];
-            let free = |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
+            let free =
+                |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
             let choice = place.routes.iter().filter(free).count();
             let drawn = if choice > 1 { rng::below(rng, choice) } else { 0 };
             // The scenario's check has seen to it that something is free.
@@ -192,7 +213,8 @@ impl World {
             }
         }
         if task.others > 0 {
-            let starts = (task.agents..task.agents + task.placed()).map(|place| draw(place, &mut rng));
+            let starts =
+                (task.agents..task.agents + task.placed()).map(|place| draw(place, &mut rng));
             self.spawn_others(world, &starts.collect::<Vec<_>>(), commands);
         }
         self.phase = Phase::Spawning;
@@ -211,7 +233,10 @@ impl World {
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
                 // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
-                if slot.departed && steers && (slot.track != Track::Route || slot.status == Status::Wreck) {
+                if slot.departed
+                    && steers
+                    && (slot.track != Track::Route || slot.status == Status::Wreck)
+                {
                     slot.track = Track::Lost;
                     slot.pose = slot.motion.pose;
                     continue;
@@ -223,8 +248,15 @@ impl World {
                 }
                 // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
                 if slot.departed || self.driver == Driver::Agents {
-                    let (route, length) = (task.route_ids[slot.route].clone(), task.routes[slot.route].path.length());
-                    return Err(Error::Vanished { slot: i, route, position: slot.s, length, step: self.step });
+                    let (route, length) =
+                        (task.route_ids[slot.route].clone(), task.routes[slot.route].path.length());
+                    return Err(Error::Vanished {
+                        slot: i,
+                        route,
+                        position: slot.s,
+                        length,
+                        step: self.step,
+                    });
                 }
                 continue;
             };
@@ -235,13 +267,15 @@ impl World {
             let route = &task.routes[slot.route];
             if steers {
                 slot.pose = slot.motion.pose;
-                (slot.s, slot.lateral, slot.segment) = route.path.project([slot.pose.x, slot.pose.y], slot.segment);
+                (slot.s, slot.lateral, slot.segment) =
+                    route.path.project([slot.pose.x, slot.pose.y], slot.segment);
                 continue;
             }
             let front = route.lanes().arc_of_distance(vehicle.distance);
             let (point, heading, segment) = route.lanes().body(front, 2.0 * half);
             let (sin, cos) = heading.sin_cos();
-            slot.pose = Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
+            slot.pose =
+                Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
             slot.s = route.on_way(front - half);
             slot.segment = segment;
         }
@@ -271,7 +305,9 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     let distance = task.routes[vehicle.route].lanes().distance_of_arc(s);
     let held = vehicle.held.take().filter(|_| place != Place::Beside);
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
-    if let Some(speed) = speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed)) {
+    if let Some(speed) =
+        speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed))
+    {
         vehicle.held = Some(distance);
         vehicle.sent = Some((pose, speed));
         commands.push(Command::SetSpeed { world, slot, speed });
@@ -285,5 +321,12 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     let speed = vehicle.speed.max(0.0);
     vehicle.sent = Some((pose, speed));
     commands.push(Command::SetSpeed { world, slot, speed });
-    commands.push(Command::MoveTo { world, slot, x, y, heading: pose.heading, keep_route: place.keep_route() });
+    commands.push(Command::MoveTo {
+        world,
+        slot,
+        x,
+        y,
+        heading: pose.heading,
+        keep_route: place.keep_route(),
+    });
 }

@@ -82,7 +82,11 @@ impl Others {
     fn begin(&mut self, task: &Task, seed: Seed) {
         self.clocks.clear();
         for (index, source) in task.demand.sources.iter().enumerate() {
-            let mut clock = Clock { rng: seed.index(index as u64).rng(), next: source.begin, left: source.number };
+            let mut clock = Clock {
+                rng: seed.index(index as u64).rng(),
+                next: source.begin,
+                left: source.number,
+            };
             if !matches!(source.spacing, Spacing::Equal(_)) {
                 clock.next += gap(source.spacing, &mut clock.rng);
             }
@@ -130,7 +134,12 @@ fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
 
 impl World {
     /// Empties the slots of the others and lets those at spawn places begin, at the places behind the agents'.
-    pub(super) fn spawn_others(&mut self, world: u32, places: &[(usize, f64)], commands: &mut Vec<Command>) {
+    pub(super) fn spawn_others(
+        &mut self,
+        world: u32,
+        places: &[(usize, f64)],
+        commands: &mut Vec<Command>,
+    ) {
         let task = std::sync::Arc::clone(&self.task);
         let seed = self.seed.index(self.episode).child("traffic");
         self.others.begin(&task, seed);
@@ -186,18 +195,27 @@ impl World {
         let task = &*self.task;
         let now = f64::from(self.step) * task.scenario.control.interval;
         let first = task.agents + task.placed();
-        for (index, (source, clock)) in task.demand.sources.iter().zip(&mut self.others.clocks).enumerate() {
+        for (index, (source, clock)) in
+            task.demand.sources.iter().zip(&mut self.others.clocks).enumerate()
+        {
             // Half a millisecond: SUMO's times are whole ones, and sums of ours are rounded.
             while clock.left > 0 && clock.next <= now + 5e-4 && clock.next < source.end {
                 let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
-                let Some(i) = (first..task.slots()).find(|&i| free(&self.traffic.slots[i])) else { return };
+                let Some(i) = (first..task.slots()).find(|&i| free(&self.traffic.slots[i])) else {
+                    return;
+                };
                 let kind = draw(&source.types, &mut clock.rng);
                 clock.next += gap(source.spacing, &mut clock.rng);
                 clock.left -= 1;
                 let (vehicle_type, size) = task.demand_type(kind);
                 let route = task.demand_routes[source.route];
                 self.traffic.slots[i] = Slot { route, size, added: true, ..EMPTY };
-                commands.push(Command::Depart { world, slot: i as u32, departure: index as u32, vehicle_type });
+                commands.push(Command::Depart {
+                    world,
+                    slot: i as u32,
+                    departure: index as u32,
+                    vehicle_type,
+                });
             }
         }
     }
@@ -209,7 +227,8 @@ impl World {
         for (i, slot) in self.traffic.slots.iter_mut().enumerate().skip(first) {
             let at = world as usize * task.slots() + i;
             let (body, state) = (snapshot.bodies.get(at), snapshot.vehicles.get(at));
-            let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten()) else {
+            let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten())
+            else {
                 if slot.departed {
                     // It came to the end of its route.
                     self.others.dismiss(i - first, task.routes[slot.route].is_walked());
@@ -220,7 +239,8 @@ impl World {
             let route = &task.routes[slot.route];
             let (sin, cos) = body.heading.sin_cos();
             let half = slot.size[0] / 2.0;
-            let pose = Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
+            let pose =
+                Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
             let front = [body.x, body.y];
             let guest = &mut self.others.guests[i - first];
             if slot.departed {
@@ -251,7 +271,8 @@ impl World {
         for i in first..slots.len() {
             let guest = &mut self.others.guests[i - first];
             if self.partners[i].is_some() && slots[i].status == Status::Active {
-                (slots[i].status, slots[i].wreck_steps, slots[i].speed) = (Status::Wreck, wreck_steps, 0.0);
+                (slots[i].status, slots[i].wreck_steps, slots[i].speed) =
+                    (Status::Wreck, wreck_steps, 0.0);
                 guest.crashed = true;
                 guest.close = true;
                 (self.others.ttc, self.others.pet) = (0.0, 0.0);
@@ -263,7 +284,9 @@ impl World {
                 let ttc = time_to_collision(&slots[agent], &slots[i]);
                 self.others.ttc = self.others.ttc.min(ttc);
                 guest.close |= ttc < CLOSE;
-                let Some(met) = task.routes[slots[agent].route].meeting(slots[i].route) else { continue };
+                let Some(met) = task.routes[slots[agent].route].meeting(slots[i].route) else {
+                    continue;
+                };
                 let now = f64::from(self.step) * task.scenario.control.interval;
                 let pass = &mut self.others.passes[agent * task.others + (i - first)];
                 note(&mut pass.agent, &slots[agent], met.own, slots[i].size[1], now);
@@ -285,15 +308,20 @@ impl World {
         }
         let here = self.traffic.slots[self.task.agents..].iter().zip(&self.others.guests);
         let of_kind = |walks: bool| -> Vec<&Guest> {
-            let here = here.clone().filter(|(slot, _)| slot.departed && self.is_pedestrian(slot) == walks);
-            self.others.left[usize::from(walks)].iter().chain(here.map(|(_, guest)| guest)).collect()
+            let here =
+                here.clone().filter(|(slot, _)| slot.departed && self.is_pedestrian(slot) == walks);
+            self.others.left[usize::from(walks)]
+                .iter()
+                .chain(here.map(|(_, guest)| guest))
+                .collect()
         };
         let (drivers, walkers) = (of_kind(false), of_kind(true));
         let share = |of: &[&Guest], is: fn(&Guest) -> bool| {
             of.iter().filter(|guest| is(guest)).count() as f64 / of.len().max(1) as f64
         };
-        let mean =
-            |of: fn(&Guest) -> f64| drivers.iter().map(|guest| of(guest)).sum::<f64>() / drivers.len().max(1) as f64;
+        let mean = |of: fn(&Guest) -> f64| {
+            drivers.iter().map(|guest| of(guest)).sum::<f64>() / drivers.len().max(1) as f64
+        };
         Some(Record {
             vehicles: drivers.len() as u32,
             crash: share(&drivers, |guest| guest.crashed),
@@ -313,8 +341,11 @@ impl World {
 /// Time from when the first of two left a place until the second came there; 0 where both were there at once, and for ever while
 /// one has not come \[s\].
 fn post_encroachment(pass: &Pass) -> f64 {
-    let (first, second) =
-        if pass.agent[0] <= pass.other[0] { (pass.agent, pass.other) } else { (pass.other, pass.agent) };
+    let (first, second) = if pass.agent[0] <= pass.other[0] {
+        (pass.agent, pass.other)
+    } else {
+        (pass.other, pass.agent)
+    };
     if second[0].is_infinite() { f64::INFINITY } else { (second[0] - first[1]).max(0.0) }
 }
 
@@ -322,8 +353,9 @@ fn post_encroachment(pass: &Pass) -> f64 {
 /// vehicle that crosses there is wide.
 fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
     let half = slot.size[0] / 2.0;
-    for (time, passed) in
-        times.iter_mut().zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
+    for (time, passed) in times
+        .iter_mut()
+        .zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
     {
         if passed && time.is_infinite() {
             *time = now;
@@ -366,7 +398,9 @@ mod tests {
     #[test]
     fn post_encroachment_is_the_time_between_leaving_and_coming() {
         // From 47 m, with the front at 49, to 53 m, with the rear at 51, the place is taken: 0.6 s.
-        for (late, expected) in [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)] {
+        for (late, expected) in
+            [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)]
+        {
             let found = encounter(late);
             assert!((found - expected).abs() < 0.11 || found == expected, "{late}: {found}");
         }
@@ -379,7 +413,11 @@ mod tests {
             (time_to_collision(&own, &ahead) - 3.0).abs() < 1e-9
                 && (time_to_collision(&ahead, &own) - 3.0).abs() < 1e-9
         );
-        assert_eq!(time_to_collision(&at(0.0, 5.0), &at(34.0, 5.0)), HORIZON, "it keeps its distance");
+        assert_eq!(
+            time_to_collision(&at(0.0, 5.0), &at(34.0, 5.0)),
+            HORIZON,
+            "it keeps its distance"
+        );
         assert_eq!(time_to_collision(&at(0.0, 9.0), &at(900.0, 0.0)), HORIZON, "it is far");
         assert_eq!(time_to_collision(&at(0.0, 9.0), &at(3.0, 9.0)), 0.0, "they overlap");
     }
@@ -387,7 +425,8 @@ mod tests {
     #[test]
     fn gaps_of_departures_have_their_means() {
         let mut rng = Seed::new(1).rng();
-        for (spacing, mean) in [(Spacing::Equal(7.0), 7.0), (Spacing::Poisson(0.2), 5.0), (Spacing::Chance(0.25), 4.0)]
+        for (spacing, mean) in
+            [(Spacing::Equal(7.0), 7.0), (Spacing::Poisson(0.2), 5.0), (Spacing::Chance(0.25), 4.0)]
         {
             let sum: f64 = (0..20_000).map(|_| gap(spacing, &mut rng)).sum();
             assert!((sum / 20_000.0 - mean).abs() < 0.03 * mean, "{spacing:?}: {}", sum / 20_000.0);

@@ -97,9 +97,9 @@ impl Error {
             Self::Sumo(e) => e.hint(),
             Self::Net(e) => e.hint(),
             Self::Scenario(e) => e.hint(),
-            Self::NoSite { .. } => {
-                Some("netedit shows what is there; --junction takes the id of a junction".to_owned())
-            }
+            Self::NoSite { .. } => Some(
+                "netedit shows what is there; --junction takes the id of a junction".to_owned(),
+            ),
             _ => None,
         }
     }

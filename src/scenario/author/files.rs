@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use super::super::write::escape;
 use super::super::{
-    AgentRange, Border, Communication, Control, Intention, Jitter, Lidar, NeighbourOrder, Net, Observation,
-    ObservationGroups, Reward, Route, SCHEMA, Scenario, SpawnRow, Steering, Termination, Traffic, Vehicle, schema,
+    AgentRange, Border, Communication, Control, Intention, Jitter, Lidar, NeighbourOrder, Net,
+    Observation, ObservationGroups, Reward, Route, SCHEMA, Scenario, SpawnRow, Steering,
+    Termination, Traffic, Vehicle, schema,
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
@@ -50,14 +51,20 @@ impl Layout {
         if let Some(path) = [&scenario, &folder].into_iter().find(|path| path.exists()) {
             return Err(Error::Exists { path: path.clone() });
         }
-        let net = root.join("scenarios").join("..").join("sumo_nets").join(name).join(format!("{name}.net.xml"));
+        let net = root
+            .join("scenarios")
+            .join("..")
+            .join("sumo_nets")
+            .join(name)
+            .join(format!("{name}.net.xml"));
         Ok(Self { scenario, folder, net, name: name.into() })
     }
 
     /// Runs `make` with the folders in place; what it has written is removed if it fails.
     pub(super) fn fill<T>(&self, make: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         for folder in [self.scenario.parent(), Some(&self.folder)].into_iter().flatten() {
-            fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.into(), source })?;
+            fs::create_dir_all(folder)
+                .map_err(|source| Error::Write { path: folder.into(), source })?;
         }
         make().inspect_err(|_| {
             // Both are ours: neither was there before.
@@ -72,7 +79,11 @@ impl Layout {
     }
 
     /// Writes netconvert's configuration: inputs as `(option, file name)`, and further options.
-    pub(super) fn configure(&self, inputs: &[(&str, String)], options: &[(&str, &str)]) -> Result<(), Error> {
+    pub(super) fn configure(
+        &self,
+        inputs: &[(&str, String)],
+        options: &[(&str, &str)],
+    ) -> Result<(), Error> {
         let mut text = String::from(
             "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
              <!-- How SUMO's netconvert makes the net of its sources; `iwol scenario build` runs it. -->\n\
@@ -81,13 +92,19 @@ impl Layout {
         for (option, file) in inputs {
             let _ = writeln!(text, "        <{option} value=\"{}\"/>", escape(file));
         }
-        let _ = writeln!(text, "    </input>\n    <output>\n        <output-file value=\"{}.net.xml\"/>", self.name);
+        let _ = writeln!(
+            text,
+            "    </input>\n    <output>\n        <output-file value=\"{}.net.xml\"/>",
+            self.name
+        );
         let _ = writeln!(text, "        <precision value=\"3\"/>\n    </output>\n    <processing>");
         for (option, value) in options {
             let _ = writeln!(text, "        <{option} value=\"{value}\"/>");
         }
-        let _ =
-            writeln!(text, "    </processing>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>");
+        let _ = writeln!(
+            text,
+            "    </processing>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>"
+        );
         text.push_str("</configuration>\n");
         Ok(write_atomic(&self.file("netccfg"), text.as_bytes())?)
     }
@@ -123,10 +140,16 @@ impl Layout {
         let Site { description, routes, ways, rows, agents, speed, steers } = site;
         let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
         // A vehicle should see all whose way it may meet; those behind each other on a lane do not count.
-        let meets = |one: &Way| ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count();
+        let meets = |one: &Way| {
+            ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
+        };
         let streams = ways.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
-        let spawn =
-            |Row { routes, first, count }| SpawnRow { routes: Arc::from(routes), first, spacing: SPACING, count };
+        let spawn = |Row { routes, first, count }| SpawnRow {
+            routes: Arc::from(routes),
+            first,
+            spacing: SPACING,
+            count,
+        };
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
         let places: u32 = spawns.iter().map(|row| row.count).sum();
@@ -137,7 +160,11 @@ impl Layout {
             name: self.name.clone(),
             path: self.scenario.clone(),
             description,
-            agents: AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places) },
+            agents: AgentRange {
+                min: agents.min(places).min(2),
+                max: places,
+                default: agents.min(places),
+            },
             nets: vec![Net { file: self.net.clone(), spawns }],
             routes,
             vehicle: Vehicle { length: 4.515, width: 1.852, max_speed: speed },
@@ -263,7 +290,8 @@ fn commented(xml: &str) -> String {
         let name = line.strip_prefix("    <").filter(|rest| rest.starts_with(char::is_alphabetic));
         let name = name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next());
         if let Some(lines) = name.and_then(schema::comment) {
-            let _ = writeln!(text, "\n    <!-- {} -->", lines.join("\n         ").replace("--", "-"));
+            let _ =
+                writeln!(text, "\n    <!-- {} -->", lines.join("\n         ").replace("--", "-"));
         }
         text.push_str(line);
         text.push('\n');
@@ -293,8 +321,12 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
         v.length, v.width, v.max_speed, c.accel
     );
     for route in &scenario.routes {
-        let _ =
-            writeln!(text, "    <route id=\"{}\" edges=\"{}\"/>", escape(&route.id), escape(&route.edges.join(" ")));
+        let _ = writeln!(
+            text,
+            "    <route id=\"{}\" edges=\"{}\"/>",
+            escape(&route.id),
+            escape(&route.edges.join(" "))
+        );
     }
     for (number, place) in net.places().enumerate() {
         let route = &scenario.routes[place.routes[number % place.routes.len()]];
@@ -312,9 +344,14 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
 
 /// Whether two ways merge or cross.
 pub(super) fn meet(one: &Way, other: &Way) -> bool {
-    let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
-    let apart = |a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]| side(a, b, c) * side(a, b, d) >= 0.0;
-    let cross = |a: &[[f64; 2]], b: &[[f64; 2]]| !apart(a[0], a[1], b[0], b[1]) && !apart(b[0], b[1], a[0], a[1]);
+    let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| {
+        (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+    };
+    let apart =
+        |a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]| side(a, b, c) * side(a, b, d) >= 0.0;
+    let cross = |a: &[[f64; 2]], b: &[[f64; 2]]| {
+        !apart(a[0], a[1], b[0], b[1]) && !apart(b[0], b[1], a[0], a[1])
+    };
     one.lanes.iter().any(|lane| other.lanes.contains(lane))
         || one.points.windows(2).any(|a| other.points.windows(2).any(|b| cross(a, b)))
 }

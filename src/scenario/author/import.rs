@@ -158,9 +158,12 @@ struct Proposal {
 /// All junctions at which vehicles from two roads or more can begin.
 fn sites(net: &Net) -> Vec<Proposal> {
     let map = Streets::new(net);
-    let mut sites: Vec<Proposal> = net.junctions.iter().filter_map(|junction| map.site(junction)).collect();
+    let mut sites: Vec<Proposal> =
+        net.junctions.iter().filter_map(|junction| map.site(junction)).collect();
     let rank = |site: &Proposal| (site.candidate.arms, site.candidate.places);
-    sites.sort_by(|a, b| rank(b).cmp(&rank(a)).then_with(|| a.candidate.junction.cmp(&b.candidate.junction)));
+    sites.sort_by(|a, b| {
+        rank(b).cmp(&rank(a)).then_with(|| a.candidate.junction.cmp(&b.candidate.junction))
+    });
     sites
 }
 
@@ -185,7 +188,8 @@ impl<'a> Streets<'a> {
         let streets = Self { net, before: Vec::new(), leading };
         let only = |c: &Connection| {
             let next = net.lanes[c.to].edge;
-            net.connections_from(c.from).filter(|other| net.lanes[other.to].edge == next).count() == 1
+            net.connections_from(c.from).filter(|other| net.lanes[other.to].edge == next).count()
+                == 1
         };
         let fits = |c: &Connection| streets.fits(c.from) && streets.fits(c.to);
         for connection in net.connections.iter().filter(|c| fits(c) && only(c)) {
@@ -215,7 +219,10 @@ impl<'a> Streets<'a> {
         let mut metres = 0.0;
         while self.room(lane) < ENOUGH && chain.len() < EDGES && metres < UPSTREAM {
             metres += self.net.lanes[lane].length;
-            let Some(&next) = self.before[lane].iter().find(|&&next| !chain.contains(&edge(next))) else { break };
+            let Some(&next) = self.before[lane].iter().find(|&&next| !chain.contains(&edge(next)))
+            else {
+                break;
+            };
             lane = next;
             chain.insert(0, edge(lane));
             if self.room(lane) > self.room(best.1) {
@@ -234,7 +241,8 @@ impl<'a> Streets<'a> {
             if here.length >= LAST {
                 return Some(chain);
             }
-            let onward = self.net.connections_from(lane).filter(|c| c.dir != "t" && self.fits(c.to));
+            let onward =
+                self.net.connections_from(lane).filter(|c| c.dir != "t" && self.fits(c.to));
             let next = onward.min_by_key(|c| c.dir != "s")?.to;
             if chain.len() >= EDGES || chain.contains(&self.net.lanes[next].edge) {
                 return None;
@@ -256,11 +264,14 @@ impl<'a> Streets<'a> {
                 if self.room(start) == 0 {
                     continue;
                 }
-                for link in self.net.connections_from(lane).filter(|c| c.dir != "t" && self.fits(c.to)) {
+                for link in
+                    self.net.connections_from(lane).filter(|c| c.dir != "t" && self.fits(c.to))
+                {
                     let Some(exit) = self.downstream(link.to) else { continue };
                     let Some(route) = self.route(&chain, &exit, start) else { continue };
-                    let known =
-                        routes.iter().any(|(known, ..)| known.edges == route.0.edges && known.lane == route.0.lane);
+                    let known = routes.iter().any(|(known, ..)| {
+                        known.edges == route.0.edges && known.lane == route.0.lane
+                    });
                     if !known && routes.len() < ROUTES {
                         routes.push((route.0, edge, start, route.1));
                     }
@@ -285,7 +296,8 @@ impl<'a> Streets<'a> {
             Row { routes, first, count }
         };
         let rows: Vec<Row> = rows.into_iter().map(row).collect();
-        let lanes = routes.iter().flat_map(|(_, _, _, way)| &way.lanes).filter(|&&lane| self.fits(lane));
+        let lanes =
+            routes.iter().flat_map(|(_, _, _, way)| &way.lanes).filter(|&&lane| self.fits(lane));
         Some(Proposal {
             candidate: Candidate {
                 junction: junction.id.clone(),
@@ -315,9 +327,16 @@ impl<'a> Streets<'a> {
         let edges: Vec<String> = chain.iter().chain(exit).map(id).collect();
         let lane = Some(self.net.lanes[start].index);
         // Where a lane forks towards one road, SUMO may choose another way than ours.
-        let way = self.net.route_path_from(&edges, lane).ok().filter(|way| self.net.fork(way).is_none())?;
+        let way = self
+            .net
+            .route_path_from(&edges, lane)
+            .ok()
+            .filter(|way| self.net.fork(way).is_none())?;
         let name = format!("{}_to_{}", edges[chain.len() - 1], edges[chain.len()]);
-        let id = name.chars().map(|c| if c.is_alphanumeric() || "_-#.".contains(c) { c } else { '_' }).collect();
+        let id = name
+            .chars()
+            .map(|c| if c.is_alphanumeric() || "_-#.".contains(c) { c } else { '_' })
+            .collect();
         Some((Route { id, edges, lane, arrival_pos: -5.0, reserved: false, off_lane: 1.0 }, way))
     }
 }

@@ -37,13 +37,20 @@ const OPTIONS: [(&str, &str); 4] = [
 ///
 /// # Errors
 /// [`Error`]; nothing is left behind then.
-pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Result<PathBuf, Error> {
+pub fn create(
+    root: &Path,
+    name: &str,
+    template: Template,
+    sizes: &Sizes,
+) -> Result<PathBuf, Error> {
     let layout = Layout::new(root, name)?;
     let (plan, places) = template.plan(sizes)?;
     layout.fill(|| {
         let mut inputs = Vec::new();
         let options = ["node-files", "edge-files", "connection-files", "type-files"];
-        for (option, (ending, text)) in options.into_iter().zip(plan.sources(template.lanes(sizes)?, sizes.speed)) {
+        for (option, (ending, text)) in
+            options.into_iter().zip(plan.sources(template.lanes(sizes)?, sizes.speed))
+        {
             write_atomic(&layout.file(ending), text.as_bytes())?;
             inputs.push((option, format!("{name}.{ending}")));
         }
@@ -58,7 +65,11 @@ pub fn create(root: &Path, name: &str, template: Template, sizes: &Sizes) -> Res
         let row = |routes: Vec<usize>| {
             let edge = &plan.routes[routes[0]].edges[0];
             let ahead = plan.ahead.get(edge).copied().unwrap_or(0.0);
-            Row { routes, first: FIRST + ahead, count: if plan.single.contains(edge) { 1 } else { places } }
+            Row {
+                routes,
+                first: FIRST + ahead,
+                count: if plan.single.contains(edge) { 1 } else { places },
+            }
         };
         let site = Site {
             description: template.description().into(),

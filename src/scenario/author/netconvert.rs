@@ -72,7 +72,8 @@ pub fn state(net: &Path) -> Result<State, Error> {
     }
     let age = |path: &Path| fs::metadata(path).and_then(|data| data.modified()).ok();
     let Some(built) = age(net) else { return Ok(State::OutOfDate) };
-    let newest: Option<SystemTime> = sources(&config)?.iter().chain([&config]).filter_map(|path| age(path)).max();
+    let newest: Option<SystemTime> =
+        sources(&config)?.iter().chain([&config]).filter_map(|path| age(path)).max();
     Ok(if newest.is_some_and(|newest| newest > built) { State::OutOfDate } else { State::UpToDate })
 }
 
@@ -89,23 +90,30 @@ pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
 
 /// The files that a configuration names as its input.
 fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
-    let text = xml::read(config, MAX_BYTES).map_err(|source| Error::Read { path: config.into(), source })?;
+    let text = xml::read(config, MAX_BYTES)
+        .map_err(|source| Error::Read { path: config.into(), source })?;
     let refused = |why: String| Error::Configuration { path: config.into(), why };
     let text = text.ok_or_else(|| refused(format!("it is larger than {MAX_BYTES} bytes")))?;
-    let document = xml::parse(&text).map_err(|(error, at)| refused(format!("line {}: {error}", at.row)))?;
+    let document =
+        xml::parse(&text).map_err(|(error, at)| refused(format!("line {}: {error}", at.row)))?;
     let folder = config.parent().unwrap_or(Path::new(""));
-    let inputs = document.descendants().filter(|node| node.parent().is_some_and(|parent| parent.has_tag_name("input")));
-    let files = inputs.filter_map(|node| node.attribute("value")).flat_map(|value| value.split(','));
+    let inputs = document
+        .descendants()
+        .filter(|node| node.parent().is_some_and(|parent| parent.has_tag_name("input")));
+    let files =
+        inputs.filter_map(|node| node.attribute("value")).flat_map(|value| value.split(','));
     Ok(files.map(|file| folder.join(file.trim())).collect())
 }
 
 /// Runs netconvert for one net; gives its warnings.
 pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     let config = configuration(net);
-    let folder = net.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder =
+        net.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let program = find_program("netconvert")?;
     let temporary = tempfile::Builder::new().suffix(".net.xml").tempfile_in(folder);
-    let temporary = temporary.map_err(|source| Error::Write { path: folder.into(), source })?.into_temp_path();
+    let temporary =
+        temporary.map_err(|source| Error::Write { path: folder.into(), source })?.into_temp_path();
     let name = |path: &Path| path.file_name().map(OsString::from).unwrap_or_default();
     let output = Command::new(&program)
         .arg("--configuration-file")
@@ -119,10 +127,12 @@ pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     let said = String::from_utf8_lossy(&output.stderr);
     let lines = || said.lines().map(str::trim).filter(|line| !line.is_empty());
     if !output.status.success() {
-        let errors: Vec<&str> = lines().filter(|line| !line.starts_with("Warning")).take(LAST_LINES).collect();
+        let errors: Vec<&str> =
+            lines().filter(|line| !line.starts_with("Warning")).take(LAST_LINES).collect();
         return Err(Error::Netconvert { config, message: errors.join(" ") });
     }
-    let text = fs::read_to_string(&temporary).map_err(|source| Error::Read { path: net.into(), source })?;
+    let text = fs::read_to_string(&temporary)
+        .map_err(|source| Error::Read { path: net.into(), source })?;
     write_atomic(net, without_comments(&text).as_bytes())?;
     Ok(lines().filter_map(|line| line.strip_prefix("Warning: ")).map(Into::into).collect())
 }

@@ -72,12 +72,22 @@ pub(super) struct Space {
 }
 
 impl Plan {
-    pub(super) fn node(&mut self, id: impl Into<String>, at: [f64; 2], kind: &'static str) -> &mut Node {
+    pub(super) fn node(
+        &mut self,
+        id: impl Into<String>,
+        at: [f64; 2],
+        kind: &'static str,
+    ) -> &mut Node {
         self.nodes.push(Node { id: id.into(), at, kind, shape: Vec::new() });
         self.nodes.last_mut().expect("just added")
     }
 
-    pub(super) fn edge(&mut self, id: impl Into<String>, [from, to]: [&str; 2], lanes: u32) -> &mut Edge {
+    pub(super) fn edge(
+        &mut self,
+        id: impl Into<String>,
+        [from, to]: [&str; 2],
+        lanes: u32,
+    ) -> &mut Edge {
         let (id, from, to) = (id.into(), from.into(), to.into());
         self.edges.push(Edge { id, from, to, lanes, shape: Vec::new(), centred: false });
         self.edges.last_mut().expect("just added")
@@ -95,7 +105,11 @@ impl Plan {
     /// A route on each of `lanes` lanes, called after its lane where there are several.
     pub(super) fn route(&mut self, id: &str, edges: &[String], lanes: u32) {
         for lane in 0..lanes {
-            let (id, lane) = if lanes > 1 { (format!("{id}_{lane}"), Some(lane)) } else { (id.to_owned(), None) };
+            let (id, lane) = if lanes > 1 {
+                (format!("{id}_{lane}"), Some(lane))
+            } else {
+                (id.to_owned(), None)
+            };
             self.routes.push(Route {
                 id,
                 edges: edges.to_vec(),
@@ -115,14 +129,21 @@ impl Plan {
         );
         for Node { id, at, kind, shape } in &self.nodes {
             let ([x, y], id, shape) = (at.map(centimetres), escape(id), outline(shape));
-            let _ = writeln!(nodes, "    <node id=\"{id}\" x=\"{x}\" y=\"{y}\" type=\"{kind}\"{shape}/>");
+            let _ = writeln!(
+                nodes,
+                "    <node id=\"{id}\" x=\"{x}\" y=\"{y}\" type=\"{kind}\"{shape}/>"
+            );
         }
         let mut edges = opening(
             "edges",
             "Roads from junction to junction, one for each direction; numLanes, speed [m/s], shape [m] and spreadType may be given here too.",
         );
         for Edge { id, from, to, lanes: own, shape, centred } in &self.edges {
-            let _ = write!(edges, "    <edge id=\"{}\" from=\"{from}\" to=\"{to}\" type=\"street\"", escape(id));
+            let _ = write!(
+                edges,
+                "    <edge id=\"{}\" from=\"{from}\" to=\"{to}\" type=\"street\"",
+                escape(id)
+            );
             if *own != lanes {
                 let _ = write!(edges, " numLanes=\"{own}\"");
             }
@@ -132,7 +153,12 @@ impl Plan {
             let _ = writeln!(edges, "{}/>", outline(shape));
         }
         if let Some((nodes, ways)) = &self.ring {
-            let _ = writeln!(edges, "    <roundabout nodes=\"{}\" edges=\"{}\"/>", nodes.join(" "), ways.join(" "));
+            let _ = writeln!(
+                edges,
+                "    <roundabout nodes=\"{}\" edges=\"{}\"/>",
+                nodes.join(" "),
+                ways.join(" ")
+            );
         }
         let mut links = opening(
             "connections",
@@ -140,11 +166,15 @@ impl Plan {
         );
         for Link { from, to, lanes: [a, b], shape } in &self.links {
             let shape = outline(shape);
-            let _ =
-                writeln!(links, "    <connection from=\"{from}\" to=\"{to}\" fromLane=\"{a}\" toLane=\"{b}\"{shape}/>");
+            let _ = writeln!(
+                links,
+                "    <connection from=\"{from}\" to=\"{to}\" fromLane=\"{a}\" toLane=\"{b}\"{shape}/>"
+            );
         }
-        let mut types =
-            opening("types", "What all roads have in common: lanes, speed limit [m/s], width of a lane [m].");
+        let mut types = opening(
+            "types",
+            "What all roads have in common: lanes, speed limit [m/s], width of a lane [m].",
+        );
         let _ = writeln!(
             types,
             "    <type id=\"street\" priority=\"1\" numLanes=\"{lanes}\" speed=\"{speed}\" width=\"{LANE_WIDTH}\"/>"

@@ -68,8 +68,15 @@ const LOT_SPEED: f64 = 22.222;
 
 impl Template {
     /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Cross, Self::Tee, Self::Roundabout, Self::Merge, Self::Grid, Self::Bottleneck, Self::Parking];
+    pub const ALL: [Self; 7] = [
+        Self::Cross,
+        Self::Tee,
+        Self::Roundabout,
+        Self::Merge,
+        Self::Grid,
+        Self::Bottleneck,
+        Self::Parking,
+    ];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -92,12 +99,16 @@ impl Template {
     /// One sentence about it.
     pub(super) fn description(self) -> &'static str {
         match self {
-            Self::Cross => "Vehicles cross an unsignalised intersection: straight on, left or right.",
+            Self::Cross => {
+                "Vehicles cross an unsignalised intersection: straight on, left or right."
+            }
             Self::Tee => "Vehicles pass an unsignalised T-junction.",
             Self::Roundabout => "Vehicles enter a roundabout and leave it at one of three exits.",
             Self::Merge => "Vehicles from a ramp merge into those of a main road.",
             Self::Grid => "Vehicles drive through four unsignalised intersections.",
-            Self::Bottleneck => "Vehicles merge where a road loses half of its lanes, and spread out behind it.",
+            Self::Bottleneck => {
+                "Vehicles merge where a road loses half of its lanes, and spread out behind it."
+            }
             Self::Parking => "Vehicles enter and leave the spaces of a parking lot.",
         }
     }
@@ -111,7 +122,8 @@ impl Template {
         };
         let lanes = sizes.lanes.unwrap_or(usual);
         if !(least..=most).contains(&lanes) {
-            let range = if least == most { least.to_string() } else { format!("{least} to {most}") };
+            let range =
+                if least == most { least.to_string() } else { format!("{least} to {most}") };
             return Err(Error::size("lanes", &lanes, format!("{range} for `{}`", self.name())));
         }
         Ok(lanes)
@@ -144,7 +156,8 @@ impl Template {
         let needed = (FREE + SPACING * f64::from(places) + ahead).max(SHORTEST);
         let arm = sizes.arm_length.unwrap_or(needed);
         if !(needed..=5000.0).contains(&arm) {
-            let allowed = format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
+            let allowed =
+                format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
             return Err(Error::size("arm-length", &arm, allowed));
         }
         let mut plan = match self {
@@ -267,7 +280,8 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
         let angles = (0..=8).map(|k| start + FRAC_PI_2 * f64::from(k) / 8.0);
         let arc = angles.map(|angle| [radius * angle.cos(), radius * angle.sin()]).collect();
         // Counter-clockwise to the next arm.
-        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes).shape = arc;
+        plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes)
+            .shape = arc;
         for lane in 0..lanes {
             plan.link(&format!("{name}_in"), &ring(turns), [lane, lane]);
             plan.link(&ring(turns + 3), &ring(turns), [lane, lane]);
@@ -280,12 +294,14 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
         for (exit, turn) in ["right", "straight", "left"].into_iter().enumerate() {
             let way = (0..=exit).map(|k| ring(turns + k));
             let out = format!("{}_out", ARMS[(turns + exit + 1) % 4].0);
-            let edges: Vec<String> = std::iter::once(format!("{name}_in")).chain(way).chain([out]).collect();
+            let edges: Vec<String> =
+                std::iter::once(format!("{name}_in")).chain(way).chain([out]).collect();
             plan.route(&format!("{name}_{turn}"), &edges, lanes);
         }
     }
     let names = |id: &dyn Fn(&str) -> String| ARMS.iter().map(|(name, _)| id(name)).collect();
-    plan.ring = Some((names(&|name| format!("{name}_entry")), names(&|name| format!("ring_{name}"))));
+    plan.ring =
+        Some((names(&|name| format!("{name}_entry")), names(&|name| format!("ring_{name}"))));
     plan
 }
 
@@ -317,7 +333,8 @@ fn bottleneck(lanes: u32, arm: f64) -> Plan {
     }
     for (direction, from, to) in [("eastbound", "west", "east"), ("westbound", "east", "west")] {
         let (near, far) = (format!("{from}_end"), format!("{to}_end"));
-        let [entry, middle, exit] = [format!("{from}_in"), format!("{direction}_narrow"), format!("{to}_out")];
+        let [entry, middle, exit] =
+            [format!("{from}_in"), format!("{direction}_narrow"), format!("{to}_out")];
         plan.edge(entry.clone(), [from, &near], lanes);
         plan.edge(middle.clone(), [&near, &far], narrow);
         plan.edge(exit.clone(), [&far, to], lanes);
@@ -354,7 +371,9 @@ fn parking(spaces: u32, arm: f64) -> Plan {
     let rows = [1.0, -1.0].into_iter().flat_map(|up| (0..spaces).map(move |column| (up, column)));
     let places: Vec<(String, f64, f64)> = rows
         .enumerate()
-        .map(|(i, (up, column))| (format!("space{}", i + 1), up, LANE_WIDTH * f64::from(column) - last))
+        .map(|(i, (up, column))| {
+            (format!("space{}", i + 1), up, LANE_WIDTH * f64::from(column) - last)
+        })
         .collect();
     for (space, up, x) in &places {
         let [entry, exit] = ["in", "out"].map(|way| format!("{space}_{way}"));
@@ -372,8 +391,12 @@ fn parking(spaces: u32, arm: f64) -> Plan {
             // From a lane at a side of the lot into the space, by a quarter of a circle.
             let bend = |lane: f64| {
                 let angles = (0..=9).map(|k| FRAC_PI_2 * f64::from(k) / 9.0);
-                let arc = angles
-                    .map(|angle| [x + side * CURVE * (1.0 - angle.sin()), lane + up * CURVE * (1.0 - angle.cos())]);
+                let arc = angles.map(|angle| {
+                    [
+                        x + side * CURVE * (1.0 - angle.sin()),
+                        lane + up * CURVE * (1.0 - angle.cos()),
+                    ]
+                });
                 std::iter::once([side * end, lane]).chain(arc).chain([near]).collect::<Vec<_>>()
             };
             plan.way(&format!("{name}_in"), &entry, bend(side * half));
@@ -386,13 +409,21 @@ fn parking(spaces: u32, arm: f64) -> Plan {
     }
     for (name, _) in sides {
         for (space, ..) in &places {
-            plan.route(&format!("{name}_{space}"), &[format!("{name}_in"), format!("{space}_in")], 1);
+            plan.route(
+                &format!("{name}_{space}"),
+                &[format!("{name}_in"), format!("{space}_in")],
+                1,
+            );
         }
     }
     plan.routes.iter_mut().for_each(|route| route.reserved = true);
     for (space, ..) in &places {
         for (name, _) in sides {
-            plan.route(&format!("{space}_{name}"), &[format!("{space}_out"), format!("{name}_out")], 1);
+            plan.route(
+                &format!("{space}_{name}"),
+                &[format!("{space}_out"), format!("{name}_out")],
+                1,
+            );
         }
     }
     plan

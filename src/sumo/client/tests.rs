@@ -71,15 +71,27 @@ fn each_command_gets_its_own_result() {
     let reply = collect(&message, &batch).unwrap();
     assert!(matches!(reply.outcomes[0], Ok(None)));
     assert!(matches!(reply.outcomes[1], Ok(Some(Value::Double(t))) if t == 7.0));
-    let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else { panic!("{:?}", reply.outcomes) };
+    let Err(Error::Refused { command, id, message, .. }) = &reply.outcomes[4] else {
+        panic!("{:?}", reply.outcomes)
+    };
     assert_eq!((*command, id.as_str(), message.as_str()), (0xc4, "b", "Vehicle 'b' is not known"));
     assert!(matches!(&reply.outcomes[5], Err(Error::Refused { id, .. }) if id == "c"));
-    let values: Vec<_> = reply.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref(), &o.value)).collect();
+    let values: Vec<_> =
+        reply.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref(), &o.value)).collect();
     assert!(matches!(reply.check(), Err(Error::Refused { command: 0xc4, .. })));
     let speed = Ok(Value::Double(2.5));
-    let first: Vec<_> = reply.outcomes.first.subscriptions.iter().map(|o| (&*o.object, o.around.as_deref())).collect();
+    let first: Vec<_> = reply
+        .outcomes
+        .first
+        .subscriptions
+        .iter()
+        .map(|o| (&*o.object, o.around.as_deref()))
+        .collect();
     assert_eq!(first, [("a", None), ("a", Some("j"))]);
-    assert_eq!(values, [("a", None, &speed), ("a", Some("j"), &speed), ("b", None, &Err("gone".to_owned()))]);
+    assert_eq!(
+        values,
+        [("a", None, &speed), ("a", Some("j"), &speed), ("b", None, &Err("gone".to_owned()))]
+    );
 }
 
 #[test]
@@ -102,14 +114,21 @@ fn a_name_that_many_values_share_is_kept_once() {
     let subscriptions = reply.unwrap().reports.subscriptions;
     assert!(heap < 40 * message.len() as u64, "{heap}");
     assert_eq!((&*subscriptions[0].object, &*subscriptions[4999].object), ("a", "b"));
-    assert!(subscriptions.iter().all(|observed| observed.around.as_ref().is_some_and(|name| name.len() == 40_000)));
+    assert!(
+        subscriptions
+            .iter()
+            .all(|observed| observed.around.as_ref().is_some_and(|name| name.len() == 40_000))
+    );
 }
 
 #[test]
 fn every_truncation_of_a_reply_is_an_error() {
     let (batch, message) = dialogue();
     for cut in 0..message.len() {
-        assert!(matches!(collect(&message[..cut], &batch), Err(Error::Protocol { .. })), "cut at {cut}");
+        assert!(
+            matches!(collect(&message[..cut], &batch), Err(Error::Protocol { .. })),
+            "cut at {cut}"
+        );
     }
     let longer: Vec<u8> = message.iter().copied().chain([0]).collect();
     assert!(collect(&longer, &batch).is_err());
@@ -139,7 +158,10 @@ proptest! {
 }
 
 /// A client whose peer sends `bytes` and then closes, or holds the connection open.
-fn client_of(bytes: &'static [u8], hold: Option<Duration>) -> (Client, std::thread::JoinHandle<()>) {
+fn client_of(
+    bytes: &'static [u8],
+    hold: Option<Duration>,
+) -> (Client, std::thread::JoinHandle<()>) {
     let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let address = listener.local_addr().unwrap();
     let peer = std::thread::spawn(move || {

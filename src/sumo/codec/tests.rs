@@ -20,7 +20,11 @@ fn value() -> impl Strategy<Value = Value> {
         [number(), number(), number()].prop_map(Value::LonLatAlt),
         [number(), number()].prop_map(Value::Position2D),
         [number(), number(), number()].prop_map(Value::Position3D),
-        (".{0,6}", number(), any::<u8>()).prop_map(|(edge, position, lane)| Value::RoadMap { edge, position, lane }),
+        (".{0,6}", number(), any::<u8>()).prop_map(|(edge, position, lane)| Value::RoadMap {
+            edge,
+            position,
+            lane
+        }),
         vec([number(), number()], 0..4).prop_map(Value::Polygon),
         Just(Value::Polygon(vec![[1.0, 2.0]; 300])),
         any::<[u8; 4]>().prop_map(Value::Color),
@@ -88,7 +92,10 @@ fn a_claimed_length_beyond_the_bytes_is_refused_before_anything_is_allocated() {
         for length in [i32::MAX, -1, i32::MIN, 5] {
             let mut bytes = vec![kind];
             bytes.extend(length.to_be_bytes());
-            assert!(matches!(Reader::new(&bytes, 0).value(), Err(Error::Protocol { at_byte: 1, .. })));
+            assert!(matches!(
+                Reader::new(&bytes, 0).value(),
+                Err(Error::Protocol { at_byte: 1, .. })
+            ));
         }
     }
 }

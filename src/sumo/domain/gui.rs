@@ -59,10 +59,20 @@ impl<S: Scope> Gui<'_, S> {
     }
 
     /// Sets the lower left and the upper right corner \[m\].
-    pub fn set_boundary(&mut self, id: &str, lower_left: [f64; 2], upper_right: [f64; 2]) -> S::Output<()> {
-        super::set(self.0, Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.number()), id, |w| {
-            w.polygon(&[lower_left, upper_right]);
-        })
+    pub fn set_boundary(
+        &mut self,
+        id: &str,
+        lower_left: [f64; 2],
+        upper_right: [f64; 2],
+    ) -> S::Output<()> {
+        super::set(
+            self.0,
+            Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.number()),
+            id,
+            |w| {
+                w.polygon(&[lower_left, upper_right]);
+            },
+        )
     }
 
     /// Lets the view follow a vehicle or a person; empty: no longer.

@@ -375,9 +375,17 @@ macro_rules! type_attributes {
         impl<S: Scope> $handle<'_, S> {
             /// Sets the time between two decisions \[s\]. `reset_offset`: the first decision is at the next
             /// step, else when it would have been.
-            pub fn set_action_step_length(&mut self, id: &str, length: f64, reset_offset: bool) -> S::Output<()> {
-                let call =
-                    Call::set(concat!($name, ".setActionStepLength"), Domain::$domain, VAR_ACTIONSTEPLENGTH.number());
+            pub fn set_action_step_length(
+                &mut self,
+                id: &str,
+                length: f64,
+                reset_offset: bool,
+            ) -> S::Output<()> {
+                let call = Call::set(
+                    concat!($name, ".setActionStepLength"),
+                    Domain::$domain,
+                    VAR_ACTIONSTEPLENGTH.number(),
+                );
                 crate::sumo::domain::set(self.0, call, id, |w| {
                     w.double(if reset_offset { length } else { -length });
                 })

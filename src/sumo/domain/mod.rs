@@ -128,7 +128,13 @@ impl Scope for Batch {
         Ticket { batch: self.number(), commands: start..self.len(), decode }
     }
 
-    fn request_for<T>(&mut self, _: Domain, _: &str, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Ticket<T> {
+    fn request_for<T>(
+        &mut self,
+        _: Domain,
+        _: &str,
+        fill: impl FnOnce(&mut Batch),
+        decode: Decode<T>,
+    ) -> Ticket<T> {
         self.request(fill, decode)
     }
 }
@@ -144,7 +150,10 @@ pub struct Ticket<T> {
 
 impl<T> fmt::Debug for Ticket<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Ticket").field("batch", &self.batch).field("commands", &self.commands).finish_non_exhaustive()
+        f.debug_struct("Ticket")
+            .field("batch", &self.batch)
+            .field("commands", &self.commands)
+            .finish_non_exhaustive()
     }
 }
 
@@ -167,7 +176,12 @@ fn get_as<S: Scope, T>(
     scope.request(|batch| batch.call(call, object, arguments), decode)
 }
 
-fn set<S: Scope>(scope: &mut S, call: Call, object: &str, content: impl FnOnce(&mut Writer)) -> S::Output<()> {
+fn set<S: Scope>(
+    scope: &mut S,
+    call: Call,
+    object: &str,
+    content: impl FnOnce(&mut Writer),
+) -> S::Output<()> {
     scope.request(|batch| batch.call(call, object, content), done)
 }
 

@@ -108,7 +108,13 @@ impl<S: Scope> Person<'_, S> {
     }
 
     /// Adds a wait of a duration \[s\] at the end of the plan; `stop`: where, or empty.
-    pub fn append_waiting_stage(&mut self, id: &str, duration: f64, description: &str, stop: &str) -> S::Output<()> {
+    pub fn append_waiting_stage(
+        &mut self,
+        id: &str,
+        duration: f64,
+        description: &str,
+        stop: &str,
+    ) -> S::Output<()> {
         let call = Call { name: "person.appendWaitingStage", ..APPEND_STAGE };
         super::set(self.0, call, id, |w| {
             w.compound(4).integer(1).double(duration).string(description).string(stop);
@@ -116,7 +122,12 @@ impl<S: Scope> Person<'_, S> {
     }
 
     /// Adds a walk at the end of the plan.
-    pub fn append_walking_stage(&mut self, id: &str, edges: &[impl AsRef<str>], walk: &Walk<'_>) -> S::Output<()> {
+    pub fn append_walking_stage(
+        &mut self,
+        id: &str,
+        edges: &[impl AsRef<str>],
+        walk: &Walk<'_>,
+    ) -> S::Output<()> {
         let call = Call { name: "person.appendWalkingStage", ..APPEND_STAGE };
         super::set(self.0, call, id, |w| {
             w.compound(6).integer(2).string_list(edges).double(walk.arrival_pos);
@@ -126,7 +137,13 @@ impl<S: Scope> Person<'_, S> {
 
     /// Adds a ride to an edge at the end of the plan: with any of the `lines`, joined by blanks; `stop`: where
     /// it ends, or empty.
-    pub fn append_driving_stage(&mut self, id: &str, to: &str, lines: &str, stop: &str) -> S::Output<()> {
+    pub fn append_driving_stage(
+        &mut self,
+        id: &str,
+        to: &str,
+        lines: &str,
+        stop: &str,
+    ) -> S::Output<()> {
         let call = Call { name: "person.appendDrivingStage", ..APPEND_STAGE };
         super::set(self.0, call, id, |w| {
             w.compound(4).integer(3).string(to).string(lines).string(stop);
@@ -149,7 +166,11 @@ impl<S: Scope> Person<'_, S> {
     /// Puts the person at a position \[m\], see [`Place`].
     pub fn move_to_xy(&mut self, id: &str, position: [f64; 2], place: &Place<'_>) -> S::Output<()> {
         super::set(self.0, Call::set("person.moveToXY", Domain::PERSON, 0xb4), id, |w| {
-            w.compound(6).string(place.edge).double(position[0]).double(position[1]).double(place.angle);
+            w.compound(6)
+                .string(place.edge)
+                .double(position[0])
+                .double(position[1])
+                .double(place.angle);
             w.u8(c::TYPE_BYTE).u8(place.keep_route).double(place.match_threshold);
         })
     }

@@ -68,13 +68,26 @@ impl Default for Appearance<'_> {
     /// A red point.
     fn default() -> Self {
         let color = Color::rgb(255, 0, 0);
-        Appearance { color, kind: "", layer: 0, image_file: "", width: 1.0, height: 1.0, angle: 0.0 }
+        Appearance {
+            color,
+            kind: "",
+            layer: 0,
+            image_file: "",
+            width: 1.0,
+            height: 1.0,
+            angle: 0.0,
+        }
     }
 }
 
 impl<S: Scope> Poi<'_, S> {
     /// Makes a new point at a position \[m\].
-    pub fn add(&mut self, id: &str, position: [f64; 2], appearance: &Appearance<'_>) -> S::Output<()> {
+    pub fn add(
+        &mut self,
+        id: &str,
+        position: [f64; 2],
+        appearance: &Appearance<'_>,
+    ) -> S::Output<()> {
         super::set(self.0, Call::set("poi.add", Domain::POI, 0x80), id, |w| {
             let Appearance { color, kind, layer, image_file, width, height, angle } = *appearance;
             w.compound(8).string(kind);
@@ -87,6 +100,8 @@ impl<S: Scope> Poi<'_, S> {
 
     /// Draws a circle around it in the graphical interface.
     pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
-        super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| highlight.write(w))
+        super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| {
+            highlight.write(w)
+        })
     }
 }

@@ -51,7 +51,13 @@ pub struct Appearance<'a> {
 impl Default for Appearance<'_> {
     /// A red outline.
     fn default() -> Self {
-        Appearance { color: Color::rgb(255, 0, 0), fill: false, kind: "", layer: 0, line_width: 1.0 }
+        Appearance {
+            color: Color::rgb(255, 0, 0),
+            fill: false,
+            kind: "",
+            layer: 0,
+            line_width: 1.0,
+        }
     }
 }
 
@@ -73,20 +79,35 @@ pub struct Dynamics<'a> {
 impl<S: Scope> Polygon<'_, S> {
     /// Sets the points \[m\].
     pub fn set_shape(&mut self, id: &str, shape: &[[f64; 2]]) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.setShape", Domain::POLYGON, VAR_SHAPE.number()), id, |w| {
-            w.polygon(shape);
-        })
+        super::set(
+            self.0,
+            Call::set("polygon.setShape", Domain::POLYGON, VAR_SHAPE.number()),
+            id,
+            |w| {
+                w.polygon(shape);
+            },
+        )
     }
 
     /// Sets whether its inside is coloured.
     pub fn set_filled(&mut self, id: &str, filled: bool) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.setFilled", Domain::POLYGON, VAR_FILL.number()), id, |w| {
-            w.integer(filled.into());
-        })
+        super::set(
+            self.0,
+            Call::set("polygon.setFilled", Domain::POLYGON, VAR_FILL.number()),
+            id,
+            |w| {
+                w.integer(filled.into());
+            },
+        )
     }
 
     /// Makes a new polygon of points \[m\].
-    pub fn add(&mut self, id: &str, shape: &[[f64; 2]], appearance: &Appearance<'_>) -> S::Output<()> {
+    pub fn add(
+        &mut self,
+        id: &str,
+        shape: &[[f64; 2]],
+        appearance: &Appearance<'_>,
+    ) -> S::Output<()> {
         super::set(self.0, Call::set("polygon.add", Domain::POLYGON, 0x80), id, |w| {
             let Appearance { color, fill, kind, layer, line_width } = *appearance;
             w.compound(6).string(kind);

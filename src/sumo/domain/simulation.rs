@@ -49,7 +49,12 @@ pub struct Stage {
 impl Stage {
     /// A wait of a `duration` \[s\].
     pub fn waiting(duration: f64, description: impl Into<String>) -> Self {
-        Stage { kind: 1, travel_time: duration, description: description.into(), ..Stage::default() }
+        Stage {
+            kind: 1,
+            travel_time: duration,
+            description: description.into(),
+            ..Stage::default()
+        }
     }
 
     /// A walk along edges to a place on the last one \[m\].
@@ -66,7 +71,10 @@ impl Stage {
         w.compound(13).integer(self.kind).string(&self.vehicle_type).string(&self.line);
         w.string(&self.destination_stop).string_list(&self.edges);
         w.double(self.travel_time).double(self.cost).double(self.length).string(&self.intended);
-        w.double(self.depart).double(self.depart_pos).double(self.arrival_pos).string(&self.description);
+        w.double(self.depart)
+            .double(self.depart_pos)
+            .double(self.arrival_pos)
+            .string(&self.description);
     }
 }
 
@@ -305,7 +313,13 @@ pub(in crate::sumo) const LOAD_STATE: Call = change("simulation.loadState", 0x96
 
 impl<S: Scope> Simulation<'_, S> {
     /// Where a place on a lane lies: x and y \[m\], or longitude and latitude \[deg\] if `to_geo`.
-    pub fn convert2d(&mut self, edge: &str, pos: f64, lane: u8, to_geo: bool) -> S::Output<[f64; 2]> {
+    pub fn convert2d(
+        &mut self,
+        edge: &str,
+        pos: f64,
+        lane: u8,
+        to_geo: bool,
+    ) -> S::Output<[f64; 2]> {
         super::get(self.0, call("simulation.convert2D", CONVERT), "", |w| {
             let kind = if to_geo { c::POSITION_LON_LAT } else { c::POSITION_2D };
             w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
@@ -313,7 +327,13 @@ impl<S: Scope> Simulation<'_, S> {
     }
 
     /// As `convert2d`, with the height \[m\].
-    pub fn convert3d(&mut self, edge: &str, pos: f64, lane: u8, to_geo: bool) -> S::Output<[f64; 3]> {
+    pub fn convert3d(
+        &mut self,
+        edge: &str,
+        pos: f64,
+        lane: u8,
+        to_geo: bool,
+    ) -> S::Output<[f64; 3]> {
         super::get(self.0, call("simulation.convert3D", CONVERT), "", |w| {
             let kind = if to_geo { c::POSITION_LON_LAT_ALT } else { c::POSITION_3D };
             w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
@@ -322,9 +342,18 @@ impl<S: Scope> Simulation<'_, S> {
 
     /// The place on a lane, of those that a vehicle class may use (`ignoring`: all), that is closest to
     /// x and y \[m\], or to longitude and latitude \[deg\] if `is_geo`.
-    pub fn convert_road(&mut self, position: [f64; 2], is_geo: bool, class: &str) -> S::Output<RoadPosition> {
+    pub fn convert_road(
+        &mut self,
+        position: [f64; 2],
+        is_geo: bool,
+        class: &str,
+    ) -> S::Output<RoadPosition> {
         super::get(self.0, call("simulation.convertRoad", CONVERT), "", |w| {
-            w.compound(3).position(position, is_geo).u8(c::TYPE_UBYTE).u8(c::POSITION_ROADMAP).string(class);
+            w.compound(3)
+                .position(position, is_geo)
+                .u8(c::TYPE_UBYTE)
+                .u8(c::POSITION_ROADMAP)
+                .string(class);
         })
     }
 
@@ -338,7 +367,13 @@ impl<S: Scope> Simulation<'_, S> {
 
     /// Distance \[m\] in the air, or along the roads if `is_driving`, between two positions: x and y \[m\], or
     /// longitude and latitude \[deg\] if `is_geo`.
-    pub fn get_distance2d(&mut self, from: [f64; 2], to: [f64; 2], is_geo: bool, is_driving: bool) -> S::Output<f64> {
+    pub fn get_distance2d(
+        &mut self,
+        from: [f64; 2],
+        to: [f64; 2],
+        is_geo: bool,
+        is_driving: bool,
+    ) -> S::Output<f64> {
         super::get(self.0, call("simulation.getDistance2D", DISTANCE), "", |w| {
             w.compound(3).position(from, is_geo).position(to, is_geo).u8(is_driving.into());
         })
@@ -346,9 +381,17 @@ impl<S: Scope> Simulation<'_, S> {
 
     /// Distance \[m\] in the air, or along the roads if `is_driving`, between two places: edge and distance
     /// from its start \[m\].
-    pub fn get_distance_road(&mut self, from: (&str, f64), to: (&str, f64), is_driving: bool) -> S::Output<f64> {
+    pub fn get_distance_road(
+        &mut self,
+        from: (&str, f64),
+        to: (&str, f64),
+        is_driving: bool,
+    ) -> S::Output<f64> {
         super::get(self.0, call("simulation.getDistanceRoad", DISTANCE), "", |w| {
-            w.compound(3).road_position(from.0, from.1, 0).road_position(to.0, to.1, 0).u8(is_driving.into());
+            w.compound(3)
+                .road_position(from.0, from.1, 0)
+                .road_position(to.0, to.1, 0)
+                .u8(is_driving.into());
         })
     }
 
@@ -369,7 +412,10 @@ impl<S: Scope> Simulation<'_, S> {
     ) -> S::Output<Vec<Stage>> {
         super::get(self.0, call("simulation.findIntermodalRoute", 0x87), "", |w| {
             w.compound(13).string(from).string(to).string(query.modes);
-            w.double(query.depart).integer(query.routing_mode).double(query.speed).double(query.walk_factor);
+            w.double(query.depart)
+                .integer(query.routing_mode)
+                .double(query.speed)
+                .double(query.walk_factor);
             w.double(query.depart_pos).double(query.arrival_pos).double(query.depart_pos_lat);
             w.string(query.person_type).string(query.vehicle_type).string(query.destination_stop);
         })

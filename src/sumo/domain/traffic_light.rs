@@ -34,7 +34,14 @@ pub struct Phase {
 impl Phase {
     /// A phase without limits and name: duration \[s\], and one letter for each signal.
     pub fn new(duration: f64, state: impl Into<String>) -> Self {
-        Phase { duration, state: state.into(), min_dur: -1.0, max_dur: -1.0, next: Vec::new(), name: String::new() }
+        Phase {
+            duration,
+            state: state.into(),
+            min_dur: -1.0,
+            max_dur: -1.0,
+            next: Vec::new(),
+            name: String::new(),
+        }
     }
 }
 
@@ -253,7 +260,9 @@ impl TrafficLight<'_, Client> {
         let mut states: Vec<char> = self.get_red_yellow_green_state(id)?.chars().collect();
         let count = states.len();
         let Some(signal) = states.get_mut(index) else {
-            return Err(Error::invalid(format!("`{id}` has {count} signals: there is none of index {index}")));
+            return Err(Error::invalid(format!(
+                "`{id}` has {count} signals: there is none of index {index}"
+            )));
         };
         *signal = state;
         self.set_red_yellow_green_state(id, &String::from_iter(states))
@@ -264,7 +273,11 @@ fn write_logic(w: &mut Writer, logic: &Logic) {
     w.compound(5).string(&logic.program_id).integer(logic.kind).integer(logic.current_phase_index);
     w.compound(logic.phases.len() as i32);
     for phase in &logic.phases {
-        w.compound(6).double(phase.duration).string(&phase.state).double(phase.min_dur).double(phase.max_dur);
+        w.compound(6)
+            .double(phase.duration)
+            .string(&phase.state)
+            .double(phase.min_dur)
+            .double(phase.max_dur);
         w.compound(phase.next.len() as i32);
         for next in &phase.next {
             w.integer(*next);

@@ -156,7 +156,10 @@ pub(super) trait FromFields: Sized {
 }
 
 /// Reads a compound to its end.
-pub(super) fn compound<T>(value: Value, read: impl FnOnce(&mut Fields) -> Result<T, Error>) -> Result<T, Error> {
+pub(super) fn compound<T>(
+    value: Value,
+    read: impl FnOnce(&mut Fields) -> Result<T, Error>,
+) -> Result<T, Error> {
     let items = match value {
         Value::Compound(items) => items,
         other => return Err(mismatch("a compound", &other)),

@@ -342,7 +342,11 @@ const DRIVING: u8 = 1;
 
 impl<S: Scope> Vehicle<'_, S> {
     /// The vehicles behind on the lane to the right; only those that block a change, if wanted.
-    pub fn get_right_followers(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+    pub fn get_right_followers(
+        &mut self,
+        id: &str,
+        blocking_only: bool,
+    ) -> S::Output<Vec<Neighbor>> {
         self.get_neighbors(id, if blocking_only { 5 } else { 1 })
     }
 
@@ -352,7 +356,11 @@ impl<S: Scope> Vehicle<'_, S> {
     }
 
     /// The vehicles behind on the lane to the left; only those that block a change, if wanted.
-    pub fn get_left_followers(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
+    pub fn get_left_followers(
+        &mut self,
+        id: &str,
+        blocking_only: bool,
+    ) -> S::Output<Vec<Neighbor>> {
         self.get_neighbors(id, if blocking_only { 4 } else { 0 })
     }
 
@@ -367,7 +375,13 @@ impl<S: Scope> Vehicle<'_, S> {
     }
 
     /// Distance along the route to a place, which is on a lane of an edge at a distance from its start \[m\].
-    pub fn get_driving_distance(&mut self, id: &str, edge: &str, pos: f64, lane: u8) -> S::Output<f64> {
+    pub fn get_driving_distance(
+        &mut self,
+        id: &str,
+        edge: &str,
+        pos: f64,
+        lane: u8,
+    ) -> S::Output<f64> {
         let call = Call::get("vehicle.getDrivingDistance", Domain::VEHICLE, DISTANCE);
         super::get(self.0, call, id, |w| {
             w.compound(2).road_position(edge, pos, lane).u8(DRIVING);
@@ -406,12 +420,24 @@ impl<S: Scope> Vehicle<'_, S> {
 
     /// Whether the vehicle has stopped at a bus stop.
     pub fn is_at_bus_stop(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1_0000 != 0))
+        super::get_as(
+            self.0,
+            STOP_STATE,
+            id,
+            |_| {},
+            |v| Ok(super::value::<i32>(v)? & 0b1_0000 != 0),
+        )
     }
 
     /// Whether the vehicle has stopped at a container stop.
     pub fn is_at_container_stop(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b10_0000 != 0))
+        super::get_as(
+            self.0,
+            STOP_STATE,
+            id,
+            |_| {},
+            |v| Ok(super::value::<i32>(v)? & 0b10_0000 != 0),
+        )
     }
 
     /// As `get_lane_change_state`, in SUMO's words: by itself, and together with what it was told.

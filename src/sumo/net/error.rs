@@ -215,11 +215,18 @@ impl NetError {
             Self::Read { path, .. } if path.extension().is_some_and(|e| e == "gz") => {
                 Some("compressed nets are not read; unpack it with gunzip".into())
             }
-            Self::NotNet { .. } => Some("give the .net.xml that netconvert writes, not its sources".into()),
-            Self::Reference { .. } | Self::Duplicate { .. } | Self::Missing { .. } | Self::Value { .. } => {
+            Self::NotNet { .. } => {
+                Some("give the .net.xml that netconvert writes, not its sources".into())
+            }
+            Self::Reference { .. }
+            | Self::Duplicate { .. }
+            | Self::Missing { .. }
+            | Self::Value { .. } => {
                 Some("build the net again with netconvert rather than editing it by hand".into())
             }
-            Self::LaneChange { .. } => Some("split the route, or connect the lanes that it uses".into()),
+            Self::LaneChange { .. } => {
+                Some("split the route, or connect the lanes that it uses".into())
+            }
             _ => None,
         }
     }

@@ -95,7 +95,12 @@ impl Path {
     /// The same with what lies between two of its points, by their indices, replaced by `points`. The lanes there are as much longer in
     /// metres of this path per metre of SUMO's.
     #[must_use]
-    pub fn detoured(&self, from: usize, to: usize, points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+    pub fn detoured(
+        &self,
+        from: usize,
+        to: usize,
+        points: impl IntoIterator<Item = [f64; 2]>,
+    ) -> Self {
         let mut path = Self::empty();
         let width = self.widths[from.saturating_sub(1)];
         self.points[..=from]
@@ -105,7 +110,10 @@ impl Path {
         points.into_iter().for_each(|point| path.push(point, width));
         path.push(self.points[to], width);
         let (begin, old, new) = (self.cumulative[from], self.cumulative[to], path.length());
-        self.points[to + 1..].iter().zip(&self.widths[to..]).for_each(|(&point, &w)| path.push(point, w));
+        self.points[to + 1..]
+            .iter()
+            .zip(&self.widths[to..])
+            .for_each(|(&point, &w)| path.push(point, w));
         let factor = (new - begin) / (old - begin);
         let moved = |s: f64| {
             if s <= begin {
@@ -122,8 +130,13 @@ impl Path {
         Self {
             edges: self.edges.clone(),
             edge_start: starts(&self.edge_start),
-            edge_length: edges().map(|(&start, &length)| moved(start + length) - moved(start)).collect(),
-            scale: edges().zip(&self.scale).map(|((&s, &length), scale)| scale * longer(s, s + length)).collect(),
+            edge_length: edges()
+                .map(|(&start, &length)| moved(start + length) - moved(start))
+                .collect(),
+            scale: edges()
+                .zip(&self.scale)
+                .map(|((&s, &length), scale)| scale * longer(s, s + length))
+                .collect(),
             lanes: self.lanes.clone(),
             lane_position: self.lane_position.clone(),
             lane_start: starts(&self.lane_start),
@@ -182,14 +195,19 @@ impl Path {
     /// `s` of a SUMO lane position \[m\] on one of [`Path::edges`]; a negative position counts from the edge's end.
     /// `None` if there is no such edge.
     pub fn arc(&self, edge: usize, pos: f64) -> Option<f64> {
-        let (start, length, scale) = (self.edge_start.get(edge)?, self.edge_length.get(edge)?, self.scale.get(edge)?);
+        let (start, length, scale) =
+            (self.edge_start.get(edge)?, self.edge_length.get(edge)?, self.scale.get(edge)?);
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
     /// The lanes passed, as indices into [`Net::lanes`], and the `s` at which each begins and ends.
     pub fn lane_stretches(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let ends = self.lane_start.iter().skip(1).copied().chain([self.length()]);
-        self.lanes.iter().zip(&self.lane_start).zip(ends).map(|((lane, start), end)| (*lane, *start, end))
+        self.lanes
+            .iter()
+            .zip(&self.lane_start)
+            .zip(ends)
+            .map(|((lane, start), end)| (*lane, *start, end))
     }
 
     /// `s` of a place that lies `distance` metres from the start of the route in SUMO's count, which adds up lengths of
@@ -241,8 +259,11 @@ impl Path {
     pub fn body(&self, s: f64, length: f64) -> ([f64; 2], f64, usize) {
         let (front, segment) = self.locate(s);
         let (back, last) = self.locate(s - length);
-        let heading =
-            if segment == last { self.headings[segment] } else { (front[1] - back[1]).atan2(front[0] - back[0]) };
+        let heading = if segment == last {
+            self.headings[segment]
+        } else {
+            (front[1] - back[1]).atan2(front[0] - back[0])
+        };
         (front, heading, segment)
     }
 
@@ -257,8 +278,11 @@ impl Path {
     pub fn smooth_heading(&self, s: f64) -> f64 {
         let (_, segment) = self.locate(s);
         let middle = |i: usize| f64::midpoint(self.cumulative[i], self.cumulative[i + 1]);
-        let other =
-            if s < middle(segment) { segment.saturating_sub(1) } else { (segment + 1).min(self.last_segment()) };
+        let other = if s < middle(segment) {
+            segment.saturating_sub(1)
+        } else {
+            (segment + 1).min(self.last_segment())
+        };
         if other == segment {
             return self.headings[segment];
         }
@@ -276,10 +300,11 @@ impl Path {
         let mut best = self.project_on(point, segment);
         loop {
             let neighbours = [segment + 1, segment.wrapping_sub(1)];
-            let nearer = neighbours.into_iter().filter(|&i| i <= self.last_segment()).find_map(|i| {
-                let projected = self.project_on(point, i);
-                (projected.1.abs() < best.1.abs()).then_some((i, projected))
-            });
+            let nearer =
+                neighbours.into_iter().filter(|&i| i <= self.last_segment()).find_map(|i| {
+                    let projected = self.project_on(point, i);
+                    (projected.1.abs() < best.1.abs()).then_some((i, projected))
+                });
             match nearer {
                 Some((i, projected)) => (segment, best) = (i, projected),
                 None => return (best.0, best.1, segment),

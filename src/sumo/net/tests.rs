@@ -43,10 +43,16 @@ fn broken(from: &str, to: &str) -> String {
 #[test]
 fn reads_every_part() {
     let net = parse(NET).unwrap();
-    assert_eq!((net.lanes.len(), net.edges.len(), net.junctions.len(), net.connections.len()), (7, 6, 1, 4));
+    assert_eq!(
+        (net.lanes.len(), net.edges.len(), net.junctions.len(), net.connections.len()),
+        (7, 6, 1, 4)
+    );
     assert_eq!(net.boundary, [[0.0, 0.0], [30.0, 30.0]]);
     let a = &net.edges[net.edge_index("a").unwrap()];
-    assert_eq!((a.from.as_deref(), a.to.as_deref(), a.function), (Some("w"), Some("j"), EdgeFunction::Normal));
+    assert_eq!(
+        (a.from.as_deref(), a.to.as_deref(), a.function),
+        (Some("w"), Some("j"), EdgeFunction::Normal)
+    );
     let [first, second] = &net.lanes[a.lanes.clone()] else { panic!("two lanes") };
     assert_eq!((first.width, second.width, second.index), (DEFAULT_LANE_WIDTH, 3.5, 1));
     assert_eq!(second.shape, [[0.0, 0.0], [10.0, 0.0]], "heights are dropped");
@@ -58,7 +64,10 @@ fn reads_every_part() {
 #[test]
 fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
     let path = route(&["a", "c"]).unwrap();
-    assert_eq!(path.points, [[0.0, 0.0], [10.0, 0.0], [15.0, 0.0], [20.0, 0.0], [20.0, 10.0], [20.0, 30.0]]);
+    assert_eq!(
+        path.points,
+        [[0.0, 0.0], [10.0, 0.0], [15.0, 0.0], [20.0, 0.0], [20.0, 10.0], [20.0, 30.0]]
+    );
     assert_eq!(path.cumulative, [0.0, 10.0, 15.0, 20.0, 30.0, 50.0]);
     assert_eq!(path.widths, [3.5, 3.2, 3.2, 3.2, 3.2]);
     assert_eq!(
@@ -69,14 +78,20 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
     assert_eq!(path.at(40.0), ([20.0, 20.0], FRAC_PI_2));
     assert_eq!(path.arc(0, 4.0), Some(4.0));
     // `c` is 40 m long for SUMO and 20 m in its shape.
-    assert_eq!((path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)), (Some(35.0), Some(45.0), None));
+    assert_eq!(
+        (path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)),
+        (Some(35.0), Some(45.0), None)
+    );
 }
 
 #[test]
 fn sumos_count_of_a_way_can_be_taken_back() {
     // Lane c_0 is 40 m long in SUMO's count, its shape 20 m; the second lane over the junction 5 m and 15 m.
     let path = route(&["a", "c"]).unwrap();
-    assert!((path.distance_of_arc(path.length()) - path.length()).abs() > 5.0, "SUMO counts otherwise here");
+    assert!(
+        (path.distance_of_arc(path.length()) - path.length()).abs() > 5.0,
+        "SUMO counts otherwise here"
+    );
     for k in 0..=100 {
         let s = path.length() * f64::from(k) / 100.0;
         assert!((path.arc_of_distance(path.distance_of_arc(s)) - s).abs() < 1e-9, "at {s}");
@@ -88,13 +103,20 @@ fn a_detour_is_on_the_same_lanes() {
     let path = route(&["a", "c"]).unwrap();
     // Over the junction 40 m instead of 20 m.
     let around = path.detoured(1, 4, [[10.0, 20.0], [20.0, 20.0]]);
-    assert_eq!(around.points, [[0.0, 0.0], [10.0, 0.0], [10.0, 20.0], [20.0, 20.0], [20.0, 10.0], [20.0, 30.0]]);
+    assert_eq!(
+        around.points,
+        [[0.0, 0.0], [10.0, 0.0], [10.0, 20.0], [20.0, 20.0], [20.0, 10.0], [20.0, 30.0]]
+    );
     assert_eq!(around.widths, [3.5, 3.5, 3.5, 3.5, 3.2]);
-    let stretches = |path: &Path| path.lane_stretches().map(|(_, from, to)| (from, to)).collect::<Vec<_>>();
+    let stretches =
+        |path: &Path| path.lane_stretches().map(|(_, from, to)| (from, to)).collect::<Vec<_>>();
     assert_eq!(stretches(&path), [(0.0, 10.0), (10.0, 15.0), (15.0, 30.0), (30.0, 50.0)]);
     assert_eq!(stretches(&around), [(0.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 70.0)]);
     assert_eq!((&around.edges, &around.lanes), (&path.edges, &path.lanes));
-    assert_eq!((around.arc(0, 4.0), around.arc(1, 10.0), around.arc(1, -10.0)), (Some(4.0), Some(55.0), Some(65.0)));
+    assert_eq!(
+        (around.arc(0, 4.0), around.arc(1, 10.0), around.arc(1, -10.0)),
+        (Some(4.0), Some(55.0), Some(65.0))
+    );
     for k in 0..=100 {
         let distance = path.distance_of_arc(path.length()) * f64::from(k) / 100.0;
         let s = around.arc_of_distance(distance);
@@ -120,8 +142,14 @@ fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
 #[test]
 fn routes_that_cannot_be_driven_are_refused() {
     assert!(matches!(route(&[]), Err(NetError::EmptyRoute { .. })));
-    assert_eq!(route(&["a", "cc"]).unwrap_err().to_string(), "x.net.xml: the net has no edge `cc`; did you mean `c`?");
-    assert_eq!(route(&["b", "c"]).unwrap_err().to_string(), "x.net.xml: the edge `b` does not lead to `c`");
+    assert_eq!(
+        route(&["a", "cc"]).unwrap_err().to_string(),
+        "x.net.xml: the net has no edge `cc`; did you mean `c`?"
+    );
+    assert_eq!(
+        route(&["b", "c"]).unwrap_err().to_string(),
+        "x.net.xml: the edge `b` does not lead to `c`"
+    );
     // `a` leads to `c` from lane 1 only, and lane 1 cannot be reached from a lane of `z`.
     let z = r#"<edge id="z"><lane id="z_0" index="0" speed="1" length="1" shape="0,0 1,0"/></edge>
         <connection from="z" to="a" fromLane="0" toLane="0"/></net>"#;
@@ -156,17 +184,24 @@ fn entities_and_deep_nesting_are_harmless() {
 fn more_than_the_parser_bears_is_refused_at_once() {
     let many = |item: &dyn Fn(usize) -> String| (0..40_000).map(item).collect::<String>();
     let attributes = format!("<net>\n <edge{}/></net>", many(&|i| format!(" a{i}='\"'")));
-    let namespaces =
-        format!("<net{}>{}</net>", many(&|i| format!(" xmlns:n{i}='{i}'")), "<a xmlns:a='a'/>".repeat(40_000));
+    let namespaces = format!(
+        "<net{}>{}</net>",
+        many(&|i| format!(" xmlns:n{i}='{i}'")),
+        "<a xmlns:a='a'/>".repeat(40_000)
+    );
     let place = |text: &str| match parse(text).unwrap_err() {
-        NetError::Xml { line, column, source: XmlError::Excess { limit, .. }, .. } => (line, column, limit),
+        NetError::Xml { line, column, source: XmlError::Excess { limit, .. }, .. } => {
+            (line, column, limit)
+        }
         error => panic!("{error}"),
     };
     assert_eq!(place(&attributes), (2, 2, 256));
     assert_eq!(place(&format!("<!-- don't -->\n{namespaces}")).0, 2);
     // Quotes in texts, values and comments are no attributes.
-    let text =
-        NET.replace("<location", &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)));
+    let text = NET.replace(
+        "<location",
+        &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)),
+    );
     assert!(parse(&text).is_ok());
 }
 
@@ -211,13 +246,19 @@ fn routes_of_very_many_points_are_refused() {
     );
     let net = parse(&circle).unwrap();
     assert!(net.route_path(&vec!["a".to_owned(); 32]).is_ok());
-    assert!(matches!(net.route_path(&vec!["a".to_owned(); 33]), Err(NetError::LongRoute { points: 67_584, .. })));
+    assert!(matches!(
+        net.route_path(&vec!["a".to_owned(); 33]),
+        Err(NetError::LongRoute { points: 67_584, .. })
+    ));
 }
 
 #[test]
 fn messages_show_no_control_characters_of_the_file() {
     let error = broken(r#"<lane id=":j_0_0""#, "<lane id=\":j_0\u{9b}_0\"");
-    assert!(error.ends_with("via=`:j_0_0` names nothing in this net; did you mean `:j_0\\u{9b}_0`?"), "{error}");
+    assert!(
+        error.ends_with("via=`:j_0_0` names nothing in this net; did you mean `:j_0\\u{9b}_0`?"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -91,7 +91,9 @@ fn write_element(out: &mut String, node: Node<'_, '_>, copy: Option<(u32, [f64; 
     out.push_str(name);
     for attribute in node.attributes().filter(|a| a.namespace().is_none()) {
         let value = match copy {
-            Some((world, offset)) => moved(name, attribute.name(), attribute.value(), world, offset),
+            Some((world, offset)) => {
+                moved(name, attribute.name(), attribute.value(), world, offset)
+            }
             None => attribute.value().to_owned(),
         };
         write_attribute(out, attribute.name(), &value);
@@ -117,13 +119,15 @@ fn write_attribute(out: &mut String, name: &str, value: &str) {
 
 /// The value of an attribute in a copy.
 fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 2]) -> String {
-    let ids = || value.split_whitespace().map(|id| tiled_id(world, id)).collect::<Vec<_>>().join(" ");
+    let ids =
+        || value.split_whitespace().map(|id| tiled_id(world, id)).collect::<Vec<_>>().join(" ");
     match (element, attribute) {
         (_, "shape" | "outlineShape") => value
             .split_whitespace()
             .map(|point| {
                 let parts = point.split(',').enumerate();
-                let parts = parts.map(|(axis, text)| shifted(text, offset.get(axis).copied().unwrap_or(0.0)));
+                let parts = parts
+                    .map(|(axis, text)| shifted(text, offset.get(axis).copied().unwrap_or(0.0)));
                 parts.collect::<Vec<_>>().join(",")
             })
             .collect::<Vec<_>>()
@@ -135,8 +139,14 @@ fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 
         | ("edge", "bidi")
         | ("neigh", "lane")
         | ("connection", "via" | "tl") => tiled_id(world, value),
-        ("edge", "crossingEdges") | ("junction", "incLanes" | "intLanes") | ("roundabout", "nodes" | "edges") => ids(),
-        ("prohibition", _) => value.split("->").map(|edge| tiled_id(world, edge.trim())).collect::<Vec<_>>().join("->"),
+        ("edge", "crossingEdges")
+        | ("junction", "incLanes" | "intLanes")
+        | ("roundabout", "nodes" | "edges") => ids(),
+        ("prohibition", _) => value
+            .split("->")
+            .map(|edge| tiled_id(world, edge.trim()))
+            .collect::<Vec<_>>()
+            .join("->"),
         _ => value.to_owned(),
     }
 }
@@ -168,10 +178,15 @@ mod tests {
         for (world, offset) in tiled.offsets.iter().enumerate() {
             for edge in &one.edges {
                 let copy = &many.edges[many.edge_index(&tiled_id(world as u32, &edge.id)).unwrap()];
-                for (a, b) in one.lanes[edge.lanes.clone()].iter().zip(&many.lanes[copy.lanes.clone()]) {
+                for (a, b) in
+                    one.lanes[edge.lanes.clone()].iter().zip(&many.lanes[copy.lanes.clone()])
+                {
                     assert_eq!((a.length, a.width, a.speed), (b.length, b.width, b.speed));
                     for (p, q) in a.shape.iter().zip(&b.shape) {
-                        assert!((0..2).all(|i| (p[i] + offset[i] - q[i]).abs() < 1e-9), "{p:?} {q:?}");
+                        assert!(
+                            (0..2).all(|i| (p[i] + offset[i] - q[i]).abs() < 1e-9),
+                            "{p:?} {q:?}"
+                        );
                     }
                 }
             }
@@ -186,7 +201,10 @@ mod tests {
     fn ids_and_coordinates() {
         assert_eq!(tiled_id(3, ":centre_0_0"), ":w3.centre_0_0");
         assert_eq!(moved("prohibition", "prohibitor", "a->b", 1, [0.0; 2]), "w1.a->w1.b");
-        assert_eq!(moved("lane", "shape", "1.50,-2.25,3 4,5", 0, [10.0, 20.0]), "11.50,17.75,3 14,25");
+        assert_eq!(
+            moved("lane", "shape", "1.50,-2.25,3 4,5", 0, [10.0, 20.0]),
+            "11.50,17.75,3 14,25"
+        );
         assert_eq!(moved("lane", "speed", "13.9", 4, [10.0, 20.0]), "13.9");
     }
 }

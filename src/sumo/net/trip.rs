@@ -15,9 +15,12 @@ impl Net {
     /// # Errors
     /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or [`NetError::NoTrip`] where none leads there.
     pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
-        let mut edges: Vec<usize> = stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
+        let mut edges: Vec<usize> =
+            stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
         edges.dedup();
-        let Some(&first) = edges.first() else { return Err(NetError::EmptyRoute { path: self.path.clone() }) };
+        let Some(&first) = edges.first() else {
+            return Err(NetError::EmptyRoute { path: self.path.clone() });
+        };
         let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
         let mut open = BinaryHeap::new();
         for lane in self.edges[first].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
@@ -56,9 +59,12 @@ impl Net {
     /// The edges on the way to a lane, in driving order.
     fn edges_of(&self, last: Node, before: &HashMap<Node, (u64, Node)>) -> Vec<String> {
         let back = |node: &Node| Some(before[node].1).filter(|earlier| earlier != node);
-        let way = std::iter::successors(Some(last), back).map(|(lane, _)| &self.edges[self.lanes[lane].edge]);
-        let mut edges: Vec<String> =
-            way.filter(|edge| edge.function == EdgeFunction::Normal).map(|edge| edge.id.clone()).collect();
+        let way = std::iter::successors(Some(last), back)
+            .map(|(lane, _)| &self.edges[self.lanes[lane].edge]);
+        let mut edges: Vec<String> = way
+            .filter(|edge| edge.function == EdgeFunction::Normal)
+            .map(|edge| edge.id.clone())
+            .collect();
         edges.reverse();
         edges
     }
@@ -70,8 +76,10 @@ mod tests {
 
     #[test]
     fn the_fastest_way_passes_all_stages() {
-        let net = Net::load(std::path::Path::new("sumo_nets/intersection_turns/one_lane.net.xml")).expect("the net");
-        let trip = |stages: &[&str]| net.trip(&stages.iter().map(|&id| id.into()).collect::<Vec<_>>());
+        let net = Net::load(std::path::Path::new("sumo_nets/intersection_turns/one_lane.net.xml"))
+            .expect("the net");
+        let trip =
+            |stages: &[&str]| net.trip(&stages.iter().map(|&id| id.into()).collect::<Vec<_>>());
         let ids: Vec<&str> = net.roads().map(|edge| edge.id.as_str()).collect();
         let mut longest = 0;
         for from in &ids {
@@ -87,7 +95,8 @@ mod tests {
         assert_eq!(trip(&[ids[0], ids[0]]).expect("there already"), [ids[0].to_owned()]);
         assert!(matches!(trip(&[ids[0], "nowhere"]), Err(NetError::NoEdge { .. })));
         // Without turns, nothing leads round a corner.
-        let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml")).expect("the net");
+        let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml"))
+            .expect("the net");
         let stages = |to: &str| ["west_in".to_owned(), to.to_owned()];
         assert_eq!(net.trip(&stages("east_out")).expect("straight on"), stages("east_out"));
         assert!(matches!(net.trip(&stages("north_out")), Err(NetError::NoTrip { .. })));

@@ -35,15 +35,28 @@ impl Net {
     /// # Errors
     /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`], [`NetError::OffEdge`], [`NetError::NotWalkable`] or
     /// [`NetError::LongRoute`].
-    pub fn walk(&self, edges: &[String], depart: f64, arrival: Option<f64>) -> Result<Walk, NetError> {
+    pub fn walk(
+        &self,
+        edges: &[String],
+        depart: f64,
+        arrival: Option<f64>,
+    ) -> Result<Walk, NetError> {
         let empty = || NetError::EmptyRoute { path: self.path.clone() };
-        let lanes: Vec<usize> = edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
+        let lanes: Vec<usize> =
+            edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
         let (&first, &last) = (lanes.first().ok_or_else(empty)?, lanes.last().ok_or_else(empty)?);
         let length = |lane: usize| self.lanes[lane].length;
-        for (edge, lane, at) in [(edges.first(), first, Some(depart)), (edges.last(), last, arrival)] {
+        for (edge, lane, at) in
+            [(edges.first(), first, Some(depart)), (edges.last(), last, arrival)]
+        {
             if let Some(position) = at.filter(|at| !(0.0..=length(lane)).contains(at)) {
                 let edge = shorten(edge.map_or("", String::as_str));
-                return Err(NetError::OffEdge { path: self.path.clone(), edge, position, length: length(lane) });
+                return Err(NetError::OffEdge {
+                    path: self.path.clone(),
+                    edge,
+                    position,
+                    length: length(lane),
+                });
             }
         }
         let left = |backwards: bool| if backwards { depart } else { length(first) - depart };
@@ -57,16 +70,23 @@ impl Net {
             return Ok(Walk { path, end: arrival.unwrap_or(length(last)) });
         }
         let links = self.links_on_foot();
-        let mut ways: Vec<Way> =
-            [false, true].map(|backwards| Way { metres: left(backwards), backwards, before: None }).into();
+        let mut ways: Vec<Way> = [false, true]
+            .map(|backwards| Way { metres: left(backwards), backwards, before: None })
+            .into();
         let mut junctions: Vec<Vec<Way>> = Vec::with_capacity(lanes.len());
         for (i, pair) in lanes.windows(2).enumerate() {
             let mut onward: Vec<Way> = Vec::new();
             for backwards in [false, true] {
                 let joined = ways.iter().enumerate().filter_map(|(k, way)| {
-                    let (metres, areas) = self.over_junction((pair[0], way.backwards), (pair[1], backwards), &links)?;
-                    let more = if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
-                    Some(Way { metres: way.metres + metres + more, backwards, before: Some((k, areas)) })
+                    let (metres, areas) =
+                        self.over_junction((pair[0], way.backwards), (pair[1], backwards), &links)?;
+                    let more =
+                        if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
+                    Some(Way {
+                        metres: way.metres + metres + more,
+                        backwards,
+                        before: Some((k, areas)),
+                    })
                 });
                 onward.extend(joined.min_by(|a, b| a.metres.total_cmp(&b.metres)));
             }
@@ -76,7 +96,8 @@ impl Net {
             }
             junctions.push(std::mem::replace(&mut ways, onward));
         }
-        let mut way = ways.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
+        let mut way =
+            ways.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
         let (mut directions, mut between) = (vec![way.backwards], Vec::new());
         while let (Some((k, areas)), Some(mut earlier)) = (way.before, junctions.pop()) {
             way = earlier.swap_remove(k);
@@ -100,14 +121,16 @@ impl Net {
             return Err(NetError::LongRoute { path: self.path.clone(), points, limit: MAX_POINTS });
         }
         let path = Path::on_foot(self, &steps).ok_or_else(empty)?;
-        let far = if directions.last().is_some_and(|backwards| *backwards) { 0.0 } else { length(last) };
+        let far =
+            if directions.last().is_some_and(|backwards| *backwards) { 0.0 } else { length(last) };
         Ok(Walk { path, end: arrival.unwrap_or(far) })
     }
 
     /// The lane of an edge that pedestrians walk on: one without cars, if there is one.
     fn sidewalk(&self, id: &str) -> Result<usize, NetError> {
         let walkable = |edge: &&super::Edge| {
-            edge.function == EdgeFunction::Normal && edge.lanes.clone().any(|lane| self.lanes[lane].pedestrians)
+            edge.function == EdgeFunction::Normal
+                && edge.lanes.clone().any(|lane| self.lanes[lane].pedestrians)
         };
         let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
             let ids = self.edges.iter().filter(walkable).map(|edge| edge.id.as_str());
@@ -123,7 +146,8 @@ impl Net {
     /// Which lanes are next to each other for pedestrians, who go both ways: those that a connection joins, one of which is a
     /// walking area.
     fn links_on_foot(&self) -> HashMap<usize, Vec<usize>> {
-        let area = |lane: usize| self.edges[self.lanes[lane].edge].function == EdgeFunction::WalkingArea;
+        let area =
+            |lane: usize| self.edges[self.lanes[lane].edge].function == EdgeFunction::WalkingArea;
         let mut links: HashMap<usize, Vec<usize>> = HashMap::new();
         for connection in self.connections.iter().filter(|c| area(c.from) || area(c.to)) {
             links.entry(connection.from).or_default().push(connection.to);
@@ -134,7 +158,12 @@ impl Net {
 
     /// The shortest way from the end of one sidewalk to the beginning of another, as they are walked, over the walking areas and
     /// crossings of the junction where they meet: its length \[m\], and these lanes.
-    fn over_junction(&self, from: Step, to: Step, links: &HashMap<usize, Vec<usize>>) -> Option<(f64, Vec<usize>)> {
+    fn over_junction(
+        &self,
+        from: Step,
+        to: Step,
+        links: &HashMap<usize, Vec<usize>>,
+    ) -> Option<(f64, Vec<usize>)> {
         let end = |(lane, backwards): Step, at_end: bool| {
             let edge = &self.edges[self.lanes[lane].edge];
             if backwards == at_end { edge.from.as_deref() } else { edge.to.as_deref() }
@@ -153,13 +182,16 @@ impl Net {
             }
             for &next in links.get(&lane).into_iter().flatten() {
                 if next == to.0 {
-                    let back = |lane: &usize| Some(before[lane].1).filter(|&before| before != from.0);
+                    let back =
+                        |lane: &usize| Some(before[lane].1).filter(|&before| before != from.0);
                     let mut way: Vec<usize> = std::iter::successors(Some(lane), back).collect();
                     way.reverse();
                     return Some((length as f64 / 1e3, way));
                 }
                 let longer = length + millimetres(next);
-                if self.joins(next, junction) && before.get(&next).is_none_or(|known| longer < known.0) {
+                if self.joins(next, junction)
+                    && before.get(&next).is_none_or(|known| longer < known.0)
+                {
                     before.insert(next, (longer, lane));
                     open.push(Reverse((longer, next)));
                 }
@@ -171,7 +203,8 @@ impl Net {
     /// Whether a walking area or crossing belongs to a junction: `:centre_w0` to `centre`.
     fn joins(&self, lane: usize, junction: &str) -> bool {
         let edge = &self.edges[self.lanes[lane].edge];
-        let of_pedestrians = matches!(edge.function, EdgeFunction::Crossing | EdgeFunction::WalkingArea);
+        let of_pedestrians =
+            matches!(edge.function, EdgeFunction::Crossing | EdgeFunction::WalkingArea);
         let name = edge.id.strip_prefix(':').and_then(|id| id.rsplit_once('_'));
         of_pedestrians && name.is_some_and(|(name, _)| name == junction)
     }
@@ -203,32 +236,53 @@ mod tests {
         let way = straight.path.length();
         assert!((90.0..110.0).contains(&way), "two sidewalks and a crossing: {way} m");
         // On the eastern arm x is 5.5 where it is crossed.
-        assert!(straight.path.points.contains(&[5.5, -3.5]) && straight.path.points.contains(&[5.5, 3.5]));
+        assert!(
+            straight.path.points.contains(&[5.5, -3.5])
+                && straight.path.points.contains(&[5.5, 3.5])
+        );
         let back = walk("north_out south_in", length("north_out")).expect("the same way back");
         assert_eq!((back.end, straight.path.points.clone()), (0.0, reversed(&back.path)));
         let around = walk("west_in south_out east_out", 40.0);
-        assert!(matches!(around, Err(NetError::NotWalkable { .. })), "the south leads nowhere else");
+        assert!(
+            matches!(around, Err(NetError::NotWalkable { .. })),
+            "the south leads nowhere else"
+        );
     }
 
     #[test]
     fn the_way_depends_on_where_one_begins() {
         // From the end of the arm round its end, from the junction over its crossing.
-        let [far, near] = [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a way").path);
-        assert!(near.points.contains(&[-5.5, 3.5]) && !far.points.contains(&[-5.5, 3.5]), "{:?}", near.points);
-        let one = net().walk(&["west_in".into()], 30.0, Some(10.0)).expect("along one edge, backwards");
+        let [far, near] =
+            [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a way").path);
+        assert!(
+            near.points.contains(&[-5.5, 3.5]) && !far.points.contains(&[-5.5, 3.5]),
+            "{:?}",
+            near.points
+        );
+        let one =
+            net().walk(&["west_in".into()], 30.0, Some(10.0)).expect("along one edge, backwards");
         assert_eq!((one.path.points[0], one.end), ([-7.5, -4.5], 10.0));
         assert_eq!(walk("west_in", 0.0).expect("along it").path.points[0], [-50.0, -4.5]);
     }
 
     #[test]
     fn ways_that_nobody_can_walk_are_refused() {
-        assert!(matches!(walk("west_inn", 0.0), Err(NetError::NoEdge { nearest: Some(id), .. }) if id == "west_in"));
+        assert!(
+            matches!(walk("west_inn", 0.0), Err(NetError::NoEdge { nearest: Some(id), .. }) if id == "west_in")
+        );
         assert!(matches!(walk(":centre_c0", 0.0), Err(NetError::NoSidewalk { .. })));
         assert!(net().walk(&[], 0.0, None).is_err());
-        assert!(matches!(walk("west_in west_out", 42.6), Err(NetError::OffEdge { .. })), "the edge has 42.5 m");
-        let beyond = net().walk(&["west_in".into(), "west_out".into()], 30.0, Some(50.0)).unwrap_err().to_string();
+        assert!(
+            matches!(walk("west_in west_out", 42.6), Err(NetError::OffEdge { .. })),
+            "the edge has 42.5 m"
+        );
+        let beyond = net()
+            .walk(&["west_in".into(), "west_out".into()], 30.0, Some(50.0))
+            .unwrap_err()
+            .to_string();
         assert!(beyond.contains("50 m") && beyond.contains("`west_out`"), "{beyond}");
-        let bare = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml")).expect("the shipped net");
+        let bare = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml"))
+            .expect("the shipped net");
         assert!(matches!(
             bare.walk(&["west_in".into(), "west_out".into()], 0.0, None),
             Err(NetError::NotWalkable { .. })

@@ -49,7 +49,8 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Option<String>> {
 /// What is wrong with the XML, and where.
 pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     let excess = |what, limit, at| Err((XmlError::Excess { what, limit }, position(text, at)));
-    let mut tags = text.match_indices('<').filter(|(at, _)| !text[at + 1..].starts_with(['!', '?']));
+    let mut tags =
+        text.match_indices('<').filter(|(at, _)| !text[at + 1..].starts_with(['!', '?']));
     if let Some((at, _)) = tags.find(|(at, _)| attributes(&text[at + 1..]) > MAX_ATTRIBUTES) {
         return excess("attributes in an element", MAX_ATTRIBUTES, at);
     }

@@ -20,7 +20,9 @@ fn sumo_home_goes_before_path_and_files_must_be_executable() {
     let found = find_in("sumo", None, Some(&path_value)).unwrap();
     assert_eq!(found, path.join("sumo"));
     match find_in("sumo", Some(OsStr::new("/nowhere")), Some(plain.as_os_str())) {
-        Err(Error::NotFound { looked_in, .. }) => assert_eq!(looked_in, [PathBuf::from("/nowhere/bin"), plain]),
+        Err(Error::NotFound { looked_in, .. }) => {
+            assert_eq!(looked_in, [PathBuf::from("/nowhere/bin"), plain])
+        }
         other => panic!("{other:?}"),
     }
     assert!(find_in("sumo", None, None).unwrap_err().to_string().contains("SUMO_HOME"));
@@ -65,7 +67,8 @@ fn a_stranger_that_answers_like_sumo_is_not_mistaken_for_it() {
     let stranger = thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let _ = stream.read(&mut [0; 64]);
-        let answer = [0, 0, 0, 24, 7, 0, 0, 0, 0, 0, 0, 13, 0, 0, 0, 0, 20, 0, 0, 0, 3, b'a', b'b', b'c'];
+        let answer =
+            [0, 0, 0, 24, 7, 0, 0, 0, 0, 0, 0, 13, 0, 0, 0, 0, 20, 0, 0, 0, 3, b'a', b'b', b'c'];
         stream.write_all(&answer).unwrap();
         // Holds the connection until the other end closes it.
         let _ = stream.read(&mut [0; 64]);
@@ -79,7 +82,8 @@ fn a_stranger_that_answers_like_sumo_is_not_mistaken_for_it() {
 #[test]
 fn only_the_last_lines_of_standard_error_are_kept() {
     let script = "i=0; while [ $i -lt 3000 ]; do echo line $i >&2; i=$((i+1)); done; exit 3";
-    let mut process = Process::spawn(Path::new("/bin/sh"), &["-c".into(), script.into()], 1).unwrap();
+    let mut process =
+        Process::spawn(Path::new("/bin/sh"), &["-c".into(), script.into()], 1).unwrap();
     match process.exited(Duration::from_secs(20)) {
         Some(Error::Exited { status, stderr_tail }) => {
             assert!(status.contains('3'), "{status}");

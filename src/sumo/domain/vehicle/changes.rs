@@ -93,7 +93,15 @@ impl<'a> Stop<'a> {
     /// A stop without end on the rightmost lane of an edge, at a distance from its start \[m\].
     pub const fn on_edge(edge: &'a str, pos: f64) -> Self {
         let unknown = c::INVALID_DOUBLE_VALUE;
-        Stop { place: edge, pos, lane: 0, duration: unknown, flags: 0, start_pos: unknown, until: unknown }
+        Stop {
+            place: edge,
+            pos,
+            lane: 0,
+            duration: unknown,
+            flags: 0,
+            start_pos: unknown,
+            until: unknown,
+        }
     }
 
     /// The same for so long \[s\].
@@ -121,7 +129,12 @@ pub struct StopChange<'a> {
 impl StopChange<'_> {
     fn write(&self, w: &mut Writer) {
         let Stop { place, pos, lane, duration, flags, start_pos, until } = self.stop;
-        w.compound(9).string(place).double(pos).u8(c::TYPE_BYTE).u8(lane.cast_unsigned()).double(duration);
+        w.compound(9)
+            .string(place)
+            .double(pos)
+            .u8(c::TYPE_BYTE)
+            .u8(lane.cast_unsigned())
+            .double(duration);
         w.integer(flags.into()).double(start_pos).double(until).integer(self.index);
         w.u8(c::TYPE_BYTE).u8(self.teleport.cast_unsigned());
     }
@@ -162,7 +175,13 @@ pub struct Placement<'a> {
 
 impl Default for Placement<'_> {
     fn default() -> Self {
-        Placement { edge: "", lane: -1, angle: c::INVALID_DOUBLE_VALUE, keep_route: 1, match_threshold: 100.0 }
+        Placement {
+            edge: "",
+            lane: -1,
+            angle: c::INVALID_DOUBLE_VALUE,
+            keep_route: 1,
+            match_threshold: 100.0,
+        }
     }
 }
 
@@ -270,23 +289,51 @@ impl<S: Scope> Vehicle<'_, S> {
 
     /// As `set_stop`, at a bus stop, for a duration \[s\] and not before the time `until` \[s\]
     /// ([`c::INVALID_DOUBLE_VALUE`]: no such limit).
-    pub fn set_bus_stop(&mut self, id: &str, stop: &str, duration: f64, until: f64) -> S::Output<()> {
+    pub fn set_bus_stop(
+        &mut self,
+        id: &str,
+        stop: &str,
+        duration: f64,
+        until: f64,
+    ) -> S::Output<()> {
         self.stop("vehicle.setBusStop", id, &Stop::at(stop, duration, until, Stop::BUS_STOP))
     }
 
     /// As `set_bus_stop`, at a container stop.
-    pub fn set_container_stop(&mut self, id: &str, stop: &str, duration: f64, until: f64) -> S::Output<()> {
-        self.stop("vehicle.setContainerStop", id, &Stop::at(stop, duration, until, Stop::CONTAINER_STOP))
+    pub fn set_container_stop(
+        &mut self,
+        id: &str,
+        stop: &str,
+        duration: f64,
+        until: f64,
+    ) -> S::Output<()> {
+        self.stop(
+            "vehicle.setContainerStop",
+            id,
+            &Stop::at(stop, duration, until, Stop::CONTAINER_STOP),
+        )
     }
 
     /// As `set_bus_stop`, at a charging station.
-    pub fn set_charging_station_stop(&mut self, id: &str, stop: &str, duration: f64, until: f64) -> S::Output<()> {
+    pub fn set_charging_station_stop(
+        &mut self,
+        id: &str,
+        stop: &str,
+        duration: f64,
+        until: f64,
+    ) -> S::Output<()> {
         let stop = Stop::at(stop, duration, until, Stop::CHARGING_STATION);
         self.stop("vehicle.setChargingStationStop", id, &stop)
     }
 
     /// As `set_bus_stop`, at a parking area.
-    pub fn set_parking_area_stop(&mut self, id: &str, area: &str, duration: f64, until: f64) -> S::Output<()> {
+    pub fn set_parking_area_stop(
+        &mut self,
+        id: &str,
+        area: &str,
+        duration: f64,
+        until: f64,
+    ) -> S::Output<()> {
         let stop = Stop::at(area, duration, until, Stop::PARKING_AREA | Stop::PARKING);
         self.stop("vehicle.setParkingAreaStop", id, &stop)
     }
@@ -294,7 +341,12 @@ impl<S: Scope> Vehicle<'_, S> {
     fn stop(&mut self, name: &'static str, id: &str, stop: &Stop<'_>) -> S::Output<()> {
         set(self.0, call(name, 0x12), id, |w| {
             let Stop { place, pos, lane, duration, flags, start_pos, until } = *stop;
-            w.compound(7).string(place).double(pos).u8(c::TYPE_BYTE).u8(lane.cast_unsigned()).double(duration);
+            w.compound(7)
+                .string(place)
+                .double(pos)
+                .u8(c::TYPE_BYTE)
+                .u8(lane.cast_unsigned())
+                .double(duration);
             w.u8(c::TYPE_BYTE).u8(flags).double(start_pos).double(until);
         })
     }
@@ -359,10 +411,20 @@ impl<S: Scope> Vehicle<'_, S> {
     }
 
     /// Puts the centre of the front bumper at a position \[m\], after the next step's movement.
-    pub fn move_to_xy(&mut self, id: &str, position: [f64; 2], placement: &Placement<'_>) -> S::Output<()> {
+    pub fn move_to_xy(
+        &mut self,
+        id: &str,
+        position: [f64; 2],
+        placement: &Placement<'_>,
+    ) -> S::Output<()> {
         set(self.0, call("vehicle.moveToXY", 0xb4), id, |w| {
             let Placement { edge, lane, angle, keep_route, match_threshold } = *placement;
-            w.compound(7).string(edge).integer(lane).double(position[0]).double(position[1]).double(angle);
+            w.compound(7)
+                .string(edge)
+                .integer(lane)
+                .double(position[0])
+                .double(position[1])
+                .double(angle);
             w.u8(c::TYPE_BYTE).u8(keep_route).double(match_threshold);
         })
     }

@@ -51,7 +51,11 @@ impl<S: Scope> Vehicle<'_, S> {
 
     /// How far ahead along the roads vehicles are looked for \[m\].
     pub fn add_subscription_filter_downstream_distance(&mut self, distance: f64) -> S::Output<()> {
-        self.distance("vehicle.addSubscriptionFilterDownstreamDistance", DOWNSTREAM_DISTANCE, distance)
+        self.distance(
+            "vehicle.addSubscriptionFilterDownstreamDistance",
+            DOWNSTREAM_DISTANCE,
+            distance,
+        )
     }
 
     /// How far behind along the roads vehicles are looked for \[m\].
@@ -109,7 +113,12 @@ impl<S: Scope> Vehicle<'_, S> {
         self.distance("vehicle.addSubscriptionFilterLateralDistance", LATERAL_DISTANCE, distance)
     }
 
-    fn filter(&mut self, name: &'static str, filter: u8, content: impl FnOnce(&mut Writer)) -> S::Output<()> {
+    fn filter(
+        &mut self,
+        name: &'static str,
+        filter: u8,
+        content: impl FnOnce(&mut Writer),
+    ) -> S::Output<()> {
         self.0.request(|batch| push(batch, name, filter, content), done)
     }
 
