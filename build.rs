@@ -1,6 +1,7 @@
-//! Tells the program from which commit it is built, and the linker where libtorch lies, so that programs, tests, examples
-//! and benches find it when they run, with no environment variable set. Its folder is `LIBTORCH`, which `.cargo/config.toml` sets to the link `.libtorch` that
-//! `scripts/bootstrap` makes.
+//! Build script. It tells the program the commit from which it is built, and the linker where
+//! libtorch is, so that programs, tests, examples and benches find libtorch at run time without
+//! environment variables. The folder of libtorch is `LIBTORCH`, which `.cargo/config.toml` sets to
+//! the link `.libtorch` that `scripts/bootstrap` creates.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -15,9 +16,10 @@ fn main() {
             "LIBTORCH is not set, and .cargo/config.toml, which sets it, was not read: run cargo inside the repository",
         );
     };
-    // The path stays as it is, link and all, so that it holds wherever the link points later.
+    // The path is not resolved, so that it still holds when the link points elsewhere later.
     let lib = libtorch.join("lib");
-    // Missing files are watched, too. scripts/bootstrap renews this one's time when it links another libtorch.
+    // Cargo watches missing files, too; scripts/bootstrap touches this one when it relinks
+    // libtorch.
     println!("cargo::rerun-if-changed={}", libtorch.join("build-version").display());
     if !lib.join("libtorch_cpu.so").exists() {
         fail(&format!(
@@ -27,14 +29,15 @@ fn main() {
     }
     println!("cargo::rustc-link-arg=-Wl,-rpath,{}", lib.display());
     if lib.join("libtorch_cuda.so").exists() {
-        // No symbol of it is named anywhere, but loading it is what makes CUDA devices appear.
+        // The program uses no symbol of this library, but CUDA devices appear only if it is loaded.
         println!("cargo::rustc-link-arg=-L{}", lib.display());
         println!("cargo::rustc-link-arg=-Wl,--push-state,--no-as-needed,-ltorch_cuda,--pop-state");
     }
 }
 
-/// Sets `IWOL_COMMIT` to the checkout's commit and `IWOL_DIRTY` to whether the sources differ from it; both are `unknown`
-/// where the sources are in no repository of their own, or there is no git.
+/// Sets `IWOL_COMMIT` to the commit of the checkout and `IWOL_DIRTY` to whether the sources differ
+/// from it. Both are `unknown` if the sources are not in a repository of their own or git is
+/// missing.
 fn describe_checkout() {
     const SOURCES: [&str; 4] = ["src", "build.rs", "Cargo.toml", "Cargo.lock"];
     for path in SOURCES {
@@ -49,7 +52,7 @@ fn describe_checkout() {
             .arg(&package)
             .args(arguments)
             .stderr(Stdio::null());
-        // A hook of git's that builds has its own repository in these.
+        // In a build within a git hook, these variables name the hook's repository.
         for variable in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
             command.env_remove(variable);
         }
@@ -67,8 +70,9 @@ fn describe_checkout() {
         changes.map_or("unknown", |changes| if changes.is_empty() { "false" } else { "true" });
     println!("cargo::rustc-env=IWOL_COMMIT={}", commit.as_deref().unwrap_or("unknown"));
     println!("cargo::rustc-env=IWOL_DIRTY={dirty}");
-    // A commit alone changes no source, and no development build is made again for it: that one goes on to name the commit
-    // before, and changes, from which it was built. A release is, so that its results name their commit.
+    // A commit alone changes no source. A development build is not made again for it, and keeps
+    // naming the commit before, with changes, from which it was built. A release build is made
+    // again, so that its results name their commit.
     if env::var("PROFILE").is_ok_and(|profile| profile == "release") {
         for file in ["HEAD", "logs/HEAD"] {
             let watched = git(&["rev-parse", "--git-path", file]).map(|path| package.join(path));

@@ -1,4 +1,4 @@
-//! What a decision, a respawn and an update cost: `make bench`. Needs SUMO.
+//! Benchmarks of a decision, a respawn and an update: `make bench`. Needs SUMO.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -37,7 +37,8 @@ fn env(agents: u32, worlds: usize) -> VecEnv {
     VecEnv::new(&task(agents), &options).expect("SUMO runs; else run scripts/bootstrap")
 }
 
-/// One decision of one world and of sixteen, everything included: SUMO, dynamics, collisions, observations, respawns.
+/// Complete decisions of one world and of sixteen worlds: SUMO, dynamics, collisions, observations,
+/// respawns.
 fn step(c: &mut Criterion) {
     let mut group = c.benchmark_group("env/step");
     for (agents, worlds) in [(8, 1), (8, 16), (48, 1), (48, 16)] {
@@ -51,8 +52,8 @@ fn step(c: &mut Criterion) {
     group.finish();
 }
 
-/// What a decision costs beside SUMO: dynamics, collisions, rewards, masks, observations and privileged state of one world,
-/// over the first 60 steps of an episode whose snapshots were recorded.
+/// Decisions of one world without SUMO: dynamics, collisions, rewards, masks, observations and
+/// privileged state, over the first 60 steps of an episode whose snapshots were recorded.
 fn world(c: &mut Criterion) {
     const STEPS: usize = 60;
     let mut group = c.benchmark_group("env/world, beside SUMO");
@@ -98,7 +99,7 @@ fn world(c: &mut Criterion) {
     group.finish();
 }
 
-/// The physical mask and the collision test by themselves.
+/// The physical mask and the collision test on their own.
 fn parts(c: &mut Criterion) {
     let poses: Vec<Pose> = (0..48)
         .map(|i| Pose {
@@ -121,7 +122,8 @@ fn parts(c: &mut Criterion) {
     });
 }
 
-/// Bytes out and in for 48 vehicles: the commands of a step, and values as a step reports them.
+/// The codec for 48 vehicles: writing the commands of a step, and reading values as a step reports
+/// them.
 fn codec(c: &mut Criterion) {
     let names: Vec<String> = (0..48).map(|i| format!("w0s{i}")).collect();
     let mut batch = Batch::new();
@@ -150,7 +152,7 @@ fn codec(c: &mut Criterion) {
     });
 }
 
-/// A policy's decision for sixteen worlds of eight vehicles.
+/// Decisions of a policy for sixteen worlds of eight vehicles.
 fn act(c: &mut Criterion) {
     let (worlds, agents) = (16_i64, 8_i64);
     let task = task(8);
@@ -171,7 +173,7 @@ fn act(c: &mut Criterion) {
     }
 }
 
-/// An update on a rollout of 16 steps of 16 worlds of eight vehicles.
+/// Updates on a rollout of 16 steps, 16 worlds and eight vehicles.
 fn update(c: &mut Criterion) {
     let task = task(8);
     let mut group = c.benchmark_group("update");

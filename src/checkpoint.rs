@@ -1,5 +1,6 @@
-//! Checkpoints: one safetensors file with weights, optimiser moments, value normalisation, the configuration, and where
-//! every world stood. Loading one executes nothing; training goes on from it bit for bit.
+//! Checkpoints: one safetensors file with weights, optimiser moments, value normalisation, the
+//! configuration and the state of every world. Loading a checkpoint executes nothing. Training
+//! continues from it bit for bit.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -11,52 +12,53 @@ use tch::{Kind, Tensor};
 use crate::env::{Position, WorldState};
 use crate::record;
 
-/// Version of the layout.
+/// Version of the file's layout.
 const FORMAT: &str = "iwol-sumo checkpoint 2";
 
-/// Where training stood.
+/// Progress of training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
 pub struct Progress {
-    /// Finished iterations (rollout and update).
+    /// Finished iterations (one rollout and one update each).
     pub iteration: u64,
-    /// Environment steps, of one world each.
+    /// Environment steps (of one world each) so far.
     pub step: u64,
     /// Seconds of training so far.
     pub seconds: f64,
-    /// Best validation so far: (success, window reward).
+    /// Best validation so far: success rate, and throughput as window reward.
     pub best: Option<(f64, f64)>,
-    /// Success in the last validations, as many as decide whether to stop.
+    /// Success rates of the last validations, at most as many as decide whether to stop.
     #[serde(default)]
     pub recent: Vec<f64>,
-    /// The next validation is due at this step.
+    /// Step at which the next validation is due.
     pub next_validation: u64,
     /// Step of the last validation.
     pub validated: u64,
-    /// Steps of annealing so far.
+    /// Environment steps of annealing so far.
     pub annealed: u64,
-    /// Whether the last validation lets it go on.
+    /// Whether the last validation allows annealing to proceed.
     pub annealing: bool,
 }
 
-/// What a checkpoint holds.
+/// Contents of a checkpoint.
 #[derive(Debug)]
 pub struct Checkpoint {
-    /// Where training stood.
+    /// Progress of training.
     pub progress: Progress,
     /// The resolved configuration, as TOML.
     pub config: String,
     /// Name of the algorithm.
     pub algorithm: String,
-    /// State of the learner.
+    /// State of the learner: tensors by name.
     pub learner: Vec<(String, Tensor)>,
-    /// Episode and action history of each world.
+    /// Current episode and action history of each world.
     pub worlds: Vec<WorldState>,
     /// Memory of the policy, `[E, N, M]` flattened.
     pub memory: Vec<f32>,
 }
 
 impl Checkpoint {
-    /// The policy that was evaluated and its value function, without what only going on needs.
+    /// Reduces the checkpoint to the averaged policy, as it was evaluated, and its value function,
+    /// without the state that only resuming needs.
     #[must_use]
     pub fn weights(mut self) -> Self {
         if self.learner.iter().any(|(name, _)| name.starts_with("actor_average/")) {
@@ -78,10 +80,11 @@ impl Checkpoint {
         self
     }
 
-    /// Writes to a temporary name and renames: an interrupted or full disk leaves the old file.
+    /// Writes a temporary file and renames it, so that an interruption or a full disk leaves the
+    /// old file.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] or [`Error::Record`].
     pub fn save(&self, path: &Path) -> Result<(), Error> {
         let mut entries: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
         for (name, tensor) in &self.learner {
@@ -132,7 +135,7 @@ impl Checkpoint {
     /// Reads a checkpoint.
     ///
     /// # Errors
-    /// [`Error`] for anything that is not a whole checkpoint of this program.
+    /// [`Error`] if the file is not a complete checkpoint of this program.
     pub fn load(path: &Path) -> Result<Self, Error> {
         let bytes =
             std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
@@ -165,7 +168,7 @@ impl Checkpoint {
         {
             return Err(damaged("a counter in it is out of range".to_owned()));
         }
-        // A checkpoint without them is older than replays: its worlds play their streams in order.
+        // Checkpoints of older versions, which repeated no failed episodes, contain no positions.
         let stride = episodes.len() as u64;
         let after = |&(episode, interrupted): &(u64, bool)| {
             if interrupted { Position::before(episode) } else { Position::before(episode + stride) }
@@ -258,19 +261,19 @@ fn tensor_bytes(tensor: &Tensor) -> (Dtype, Vec<u8>) {
     }
 }
 
-/// What can go wrong with a checkpoint.
+/// An error in reading or writing a checkpoint.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the checkpoint `{}`", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// It is not a whole checkpoint.
+    /// The file is not a complete checkpoint.
     #[error("`{}` is not a usable checkpoint: {message}", path.display())]
     Damaged {
         /// The file.
@@ -278,15 +281,15 @@ pub enum Error {
         /// What is wrong.
         message: String,
     },
-    /// It cannot be put together.
+    /// The checkpoint cannot be serialised.
     #[error("cannot write the checkpoint `{}`: {message}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         message: String,
     },
-    /// It cannot be stored.
+    /// The file cannot be written.
     #[error(transparent)]
     Record(#[from] record::Error),
 }

@@ -1,7 +1,9 @@
-//! Settings of a run: defaults < `--config file.toml` < `--set key=value` < flags, checked key by key.
+//! Settings of a run: defaults < `--config file.toml` < `--set key=value` < flags, checked key by
+//! key.
 //!
-//! The scenario's own numbers appear as the table `[env]`, so that the resolved configuration is complete, is stored with
-//! the run, and is itself a valid `--config`. Every mistake names the file, line and column, and the nearest valid key.
+//! The scenario's own numbers are the table `[env]`, so that the resolved configuration is
+//! complete. It is stored with the run and is itself a valid `--config`. Every error names the
+//! file, line and column, and the nearest valid key.
 
 mod defaults;
 mod flat;
@@ -24,96 +26,105 @@ use crate::algo::{self, settings};
 use crate::scenario::{Intention, Lidar, NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::{Choice, Hosting};
 
-/// What is trained when nothing names a method.
+/// The method that is trained unless another one is set.
 const DEFAULT_ALGORITHM: &str = "im-iwol";
 
-/// Everything that defines a run.
+/// All settings that define a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// The scenario's file.
+    /// File of the scenario.
     pub scenario: PathBuf,
-    /// Name of the algorithm.
+    /// Name of the method.
     pub algorithm: String,
-    /// Number of vehicles at spawn places; all are agents unless [`Env::penetration`] says otherwise.
+    /// Number of vehicles at spawn places. All of them are agents, unless [`Env::penetration`] is
+    /// below 1.
     pub agents: u32,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Environment steps (of one world each) to train for, at most.
+    /// Largest number of environment steps (of one world each) to train for.
     pub steps: u64,
-    /// Where the networks are computed: `cpu`, `cuda` or `cuda:<number>`.
+    /// Device on which the networks are computed: `cpu`, `cuda` or `cuda:<number>`.
     pub device: algo::ComputeDevice,
-    /// A run folder or checkpoint, of any number of agents, whose weights training starts from; empty: from new ones.
+    /// A run folder or checkpoint whose weights training starts from. It may be of any number of
+    /// agents (CommFormer: of as many). Empty: training starts from new weights.
     pub init_from: PathBuf,
     /// The training loop.
     pub train: Train,
-    /// Where the worlds run; what is learned does not depend on it, nor any metric but SUMO's own collision counts.
+    /// The simulator. It affects neither what is learned nor any metric but SUMO's own collision
+    /// counts.
     pub simulation: Simulation,
-    /// Networks.
+    /// The networks.
     pub network: settings::Network,
     /// Proximal policy optimisation.
     pub ppo: settings::Ppo,
     /// Exploration noise.
     pub exploration: settings::Exploration,
-    /// IWoL.
+    /// Settings of IWoL.
     pub iwol: settings::Iwol,
     /// The transformer of MAT and CommFormer.
     pub transformer: settings::Transformer,
-    /// MAGIC.
+    /// Settings of MAGIC.
     pub magic: settings::Magic,
-    /// CommFormer.
+    /// Settings of CommFormer.
     pub commformer: settings::CommFormer,
-    /// ICP.
+    /// Settings of ICP.
     pub icp: settings::Icp,
-    /// MADDPG.
+    /// Settings of MADDPG.
     pub maddpg: settings::Maddpg,
-    /// The radio between agents, in evaluation.
+    /// The radio between agents; only for evaluation.
     pub channel: algo::Channel,
-    /// The scenario's numbers.
+    /// The numbers of the scenario.
     pub env: Env,
 }
 
-/// The training loop. Lengths and counts are for 8 agents; those of another number follow from them where they are not given
-/// ([`Config::resolve`]).
+/// Settings of the training loop. The defaults of lengths and counts are for 8 agents; those for
+/// another number of agents follow from them ([`Config::resolve`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Train {
-    /// Worlds E simulated in lock-step.
+    /// Number E of worlds that are simulated in lock-step.
     pub envs: usize,
-    /// Steps T per rollout.
+    /// Number T of steps per rollout and world.
     pub segment: usize,
-    /// Once noise has fallen to what is kept until validations succeed ([`Exploration::explore_steps`](settings::Exploration)),
-    /// rollouts have so many times the steps, and minibatches so many times the samples: a policy that has found most of its way
-    /// is lost again to the noise of small ones. 1: as before.
+    /// Factor on the steps of a rollout and on the samples of a minibatch once the noise has fallen
+    /// to `log_std_explore` (after [`Exploration::explore_steps`](settings::Exploration)). Small
+    /// batches are themselves noisy and can make the performance of a nearly successful policy
+    /// collapse. 1: no change.
     pub growth: usize,
-    /// Each episode of training and validation has a random number of agents, from this one to `agents`, on the same net, so
-    /// that the policy drives among any number; 0: always all.
+    /// Least number of agents in an episode. Each episode of training and validation has a random
+    /// number of agents, from this one to `agents`, on the same net, so that the policy learns to
+    /// drive among any number. 0: always all agents.
     pub fewest_agents: u32,
-    /// Chance that a world plays an episode of training again that failed before, where it remembers one (the last 16 that failed
-    /// when last played), instead of the next: what seldom goes wrong is seldom seen otherwise.
+    /// Probability that a world repeats a failed training episode instead of playing the next one.
+    /// A world remembers the last 16 episodes that failed when last played, so that rare failures
+    /// are trained on more often. 0: never.
     pub replay_failed: f64,
-    /// At first the policy imitates pure pursuit of the route ([`Train::imitate_speed`]) on its own episodes, and over so many
-    /// environment steps does so ever less and learns from rewards ever more (kickstarting: Schmitt et al., 2018); 0: not at all.
+    /// Environment steps of kickstarting (Schmitt et al., 2018): over these steps, the weight of
+    /// imitating pure pursuit of the route (with [`Train::imitate_speed`]), on the policy's own
+    /// episodes, falls from 1 to 0, and that of learning from rewards rises. 0: no imitation.
     pub imitate_steps: u64,
-    /// Speed of the pursuit that is imitated \[m/s\].
+    /// Speed of the imitated pure pursuit \[m/s\].
     pub imitate_speed: f64,
-    /// Whether the value of the last observation stands for what would come after the horizon, as
-    /// if episodes went on. Without it the horizon is a deadline: an agent that has not arrived by
-    /// then earns nothing more.
+    /// Whether the value of the last observation stands for the rewards after the horizon, as if
+    /// episodes went on. Otherwise the horizon is a deadline: an agent that has not arrived by then
+    /// earns nothing more.
     pub bootstrap_horizon: bool,
-    /// Environment steps between validations; each is followed by a checkpoint.
+    /// Environment steps between validations. A checkpoint follows each validation.
     pub validate_every: u64,
-    /// Episodes per validation, with deterministic actions on seeds of their own.
+    /// Episodes per validation, with deterministic actions, on seeds other than those of training.
     pub validation_episodes: u64,
-    /// Stop when annealing is over and this share of agents succeeded in each of the last [`Train::stop_validations`]
-    /// validations; 0 never stops early.
+    /// Share of agents that must succeed in each of the last [`Train::stop_validations`]
+    /// validations for training to stop, once annealing is over. 0: training never stops early.
     pub stop_success: f64,
-    /// See [`Train::stop_success`].
+    /// Number of validations that decide whether to stop ([`Train::stop_success`]).
     pub stop_validations: u32,
-    /// Annealing (of noise, then of the learning rate) goes on while this share of agents succeeds in validations, waits while
-    /// it does not, and goes on in any case when the run would otherwise end before it is over; 0: only then. Training episodes
-    /// would tell too early: agents that only succeed thanks to their noise do not yet know how. A run that is not good
-    /// enough to stop when annealing is over learns on with as little noise, and explores again if it falls below this.
+    /// Share of agents that must succeed in validations for annealing (of noise, then of the
+    /// learning rate) to proceed. Below it, annealing waits, unless the run would end before
+    /// annealing is over; 0: annealing takes place only then. If the run is not good enough to stop
+    /// once annealing is over, it goes on with as little noise, and explores again if success falls
+    /// below this share. Success in training episodes would be misleading, because agents may
+    /// succeed only thanks to their noise.
     pub anneal_success: f64,
     /// Environment steps that annealing takes, at most half of the run.
     pub anneal_steps: u64,
@@ -140,17 +151,18 @@ impl Default for Train {
     }
 }
 
-/// Where the worlds run.
+/// Settings of the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Simulation {
-    /// `traci`: SUMO processes; `libsumo`: SUMO inside this process; `auto`: the faster.
+    /// `traci`: SUMO processes; `libsumo`: SUMO inside this process; `auto`: the faster of the two.
     pub backend: Choice,
-    /// SUMO processes over which the worlds are spread; 0: as many as there are cores.
+    /// Number of SUMO processes over which the worlds are spread; 0: as many as there are cores.
     pub processes: usize,
-    /// A SUMO that takes longer for an answer counts as dead \[s\].
+    /// Time without an answer after which SUMO counts as dead \[s\].
     pub timeout: f64,
-    /// Whether SUMO looks for collisions in junctions, too, to be compared with ours; most of its time at many vehicles.
+    /// Whether SUMO also looks for collisions in junctions, to be compared with this program's own.
+    /// With many vehicles, this is most of SUMO's work.
     pub audit: bool,
 }
 
@@ -161,62 +173,69 @@ impl Default for Simulation {
     }
 }
 
-/// The scenario's numbers that a run may change. Defaults are the scenario's own.
+/// The scenario's numbers that a run may change. Their defaults are the scenario's own values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Env {
-    /// How others are seen: `nearest`, `conflict` or `both`.
+    /// How other vehicles are observed: `nearest`, `conflict` or `both`.
     pub observation: ObservationGroups,
-    /// Others further away are not seen \[m\].
+    /// Distance beyond which other vehicles are not observed \[m\].
     pub detection_range: f64,
-    /// Nearest vehicles in the observation.
+    /// Number of nearest vehicles in the observation.
     pub neighbours: usize,
-    /// In which order: `distance`, nearest first, or `bearing`, from those straight ahead to those behind, in the same direction nearest first
-    /// and with positions on a second, finer scale.
+    /// Order of the nearest vehicles. `distance`: nearest first. `bearing`: from those straight
+    /// ahead to those behind, in the same direction nearest first, and with positions on a second,
+    /// finer scale.
     pub neighbour_order: NeighbourOrder,
-    /// What is known of where others will go: `seen`, `signalled` or `hidden`.
+    /// What is observed of the part of another vehicle's route that it has not begun: `seen`,
+    /// `signalled` or `hidden`.
     pub intention: Intention,
-    /// How far before a junction a vehicle's indicator is on, where intentions are signalled \[m\].
+    /// Distance to a junction from which a vehicle's indicator is on, where intentions are
+    /// signalled \[m\].
     pub signal_distance: f64,
-    /// Streams in the observation.
+    /// Number of crossing or merging streams in the observation.
     pub conflict_streams: usize,
-    /// Vehicles per stream in the observation.
+    /// Number of vehicles per stream in the observation.
     pub stream_vehicles: usize,
-    /// Vehicles on crossing or merging routes in the observation.
+    /// Number of vehicles on crossing or merging routes that are observed one by one (encounters).
     pub encounters: usize,
-    /// How far ahead they tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
+    /// Time ahead for which an encounter contains how closely and how soon the two vehicles will
+    /// pass, if both keep to their routes and speeds \[s\]; 0: not observed.
     pub foresight: f64,
-    /// How near to where its way first meets another's a vehicle is when it gets its turn, which they tell \[m\]; 0: they do not.
+    /// Distance to the first conflict of its route at which a vehicle gets its priority, first
+    /// come, first served; encounters contain the priorities \[m\]. 0: not observed.
     pub turns: f64,
-    /// Up to which distance agents are told how close their sides are to the lines of the road \[m\]; 0: they are not.
+    /// Distance up to which an agent observes how close its sides are to the lines of the road that
+    /// it must not touch \[m\]; 0: not observed.
     pub borders: f64,
-    /// Beams of the lidar.
+    /// Number of beams of the lidar.
     pub lidar_beams: usize,
-    /// How far they reach \[m\].
+    /// Range of the beams \[m\].
     pub lidar_range: f64,
-    /// Range d_comm of the physical mask \[m\].
+    /// Range d_comm of the radio, which gives the physical mask \[m\].
     pub communication_range: f64,
-    /// Weight in training of each other agent's advantage beside one's own, which has weight 1.
+    /// Weight in training of each other agent's advantage, beside the agent's own with weight 1.
     pub cooperation: f64,
-    /// How far apart agents share in each other's advantages \[m\]; `inf`: all agents of a world.
+    /// Distance up to which agents share in each other's advantages \[m\]; `inf`: all agents of a
+    /// world share.
     pub share_range: f64,
-    /// Mean throttle of an untrained policy.
+    /// Mean throttle of an untrained policy, -1 to 1.
     pub initial_throttle: f64,
-    /// Reward per metre.
+    /// Reward per metre along the route.
     pub reward_progress: f64,
-    /// Reward per step at 80 km/h.
+    /// Reward per step at 80 km/h, in proportion to the speed.
     pub reward_speed: f64,
-    /// Reward of an arrival.
+    /// Reward for arriving.
     pub reward_arrive: f64,
-    /// Reward of leaving the road.
+    /// Reward for going off-road.
     pub reward_out_of_road: f64,
-    /// Reward of a crash.
+    /// Reward for a crash.
     pub reward_crash: f64,
-    /// Steps until truncation.
+    /// Number of steps after which an episode is truncated.
     pub horizon: u32,
-    /// A crashed vehicle stays this long \[s\].
+    /// Time for which a crashed vehicle stays as an obstacle \[s\].
     pub wreck_time: f64,
-    /// Share of the vehicles at spawn places that learn; SUMO drives the others.
+    /// Share of the vehicles at spawn places that learn; the others are background traffic.
     pub penetration: f64,
 }
 
@@ -283,7 +302,8 @@ impl Env {
     }
 }
 
-/// Takes out of a configuration what `algorithm` is not told of: the settings of other methods.
+/// Removes the settings that `algorithm` does not read from a configuration: those of other
+/// methods.
 pub fn remove_untold(table: &mut Table, algorithm: &str) {
     let told = algo::capabilities(algorithm).map_or(&[][..], |method| method.settings);
     for group in algo::Settings::OWN.iter().filter(|group| !told.contains(group)) {
@@ -292,7 +312,7 @@ pub fn remove_untold(table: &mut Table, algorithm: &str) {
 }
 
 impl Config {
-    /// The learner's settings.
+    /// Returns the learner's settings.
     pub fn settings(&self) -> algo::Settings {
         algo::Settings {
             network: self.network.clone(),
@@ -307,7 +327,7 @@ impl Config {
         }
     }
 
-    /// Where the worlds run.
+    /// Returns how and where the worlds are simulated.
     pub fn hosting(&self) -> Hosting {
         let Simulation { backend, processes, timeout, audit } = self.simulation;
         Hosting {
@@ -318,7 +338,7 @@ impl Config {
         }
     }
 
-    /// As TOML.
+    /// Returns the configuration as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).expect("a configuration is plain data")
     }

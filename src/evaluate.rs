@@ -1,6 +1,7 @@
-//! Headless evaluation: deterministic policies on seeds of their own, and the policies that need no training.
+//! Headless evaluation of learned policies, which act deterministically, and of policies without
+//! training, on seeds that training does not use.
 //!
-//! Episode `i` depends on `(seed, i)` alone, so results do not depend on how many worlds share the work.
+//! Episode `i` depends only on `(seed, i)`, so results do not depend on the number of worlds.
 
 mod knowledge;
 
@@ -24,37 +25,38 @@ use crate::sumo::Hosting;
 use knowledge::Sums;
 pub use knowledge::{DETERMINED, Knowledge, Probe};
 
-/// Steps of the window over which the paper sums rewards.
+/// Number of steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
 
-/// Worlds played at a time. Always as many rows go through a learned policy, whatever the machine and the number of
-/// episodes, so that an episode is the same to the last bit.
+/// Number of worlds that run at a time. A learned policy always gets this number of rows, whatever
+/// the machine and the number of episodes, so that episodes are reproducible to the last bit.
 const WORLDS: usize = 16;
 /// How often an episode in which SUMO died is played again.
 const RETRIES: u32 = 2;
 
-/// Who drives.
+/// A policy that controls the vehicles.
 pub enum Policy<'a> {
-    /// The same throttle in every step, straight on.
+    /// The same throttle in every step, without steering.
     Throttle(f32),
     /// Pure pursuit of the route.
     Pursuit(Pursuit),
-    /// Standard normal actions (clipped by the environment), as an untrained policy gives.
+    /// Standard normal actions (clipped by the environment), as an untrained policy has.
     Gaussian,
     /// Actions uniform in −1..1.
     Uniform,
-    /// SUMO's own driver and right of way.
+    /// SUMO's own car-following and right-of-way model.
     Sumo,
-    /// A trained policy's mean actions, where messages pass through a channel.
+    /// The mean actions of a trained policy; messages pass through a channel.
     Learned(&'a dyn Algorithm, Channel),
 }
 
-/// Names of the policies that need no training, as on the command line.
+/// Names of the policies without training, as on the command line.
 pub const POLICIES: [&str; 6] =
     ["throttle:<a>", "pursuit:<speed>", "fcfs:<speed>", "gaussian", "uniform", "sumo"];
 
 impl Policy<'static> {
-    /// A policy that needs no training, by its name on the command line.
+    /// Returns a policy without training by its name on the command line; `None` for an unknown
+    /// name.
     pub fn by_name(name: &str) -> Option<Self> {
         match name {
             "gaussian" => Some(Self::Gaussian),
@@ -80,100 +82,106 @@ impl Policy<'static> {
     }
 }
 
-/// What an evaluation found.
+/// The result of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluation {
-    /// The episodes that were asked for, in order.
+    /// The requested episodes, in order.
     pub episodes: Vec<EpisodeRecord>,
-    /// Reward per agent summed over windows of [`WINDOW`] steps, each starting with a fresh episode.
+    /// Reward per agent, summed over windows of [`WINDOW`] steps, each starting with a new episode
+    /// (throughput).
     pub windows: Vec<f64>,
-    /// What the policy's latent knows; empty for policies without one.
+    /// How well the policy's latent predicts its targets; empty for policies without a latent.
     pub reconstruction: Vec<Knowledge>,
 }
 
-/// Means with 95 % intervals, the episode (or the window) being the unit.
+/// Means with 95 % intervals; the unit is the episode, or the window.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Metrics {
     /// Share of agents that arrived.
     pub success: Estimate,
-    /// Share of agents that neither crashed nor left the road.
+    /// Share of agents that neither crashed nor went off-road.
     pub safety: Estimate,
     /// Share of agents that crashed.
     pub crash: Estimate,
-    /// Share of agents that left the road.
+    /// Share of agents that went off-road.
     pub out_of_road: Estimate,
     /// Reward per agent and episode.
     pub reward: Estimate,
-    /// Reward per agent over [`WINDOW`] steps with automatic reset (the paper's "Rewards").
+    /// Throughput: reward per agent over [`WINDOW`] steps with automatic reset (the paper's
+    /// "Rewards").
     pub window_reward: Estimate,
-    /// Steps.
+    /// Length of an episode \[steps\].
     pub episode_length: Estimate,
-    /// (success − danger) · N / steps.
+    /// (success − danger) · N / steps, in agents per step.
     pub efficiency: Estimate,
-    /// Colliding pairs per episode in SUMO's own report.
+    /// Colliding pairs per episode in SUMO's report.
     pub sumo_collisions: Estimate,
-    /// Colliding pairs per episode by our own test.
+    /// Colliding pairs per episode by our own box test.
     pub own_collisions: Estimate,
     /// Share of agents that loitered ([`EpisodeRecord::loitering`]).
     pub loitering: Estimate,
-    /// Distance and crashes of all episodes together; `None` where nobody moved.
+    /// Distance per crash over all episodes together; `None` if no agent moved.
     pub km_per_crash: Option<KmPerCrash>,
-    /// Sums over all episodes: where the two tests differ, and why.
+    /// Where SUMO's report and our own box test differ, and why; sums over all episodes.
     pub audit: Audit,
-    /// Sums over all episodes: why agents did not arrive.
+    /// Why agents did not arrive; sums over all episodes.
     pub failures: Failures,
-    /// What vehicles met with that SUMO drove, in tasks that have some.
+    /// Effects on background traffic and pedestrians; `None` in tasks without them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub others: Option<OthersMetrics>,
-    /// What the policy's latent knows.
+    /// How well the policy's latent predicts its targets; empty for policies without a latent.
     pub reconstruction: Vec<Knowledge>,
 }
 
-/// How far agents drive for each crash, over all episodes together.
+/// Distance that agents drive per crash, over all episodes together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct KmPerCrash {
     /// Distance that agents drove \[km\].
     pub km: f64,
-    /// Crashes of agents ([`EpisodeRecord::crashes`]).
+    /// Number of crashes of agents ([`EpisodeRecord::crashes`]).
     pub crashes: u64,
-    /// Kilometres per crash with the exact interval of a Poisson count; without a crash a lower
-    /// bound alone.
+    /// Kilometres per crash with the exact interval of a Poisson count; only a lower bound without
+    /// a crash.
     #[serde(flatten)]
     pub estimate: Estimate,
 }
 
 impl KmPerCrash {
-    /// From a distance \[km\] and a number of crashes; `None` where nobody moved.
+    /// Computes the estimate from a distance \[km\] and a number of crashes; `None` if the distance
+    /// is 0.
     pub fn new(km: f64, crashes: u64) -> Option<Self> {
         Some(Self { km, crashes, estimate: Estimate::exposure_per_event(km, crashes)? })
     }
 }
 
-/// What the vehicles met with that SUMO drove, and the pedestrians: see [`env::Others`] for the definitions. Shares and means are
-/// over episodes with any of them; `None` where there never were.
+/// Effects of agents on background traffic and pedestrians; see [`env::Others`] for the
+/// definitions. Shares and means are over the episodes that contain vehicles, or pedestrians;
+/// `None` without such episodes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OthersMetrics {
-    /// How many vehicles there were in an episode.
+    /// Number of background vehicles in an episode.
     pub vehicles: Estimate,
-    /// Share that collided with an agent or a wreck.
+    /// Share of the vehicles that collided with an agent or a wreck.
     pub crash: Option<Estimate>,
-    /// SUMO's time loss \[s\].
+    /// SUMO's time loss of a vehicle \[s\].
     pub delay: Option<Estimate>,
-    /// Hardest braking of each \[m/s²\].
+    /// Hardest braking of a vehicle \[m/s²\].
     pub braking: Option<Estimate>,
-    /// Share that had to brake harder than 6 m/s².
+    /// Share of the vehicles that had to brake harder than 6 m/s².
     pub hard_braking: Option<Estimate>,
-    /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
+    /// Share of the vehicles with a time to collision with an agent below 1.5 s, or with a
+    /// collision.
     pub close: Option<Estimate>,
-    /// How many pedestrians there were in an episode.
+    /// Number of pedestrians in an episode.
     pub pedestrians: Estimate,
     /// Share of the pedestrians that were hit by an agent or a wreck.
     pub pedestrian_crash: Option<Estimate>,
-    /// Share of the pedestrians that an agent came closer to than 1.5 s in time to collision, or hit.
+    /// Share of the pedestrians with a time to collision with an agent below 1.5 s, or that were
+    /// hit.
     pub pedestrian_close: Option<Estimate>,
-    /// Smallest time to collision of an episode, at most 5 \[s\].
+    /// Smallest time to collision of an episode \[s\], at most 5.
     pub ttc: Option<Estimate>,
-    /// Smallest post-encroachment time of an episode, at most 5 \[s\].
+    /// Smallest post-encroachment time of an episode \[s\], at most 5.
     pub pet: Option<Estimate>,
 }
 
@@ -204,7 +212,7 @@ impl OthersMetrics {
 }
 
 impl Evaluation {
-    /// Summary; `None` without episodes.
+    /// Returns the summary over all episodes; `None` without episodes.
     pub fn metrics(&self) -> Option<Metrics> {
         let column =
             |of: fn(&EpisodeRecord) -> f64| self.episodes.iter().map(of).collect::<Vec<_>>();
@@ -235,20 +243,21 @@ impl Evaluation {
     }
 }
 
-/// Who looks on while episodes are played.
+/// The observer of an evaluation: can stop it, and gets its progress and its episodes.
 pub struct Onlooker<'a> {
-    /// Ends early, with what there is.
+    /// Flag that stops the evaluation early; the finished episodes are returned.
     pub stop: &'a AtomicBool,
-    /// Is told the number of finished episodes now and then.
+    /// Function that gets the number of finished episodes, after each step in which episodes end.
     pub report: &'a mut dyn FnMut(u64),
-    /// Sees everything.
+    /// Recorder of an episode, if one is to be recorded.
     pub recorder: Option<&'a mut Recorder>,
 }
 
-/// Plays `episodes` episodes of the stream `seed` and as many more as the first window needs.
+/// Plays `episodes` episodes of the stream `seed`, and as many more as the first complete window
+/// needs.
 ///
 /// # Errors
-/// When SUMO fails twice in a row.
+/// [`env::Error`] if SUMO cannot be run, or dies in the same episode three times.
 pub fn evaluate(
     task: &Arc<Task>,
     policy: &Policy<'_>,
@@ -285,7 +294,8 @@ pub fn evaluate(
     }
 }
 
-/// Sums of the mean reward over consecutive windows; each starts with a fresh episode and cuts its last one.
+/// Returns the sums of the mean reward over consecutive windows. Each window starts with a new
+/// episode; its last episode is cut at the end of the window.
 fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     let mut sums = Vec::new();
     let (mut sum, mut steps) = (0.0, 0);
@@ -301,13 +311,13 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     sums
 }
 
-/// Who looks on.
+/// Collectors of data while episodes are played.
 struct Watch<'a> {
     knowledge: Sums,
     recorder: Option<&'a mut Recorder>,
 }
 
-/// What the episodes of an evaluation have in common.
+/// Parameters that all episodes of an evaluation share.
 struct Stage<'a> {
     task: &'a Arc<Task>,
     policy: &'a Policy<'a>,
@@ -317,7 +327,8 @@ struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// Plays a range of episodes, in order of their numbers; interrupted ones are played again.
+    /// Plays a range of episodes and returns their records in order. Episodes in which SUMO died
+    /// are played again.
     fn play(
         &self,
         episodes: Range<u64>,
@@ -368,7 +379,7 @@ impl Stage<'_> {
     }
 }
 
-/// Turns frames into actions, without randomness that depends on anything but seed, episode and step.
+/// Computes actions from frames. All randomness depends only on seed, episode and step.
 struct PolicyDriver<'a> {
     policy: &'a Policy<'a>,
     task: &'a Task,
@@ -383,7 +394,7 @@ struct PolicyDriver<'a> {
     decisions: u64,
 }
 
-/// Decisions between two looks at the latent.
+/// Number of decisions between two samples of the latent.
 const LOOK: u64 = 8;
 
 impl<'a> PolicyDriver<'a> {
@@ -423,7 +434,7 @@ impl<'a> PolicyDriver<'a> {
         let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
             Policy::Throttle(throttle) => {
-                // Where there are two, the first one steers.
+                // With two actions, the first is the steering.
                 let actions = self.task.spec.actions.len();
                 for action in self.actions.chunks_mut(actions) {
                     action.fill(0.0);
@@ -484,7 +495,7 @@ impl<'a> PolicyDriver<'a> {
                     );
                     learner.act_through(&observation, channel, &noise)
                 };
-                // What a latent knows, and who listens to whom, is told of undisturbed messages alone.
+                // Latents are evaluated only with undisturbed messages.
                 if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
@@ -520,8 +531,9 @@ fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
     Thoughts { value: numbers(&insight.value), graph: numbers(&insight.graph) }
 }
 
-/// Randomness of a channel that depends on each world's episode and step alone. False messages have a content where somebody is
-/// within range to hear them, `comm [E, N, N]`, and zeros elsewhere.
+/// Returns the randomness of a channel, which depends only on each world's episode and step.
+/// Falsified messages get a content where a receiver is in range according to `comm [E, N, N]`;
+/// elsewhere the content is zero.
 fn channel_noise(
     channel: &Channel,
     sources: &[Seed],
@@ -538,7 +550,8 @@ fn channel_noise(
         draws.collect()
     };
     let (lost, falsified) = (uniform("lost"), uniform("falsified"));
-    // Most channels falsify nothing, and some methods send nothing: no content is needed to do it with.
+    // Without falsified messages, or for algorithms without messages, a content of width 1
+    // suffices.
     let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
     let mut content = vec![0.0; falsified.len() * width];
     for (k, content) in content.chunks_mut(width).enumerate() {
@@ -594,7 +607,8 @@ mod tests {
             record(2, &[3.0; 999]),
             record(3, &[4.0; 500]),
         ];
-        // 600 · 1 + 400 · 2, then a fresh start with the third episode: 999 · 3 + 1 · 4; the rest is no whole window.
+        // The first window is 600 · 1 + 400 · 2; the next starts with the third episode: 999 · 3 +
+        // 1 · 4. The remaining steps fill no window.
         assert_eq!(windows(&records.iter().collect::<Vec<_>>()), vec![1400.0, 3001.0]);
     }
 

@@ -1,8 +1,8 @@
-//! Short names for contents, by which a run tells whether a file is still the same.
+//! Short hashes of contents, by which a run detects whether a file has changed.
 
 use std::fmt;
 
-/// FNV-1a, which stays the same with any version of the compiler; shown in hexadecimal.
+/// An FNV-1a hash, which is the same with every version of the compiler; displayed in hexadecimal.
 pub(crate) struct Fnv(u64);
 
 impl Fnv {
@@ -16,7 +16,7 @@ impl Fnv {
         }
     }
 
-    /// Texts one after the other are not those joined.
+    /// Adds a text and a separator, so that two texts do not hash like their concatenation.
     pub(crate) fn text(&mut self, text: &str) {
         self.bytes(text.as_bytes());
         self.bytes(&[0]);

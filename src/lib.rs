@@ -1,14 +1,16 @@
 //! Multi-vehicle coordination in SUMO.
 //!
-//! Debian's SUMO simulates the traffic; this crate drives the ego vehicles in lock-step with it, and trains agents that
-//! learn to coordinate: IWoL (implicit and explicit) and its baselines.
+//! Debian's SUMO simulates the traffic. This crate drives the agents' vehicles in lock-step with it
+//! and trains agents that learn to coordinate: IWoL (implicit and explicit) and its baselines.
 //!
 //! - [`sumo`]: TraCI client, SUMO processes, nets
-//! - [`scenario`]: what a task is, as data
-//! - [`mod@env`]: the multi-agent environments; [`inspect`]: what a scenario looks like, and a trial run of it
+//! - [`scenario`]: description of a task, as data
+//! - [`mod@env`]: the multi-agent environments; [`inspect`]: views and trial runs of a scenario
 //! - [`nn`], [`rollout`], [`algo`]: the learners
-//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`], [`report`], [`replay`]: running them
-//! - [`stats`]: intervals and aggregates over seeds; [`provenance`]: which program and machine a result comes from
+//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`],
+//!   [`report`], [`replay`]: running them
+//! - [`stats`]: intervals and aggregates over seeds; [`provenance`]: the program and machine that
+//!   computed a result
 
 pub mod algo;
 pub mod checkpoint;
@@ -32,7 +34,7 @@ pub mod sumo;
 pub mod sweep;
 pub mod train;
 
-/// The examples of the README.
+/// Runs the examples of the README as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,5 +1,5 @@
-//! Where results come from: the program's version and commit, SUMO's and libtorch's version, the
-//! machine.
+//! Origin of results: the versions of the program, of SUMO and of libtorch, the program's commit,
+//! and the machine.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,25 +8,25 @@ use serde::{Deserialize, Serialize};
 
 use crate::sumo;
 
-/// Stands for a version or commit that nobody knows.
+/// Stands for a version or commit that is not known.
 pub const UNKNOWN: &str = "unknown";
 
-/// A program that computed something, and what it computed it with.
+/// A program that computed something, with the versions of the libraries that it used.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Program {
-    /// Version of this package; files of older versions call it `iwol`.
+    /// Version of this package. Files of older versions name this field `iwol`.
     #[serde(alias = "iwol", default = "unknown")]
     pub version: String,
-    /// Commit of the checkout from which it was built, or [`UNKNOWN`].
+    /// Commit of the checkout from which the program was built, or [`UNKNOWN`].
     #[serde(default = "unknown")]
     pub commit: String,
-    /// Whether the sources had changes that were not committed; `None` where the commit is unknown.
+    /// Whether the sources had uncommitted changes; `None` if the commit is unknown.
     #[serde(default)]
     pub dirty: Option<bool>,
-    /// SUMO's version.
+    /// Version of SUMO.
     #[serde(default = "unknown")]
     pub sumo: String,
-    /// libtorch's version.
+    /// Version of libtorch.
     #[serde(default = "unknown")]
     pub libtorch: String,
 }
@@ -36,7 +36,7 @@ fn unknown() -> String {
 }
 
 impl Default for Program {
-    /// A program of which nothing is known.
+    /// Returns a program about which nothing is known.
     fn default() -> Self {
         Self {
             version: unknown(),
@@ -49,7 +49,7 @@ impl Default for Program {
 }
 
 impl Program {
-    /// The program that runs, with the SUMO that it would start.
+    /// Returns the running program, with the SUMO that it would start.
     pub fn current() -> Self {
         let sumo = sumo::find_sumo().and_then(|binary| sumo::sumo_version(&binary));
         let dirty = match env!("IWOL_DIRTY") {
@@ -66,7 +66,7 @@ impl Program {
         }
     }
 
-    /// Version and commit for people, such as `0.1.0 (1a2b3c4d5e, changed)`.
+    /// Returns version and commit for people, such as `0.1.0 (1a2b3c4d5e, changed)`.
     pub fn describe(&self) -> String {
         if self.commit == UNKNOWN {
             return self.version.clone();
@@ -77,21 +77,21 @@ impl Program {
     }
 }
 
-/// What a policy was trained with.
+/// The programs that trained a policy.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Training {
-    /// The program that trained it, the last one where several did.
+    /// The program that trained the policy, or the last of several.
     #[serde(flatten)]
     pub program: Program,
-    /// Other programs that trained it before it was resumed.
+    /// Other programs that trained the policy before it was resumed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub earlier: Vec<Program>,
 }
 
-/// The machine.
+/// A machine on which the program runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Host {
-    /// CPU cores that the program may use.
+    /// Number of CPU cores that the program may use.
     pub cores: usize,
     /// Model of the CPU.
     pub processor: Option<String>,
@@ -102,7 +102,7 @@ pub struct Host {
 }
 
 impl Host {
-    /// The machine on which the program runs.
+    /// Returns the machine on which this process runs.
     pub fn current() -> Self {
         let value = |path: &str, key: &str| {
             let text = fs::read_to_string(path).ok()?;
@@ -123,22 +123,22 @@ impl Host {
     }
 }
 
-/// Version of the libtorch that this process has loaded, from the file `build-version` in its
-/// folder.
+/// Returns the version of the libtorch that this process has loaded, from the file `build-version`
+/// in its folder; `None` if it cannot be read.
 pub fn libtorch_version() -> Option<String> {
     let library = loaded_library("libtorch_cpu.so")?;
     let text = fs::read_to_string(library.parent()?.parent()?.join("build-version")).ok()?;
     Some(text.trim().to_owned())
 }
 
-/// Path of a shared library that this process has loaded.
+/// Returns the path of a shared library that this process has loaded, by its file name.
 pub fn loaded_library(name: &str) -> Option<PathBuf> {
     let maps = fs::read_to_string("/proc/self/maps").ok()?;
     maps.lines().find_map(|line| library_path(line, name))
 }
 
-/// The path in a line of `/proc/self/maps`, if the file there is called `name`. The path is the
-/// sixth column and may hold spaces; the columns before it do not hold a slash.
+/// Returns the path in a line of `/proc/self/maps`, if its file name is `name`. The path is the
+/// sixth column and may contain spaces; the columns before it contain no slash.
 fn library_path(line: &str, name: &str) -> Option<PathBuf> {
     let path = Path::new(&line[line.find('/')?..]);
     (path.file_name()? == name).then(|| path.to_owned())

@@ -1,12 +1,13 @@
-//! The seed tree: every random number of a run is a function of one user seed and a path of labels.
+//! The seed tree: every random number of a run is a function of the user's seed and a path of
+//! labels.
 //!
-//! Streams are derived, never shared: an episode's spawn places depend on `(seed, "episode", number)` alone,
-//! so evaluating in between, changing the number of environments or resuming cannot shift anything else,
-//! and a checkpoint needs counters only, no generator state.
+//! Streams are derived, never shared: the spawn places of an episode depend on
+//! `(seed, "episodes", index)` alone. Evaluations in between, another number of worlds or a resumed
+//! run therefore shift no other stream, and a checkpoint needs counters only, no generator state.
 
 use rand::{Rng as _, RngExt as _, SeedableRng};
 
-/// The generator behind every stream.
+/// The generator of every stream.
 pub type Rng = rand_chacha::ChaCha8Rng;
 
 /// A node of the seed tree.
@@ -14,35 +15,35 @@ pub type Rng = rand_chacha::ChaCha8Rng;
 pub struct Seed([u8; 32]);
 
 impl Seed {
-    /// The root of the tree for a user's seed.
+    /// Returns the root of the tree for a user's seed.
     pub fn new(seed: u64) -> Self {
         let mut key = [0; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
         Self(key).derive(0x6977_6f6c)
     }
 
-    /// The child under a name.
+    /// Returns the child with a name.
     #[must_use]
     pub fn child(&self, label: &str) -> Self {
-        // FNV-1a; the low bit set keeps names apart from indices.
+        // FNV-1a. Names set the low bit, which indices do not.
         let hash = label.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
             (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3)
         });
         self.derive(hash | 1)
     }
 
-    /// The child under a number (below 2⁶³).
+    /// Returns the child with an index (below 2⁶³).
     #[must_use]
     pub fn index(&self, i: u64) -> Self {
         self.derive(i << 1)
     }
 
-    /// A generator for this node.
+    /// Returns a generator for this node.
     pub fn rng(&self) -> Rng {
         Rng::from_seed(self.0)
     }
 
-    /// One number for programs that take a plain seed, such as SUMO (31 bits).
+    /// Returns one number (31 bits) for programs that take a plain seed, such as SUMO.
     pub fn word(&self) -> u64 {
         self.rng().next_u64() & 0x7fff_ffff
     }
@@ -56,17 +57,17 @@ impl Seed {
     }
 }
 
-/// Uniform in `[-1, 1)`.
+/// Draws a uniform number in `[-1, 1)`.
 pub fn symmetric(rng: &mut Rng) -> f64 {
     rng.random::<f64>() * 2.0 - 1.0
 }
 
-/// Uniform integer below `bound` (which must be positive).
+/// Draws a uniform integer below `bound`, which must be positive.
 pub fn below(rng: &mut Rng, bound: usize) -> usize {
     rng.random_range(0..bound)
 }
 
-/// Fills with independent standard normal numbers (Box–Muller).
+/// Fills `out` with independent standard normal numbers (Box–Muller).
 pub fn fill_normal(rng: &mut Rng, out: &mut [f32]) {
     for pair in out.chunks_mut(2) {
         let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
@@ -78,7 +79,7 @@ pub fn fill_normal(rng: &mut Rng, out: &mut [f32]) {
     }
 }
 
-/// Fills with independent standard logistic numbers, the difference of two Gumbel variables:
+/// Fills `out` with independent standard logistic numbers, the difference of two Gumbel variables:
 /// the noise of a two-class Gumbel-softmax.
 pub fn fill_logistic(rng: &mut Rng, out: &mut [f32]) {
     for x in out {
@@ -87,7 +88,7 @@ pub fn fill_logistic(rng: &mut Rng, out: &mut [f32]) {
     }
 }
 
-/// Shuffles in place (Fisher–Yates).
+/// Shuffles `items` in place (Fisher–Yates).
 pub fn shuffle<T>(rng: &mut Rng, items: &mut [T]) {
     for i in (1..items.len()).rev() {
         items.swap(i, below(rng, i + 1));

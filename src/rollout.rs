@@ -1,83 +1,87 @@
 //! Preallocated storage of a rollout, and its division into minibatches.
 //!
-//! Row `t` holds what was known before decision `t`; the reward and the ends of row `t` are what that decision brought.
-//! Row `T` closes the rollout: it is observed and valued, but not acted upon. An agent that was truncated at `t` is still
-//! observed in row `t + 1` (present, not active), so that its value can be bootstrapped like any other.
+//! Row `t` holds what is known before decision `t`; the reward and the ends of trajectories in row
+//! `t` follow from that decision. Row `T` closes the rollout: it is observed and valued, but no
+//! action follows. An agent that is truncated at `t` is still observed in row `t + 1` (present, not
+//! active), so that its value can be bootstrapped like any other.
 
 use std::ops::Range;
 
 /// Sizes of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sizes {
-    /// Steps T.
+    /// Number T of steps.
     pub steps: usize,
-    /// Environments E.
+    /// Number E of worlds.
     pub envs: usize,
-    /// Agent slots N.
+    /// Number N of agent slots.
     pub agents: usize,
-    /// Observation features O.
+    /// Number O of observation features.
     pub observation: usize,
-    /// Privileged state features S.
+    /// Number S of features of the privileged state.
     pub state: usize,
-    /// Action dimensions A.
+    /// Number A of action dimensions.
     pub actions: usize,
-    /// Memory of the policy per agent M (0: none).
+    /// Width M of the policy's memory per agent (0: none).
     pub memory: usize,
-    /// Communication graphs G that the policy samples at each decision (0: none).
+    /// Number G of communication graphs that the policy samples at each decision (0: none).
     pub graphs: usize,
 }
 
-/// One rollout; all arrays are row-major.
+/// One rollout. All arrays are row-major.
 #[derive(Debug, Clone)]
 pub struct Rollout {
-    /// Sizes.
+    /// Sizes of the arrays.
     pub sizes: Sizes,
-    /// `[T + 1, E, N, O]`
+    /// Observations, `[T + 1, E, N, O]`.
     pub observation: Vec<f32>,
-    /// `[T + 1, E, N, S]`
+    /// Privileged states, `[T + 1, E, N, S]`.
     pub state: Vec<f32>,
-    /// Physical mask, `[T + 1, E, N, N]`; the diagonal tells who is present.
+    /// Physical mask, `[T + 1, E, N, N]`; the diagonal is 1 for agents that are present.
     pub comm: Vec<f32>,
-    /// `[T + 1, E, N]`, 1 where an agent acts.
+    /// 1 where an agent acts, else 0, `[T + 1, E, N]`.
     pub active: Vec<f32>,
-    /// `[T + 1, E]`, 1 where trajectories start (memories are cleared).
+    /// 1 where trajectories start and memories are cleared, else 0, `[T + 1, E]`.
     pub start: Vec<f32>,
-    /// Memory before the decision, `[T + 1, E, N, M]`.
+    /// Memory of the policy before the decision, `[T + 1, E, N, M]`.
     pub memory: Vec<f32>,
-    /// Noise of the policy's communication graphs, side by side in each row, `[T + 1, E, N, G · N]`.
+    /// Noise of the policy's communication graphs, which stand side by side in each row,
+    /// `[T + 1, E, N, G · N]`.
     pub graph_noise: Vec<f32>,
-    /// `[T, E, N, A]`, as sampled (not clipped).
+    /// Actions as sampled, not clipped, `[T, E, N, A]`.
     pub action: Vec<f32>,
-    /// What pure pursuit of the route would have done, `[T, E, N, A]`; empty where the policy does
-    /// not imitate it.
+    /// Actions of a teacher that drives by pure pursuit of the route, `[T, E, N, A]`; empty where
+    /// the policy does not imitate it.
     pub pursuit: Vec<f32>,
-    /// Of each dimension of the action, `[T, E, N, A]`.
+    /// Log density of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
-    /// Shift of each action's mean by noise of earlier steps, in units of the scheduled standard
-    /// deviation, `[T, E, N, A]`; empty where noise is independent from step to step.
+    /// Shift of each action's mean by the noise of earlier steps, in units of the scheduled
+    /// standard deviation, `[T, E, N, A]`; empty where the noise is independent from step to step.
     pub carried: Vec<f32>,
     /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T, A]`;
-    /// empty where noise is independent from step to step.
+    /// empty where the noise is independent from step to step.
     pub log_fresh: Vec<f32>,
-    /// Own reward of each agent, `[T, E, N]`.
+    /// Each agent's own reward, `[T, E, N]`.
     pub reward: Vec<f32>,
-    /// Weight of each other agent's reward beside one's own, which has weight 1.
+    /// Weight of each other agent's advantages or penalties, beside the agent's own part with
+    /// weight 1 ([`Rollout::share_advantages`], [`Rollout::rewards_with_penalties`]).
     pub cooperation: f64,
     /// Which agents share in each other's advantages, `[T, E, N, N]`: 1 where agent `i` shares in
-    /// that of `j`; empty where all agents of a world share.
+    /// the advantage of agent `j`, else 0; empty where all agents of a world share.
     pub sharing: Vec<f32>,
-    /// `[T, E, N]`, 1 where the trajectory ended for good.
+    /// 1 where the trajectory terminated, else 0, `[T, E, N]`.
     pub terminated: Vec<f32>,
-    /// `[T, E, N]`, 1 where the trajectory was truncated: at the horizon, or because its simulation broke off.
+    /// 1 where the trajectory was truncated, at the horizon or because its simulation broke off,
+    /// else 0, `[T, E, N]`.
     pub truncated: Vec<f32>,
-    /// `[T, E]`, 1 where the simulation broke off.
+    /// 1 where the simulation broke off, else 0, `[T, E]`.
     pub interrupted: Vec<f32>,
-    /// Whether returns go on beyond the horizon by the value of the last observation.
+    /// Whether the value of the last observation stands for the rewards after the horizon.
     pub bootstrap_horizon: bool,
 }
 
 impl Rollout {
-    /// Allocates everything, zeroed.
+    /// Allocates the arrays, filled with zeros; the optional ones are empty.
     pub fn new(sizes: Sizes) -> Self {
         let rows = sizes.steps * sizes.envs * sizes.agents;
         let closed = (sizes.steps + 1) * sizes.envs * sizes.agents;
@@ -105,32 +109,33 @@ impl Rollout {
         }
     }
 
-    /// Range of step `t` in an array whose entry per agent has `width` numbers.
+    /// Returns the range of step `t` in an array with `width` numbers per agent.
     pub fn at(&self, t: usize, width: usize) -> Range<usize> {
         let size = self.sizes.envs * self.sizes.agents * width;
         t * size..(t + 1) * size
     }
 
-    /// Range of step `t`, environment `e`.
+    /// Returns the range of step `t` in world `e`, in an array with `width` numbers per agent.
     pub fn cell(&self, t: usize, e: usize, width: usize) -> Range<usize> {
         let size = self.sizes.agents * width;
         let first = (t * self.sizes.envs + e) * size;
         first..first + size
     }
 
-    /// Whether the return of entry `i` of an array `[T, E, N]` ends there for good: the trajectory
-    /// terminated, or met its deadline. After a simulation that broke off it goes on.
+    /// Returns whether the return of entry `i` of an array `[T, E, N]` ends there, without a value
+    /// of the next observation: the trajectory terminated, or was truncated at a horizon that is a
+    /// deadline. A simulation that broke off does not end a return.
     pub fn ends(&self, i: usize) -> bool {
         let deadline = !self.bootstrap_horizon && self.interrupted[i / self.sizes.agents] == 0.0;
         self.terminated[i] > 0.0 || (self.truncated[i] > 0.0 && deadline)
     }
 
-    /// Generalised advantage estimation: advantages and returns, `[T, E, N]`, from values `[T + 1, E, N]` in units of
-    /// the reward.
+    /// Returns advantages and returns by generalised advantage estimation, `[T, E, N]`, from values
+    /// `[T + 1, E, N]` in units of the reward.
     ///
-    /// A trajectory that [`ends`](Self::ends) has no future; one that is truncated otherwise is
-    /// bootstrapped with the value of its last observation; both end the chain. Inactive entries
-    /// are zero.
+    /// A trajectory that [`ends`](Self::ends) has no future. A trajectory that is truncated
+    /// otherwise is bootstrapped with the value of its last observation. Both stop the recursion.
+    /// Inactive entries are zero.
     pub fn advantages(&self, values: &[f32], gamma: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let width = self.sizes.envs * self.sizes.agents;
         debug_assert_eq!(values.len(), (self.sizes.steps + 1) * width);
@@ -158,14 +163,14 @@ impl Rollout {
         (advantage, returns)
     }
 
-    /// Adds to each active agent's advantage those of the other agents of its world, with the
-    /// weight
-    /// [`Rollout::cooperation`]; `advantage: [T, E, N]` are those of the agents' own rewards.
+    /// Adds to each active agent's advantage those of the other active agents of its world, with
+    /// the weight [`Rollout::cooperation`]. `advantage: [T, E, N]` holds the advantages of the
+    /// agents' own rewards.
     ///
-    /// Advantages are linear in rewards and values, so these are the advantages of the sum of own
-    /// rewards, weighted alike, whose expectation goes on after an agent has left. Hence nobody
-    /// gains by staying: what others earn counts for the actions that changed it, not for
-    /// presence. (Neighbourhood advantages: Peng et al., CoPO, NeurIPS 2021.)
+    /// Advantages are linear in rewards and values, so the results are the advantages of the sum of
+    /// own rewards with the same weights, and this sum goes on after an agent has left. Hence no
+    /// agent gains by staying: the rewards of others count for the actions that changed them, not
+    /// for presence. (Neighbourhood advantages: Peng et al., CoPO, NeurIPS 2021.)
     pub fn share_advantages(&self, advantage: &mut [f32]) {
         let n = self.sizes.agents;
         if self.cooperation == 0.0 {
@@ -188,11 +193,12 @@ impl Rollout {
         }
     }
 
-    /// Each agent's own reward and, weighted by [`Rollout::cooperation`], the penalties of the
-    /// other agents of its world, `[T, E, N]`: what methods learn from that replay single steps.
+    /// Returns each agent's own reward plus, with the weight [`Rollout::cooperation`], the
+    /// penalties of the other agents of its world, `[T, E, N]`. Methods that sample single steps
+    /// from a replay buffer learn from these rewards.
     ///
-    /// A penalty is a negative reward of a step that terminates a trajectory. As nobody earns
-    /// anything by the presence of others, nobody gains by staying.
+    /// A penalty is a negative reward of a step that terminates a trajectory. The presence of other
+    /// agents never adds to an agent's reward, so no agent gains by staying.
     pub fn rewards_with_penalties(&self) -> Vec<f32> {
         let n = self.sizes.agents;
         let mut rewards = self.reward.clone();
@@ -211,8 +217,10 @@ impl Rollout {
         rewards
     }
 
-    /// The agents of each environment as one, who gets the sum of their rewards, acts while any of them does, and ends with the last:
-    /// for good, unless an agent is truncated then. It has no observations, actions or memory.
+    /// Returns a rollout in which the agents of each world are one agent. It gets the sum of their
+    /// rewards, acts while any of them acts, and ends with the last one: it terminates, or is
+    /// truncated if an agent is truncated in that step. The result has no observations, actions or
+    /// memory.
     #[must_use]
     pub fn team(&self) -> Self {
         let mut team = Self::new(Sizes {
@@ -246,14 +254,15 @@ impl Rollout {
         team
     }
 
-    /// Chunks of `length` consecutive steps of one environment, as `(first step, environment)`; the last chunk of an
-    /// environment is left out if it would be shorter.
+    /// Returns chunks of `length` consecutive steps of one world, as `(first step, world)`. A
+    /// shorter chunk at the end of a world is left out.
     pub fn chunks(&self, length: usize) -> Vec<(usize, usize)> {
         let per_env = self.sizes.steps / length;
         (0..per_env).flat_map(|c| (0..self.sizes.envs).map(move |e| (c * length, e))).collect()
     }
 
-    /// Rows `t · E + e` of chunks, step-major: all first steps, then all second steps, …
+    /// Returns the rows `t · E + e` of chunks, step-major: all first steps, then all second steps,
+    /// and so on.
     pub fn rows(&self, chunks: &[(usize, usize)], length: usize) -> Vec<i64> {
         (0..length)
             .flat_map(|l| chunks.iter().map(move |&(t, e)| ((t + l) * self.sizes.envs + e) as i64))
@@ -277,7 +286,7 @@ mod tests {
             memory: 0,
             graphs: 0,
         });
-        // A trajectory per slot: an end is followed by inactivity until the next start.
+        // Each slot plays one trajectory after another and is inactive between them.
         for k in 0..width {
             let mut alive = true;
             for t in 0..=steps {
@@ -288,7 +297,7 @@ mod tests {
                 }
                 rollout.active[i] = f32::from(u8::from(alive));
                 if t < steps {
-                    // Rewards of inactive entries are rubbish on purpose: they must not matter.
+                    // Rewards of inactive entries are arbitrary on purpose: they must not matter.
                     rollout.reward[i] = rewards[i % rewards.len()];
                     if alive && event == 1 {
                         rollout.terminated[i] = 1.0;
@@ -306,7 +315,7 @@ mod tests {
     #[test]
     fn a_team_earns_together_and_ends_with_its_last() {
         let mut rollout = random_rollout(3, 2, &[0], &[0.0]);
-        // The first agent ends at once, the second one is cut short in the last step.
+        // The first agent terminates at once; the second is truncated in the last step.
         rollout.reward.copy_from_slice(&[1.0, 2.0, 9.0, 3.0, 9.0, 4.0]);
         (rollout.terminated[0], rollout.truncated[5]) = (1.0, 1.0);
         (rollout.active[2], rollout.active[4]) = (0.0, 0.0);
@@ -319,8 +328,8 @@ mod tests {
         );
     }
 
-    /// An agent that stands and earns nothing has the less to expect the nearer the horizon is, as
-    /// an episode does not go on beyond it; it does go on where a simulation broke off.
+    /// Returns are bootstrapped at the end of the rollout and where the simulation broke off, but
+    /// at the horizon only if `bootstrap_horizon` is set.
     #[test]
     fn the_horizon_is_a_deadline() {
         let sizes = Sizes {
@@ -349,8 +358,8 @@ mod tests {
         assert!(close(standing(1.0, 0.0, true), goes_on), "where the setting says so");
     }
 
-    /// A rollout of steps in which the first of several agents arrives at step `arrival` for a
-    /// reward, and the others drive on and earn at every step.
+    /// Returns a rollout in which the first of several agents arrives at step `arrival` for a
+    /// reward, and the other agents drive on and get a reward at every step.
     fn arriving_at(
         arrival: usize,
         steps: usize,
@@ -381,8 +390,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the others earn and however much of it is shared, an agent that may arrive
-        /// gains nothing by waiting.
+        /// An agent that can arrive gains nothing by waiting, whatever rewards the others get and
+        /// however much of them is shared.
         #[test]
         fn nobody_gains_by_waiting(
             steps in 2usize..30,
@@ -395,7 +404,7 @@ mod tests {
             let of = |arrival: usize| {
                 Rollout { cooperation, ..arriving_at(arrival, steps, agents, reward, &others) }
             };
-            // Without values and with λ = 1, advantages are returns.
+            // Without values and with λ = 1, advantages equal returns.
             let shared = |rollout: &Rollout| {
                 let values = vec![0.0; (steps + 1) * agents];
                 let (mut advantage, _) = rollout.advantages(&values, gamma, 1.0);
@@ -405,7 +414,7 @@ mod tests {
             let (now, last) = (shared(&of(0)), shared(&of(steps - 1)));
             let gain = f64::from(reward) * (1.0 - gamma.powi(steps as i32 - 1));
             prop_assert!((now - last - gain).abs() < 1e-3 * (1.0 + now.abs()), "{now} {last} {gain}");
-            // The same of rewards of single steps, as long as the agent is there.
+            // The same holds for the rewards of single steps, as long as the agent is present.
             let earned = |rollout: &Rollout| {
                 let rewards = rollout.rewards_with_penalties();
                 let there = (0..steps).filter(|t| rollout.active[t * agents] > 0.0);
@@ -414,7 +423,7 @@ mod tests {
             prop_assert!(earned(&of(0)) >= earned(&of(steps - 1)) - 1e-4);
         }
 
-        /// What is shared is the weighted sum of the others' advantages, of those who act and are
+        /// The shared part is the weighted sum of the advantages of other agents that act and are
         /// in range.
         #[test]
         fn advantages_are_shared_by_the_definition(
@@ -445,7 +454,8 @@ mod tests {
             }
         }
 
-        /// GAE is the exponentially weighted sum of k-step advantages, each computed from its definition.
+        /// GAE equals the exponentially weighted sum of n-step advantages, each computed from its
+        /// definition.
         #[test]
         fn advantages_follow_the_definition(
             steps in 1usize..14,
@@ -474,7 +484,7 @@ mod tests {
                         prop_assert_eq!(returns[at(t)], 0.0);
                         continue;
                     }
-                    // n-step advantages up to the trajectory's end or the rollout's.
+                    // The n-step advantages up to the end of the trajectory or of the rollout.
                     let mut n_step = Vec::new();
                     let mut sum = 0.0;
                     for (n, u) in (t..steps).enumerate() {

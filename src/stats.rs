@@ -1,9 +1,10 @@
 //! Means and 95 % confidence intervals.
 //!
-//! Every number the program reports about a policy is a mean over independent units (episodes, or seeds) and is shown
-//! with an interval, so that two rows of a table can be compared. Quantities without bounds get Student's t interval;
-//! rates in `0..=1` get Wilson's score interval, which stays inside `0..=1` and does not collapse to a point when
-//! every episode succeeds or none does. A leaf: imports nothing of this crate.
+//! Every number that the program reports about a policy is a mean over independent units (episodes
+//! or seeds). It comes with an interval, so that two rows of a table can be compared. Unbounded
+//! quantities get Student's t interval. Rates in `0..=1` get Wilson's score interval, which stays
+//! inside `0..=1` and does not collapse to a point when every episode succeeds or none does. This
+//! module imports nothing of this crate.
 
 pub mod aggregate;
 
@@ -12,15 +13,16 @@ use std::fmt;
 use serde::{Deserialize, Deserializer, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
-/// The 97.5 % quantile of the standard normal distribution: half the width, in standard errors, of a 95 % interval.
+/// The 97.5 % quantile of the standard normal distribution: half the width of a 95 % interval, in
+/// standard errors.
 const Z_975: f64 = 1.959_963_984_540_054;
 
-/// Arithmetic mean; `None` for no values.
+/// Returns the arithmetic mean; `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Sample standard deviation (divisor `n - 1`); `None` for fewer than two values, for which it is not defined.
+/// Returns the sample standard deviation (divisor `n - 1`); `None` for fewer than two values.
 pub fn sample_sd(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let n = values.len();
@@ -30,26 +32,27 @@ pub fn sample_sd(values: &[f64]) -> Option<f64> {
 
 /// A mean with its 95 % confidence interval.
 ///
-/// In JSON a bound that does not exist (an infinite one) is `null`, and so is a mean that is not a number; reading
-/// gives back the infinities and NaN.
+/// In JSON an infinite bound and a mean that is NaN are `null`; deserialisation restores the
+/// infinities and NaN.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// Mean of the values, in their unit.
     #[serde(deserialize_with = "nan_if_null")]
     pub mean: f64,
-    /// Lower end of the 95 % interval; `-inf` where the values put no bound on it.
+    /// Lower end of the 95 % interval; `-inf` if the values give no lower bound.
     #[serde(deserialize_with = "negative_infinity_if_null")]
     pub low: f64,
-    /// Upper end of the 95 % interval; `+inf` where the values put no bound on it.
+    /// Upper end of the 95 % interval; `+inf` if the values give no upper bound.
     #[serde(deserialize_with = "infinity_if_null")]
     pub high: f64,
 }
 
 impl Estimate {
-    /// Student's t interval of the mean of independent values: `mean ± t(0.975, n-1)·sd/√n`.
+    /// Returns Student's t interval of the mean of independent values:
+    /// `mean ± t(0.975, n-1)·sd/√n`.
     ///
-    /// `None` for no values. One value says nothing about the spread: its interval is `(-inf, +inf)`. A NaN among the
-    /// values makes all three numbers NaN.
+    /// The result is `None` without values. The spread of a single value is unknown, so its
+    /// interval is `(-inf, +inf)`. A NaN among the values makes all three numbers NaN.
     pub fn t(values: &[f64]) -> Option<Self> {
         let mean = mean(values)?;
         let half = match sample_sd(values) {
@@ -62,21 +65,23 @@ impl Estimate {
         Some(Self { mean, low: mean - half, high: mean + half })
     }
 
-    /// Wilson's score interval of a rate, from one value in `0..=1` per independent unit.
+    /// Returns Wilson's score interval of a rate, from one value in `0..=1` per independent unit.
     ///
-    /// The unit is the episode: agents of one episode crash together, so an episode contributes the *fraction* of its
-    /// agents that succeeded, and `n` is the number of episodes, not of agents. A fraction varies at most as much as a
-    /// yes/no with the same mean, so the interval is then on the wide, safe side.
+    /// The unit is the episode: agents of one episode crash together. Each episode therefore
+    /// contributes the *fraction* of its agents that succeeded, and `n` is the number of episodes,
+    /// not of agents. A fraction varies at most as much as a yes/no value with the same mean, so
+    /// the interval is rather too wide than too narrow.
     ///
-    /// `None` for no values. One value gives a valid, very wide interval. Values are expected in `0..=1`; a mean
-    /// outside (rounding) is moved to the nearer end.
+    /// The result is `None` without values. A single value gives a valid but very wide interval.
+    /// Values must be in `0..=1`; a mean outside that range (rounding) is moved to the nearer end.
     pub fn rate(values: &[f64]) -> Option<Self> {
         let mean = mean(values)?.clamp(0.0, 1.0);
         let n = values.len() as f64;
         let z2 = Z_975 * Z_975;
         let centre = (mean + z2 / (2.0 * n)) / (1.0 + z2 / n);
         let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();
-        // The bounds at a mean of 0 or 1 are exactly 0 or 1; rounding must not push them past the mean.
+        // The exact bounds at a mean of 0 or 1 are 0 or 1; rounding must not move them past the
+        // mean.
         Some(Self {
             mean,
             low: (centre - half).max(0.0).min(mean),
@@ -84,13 +89,12 @@ impl Estimate {
         })
     }
 
-    /// How much exposure (kilometres, hours) there is for each event, with the exact interval of a
-    /// Poisson count (Garwood 1936): the count's bounds are quantiles of the chi-squared
-    /// distribution.
+    /// Returns the exposure (kilometres, hours) per event, with the exact interval of a Poisson
+    /// count (Garwood 1936): the bounds of the count are quantiles of the chi-squared distribution.
     ///
-    /// Without an event there is a lower bound alone: the mean is NaN and the upper bound infinite.
-    /// The interval presumes that events are independent; events that come in clusters make it too
-    /// narrow. `None` without exposure.
+    /// Without an event there is only a lower bound: the mean is NaN and the upper bound infinite.
+    /// The interval assumes that events are independent; if events occur in clusters, it is too
+    /// narrow. The result is `None` without exposure.
     pub fn exposure_per_event(exposure: f64, events: u64) -> Option<Self> {
         if !(exposure > 0.0 && exposure.is_finite()) {
             return None;
@@ -101,7 +105,8 @@ impl Estimate {
     }
 }
 
-/// The exact 95 % interval of the mean of a Poisson distribution from which `events` were counted.
+/// Returns the exact 95 % interval of the mean of a Poisson distribution, given a count of
+/// `events`.
 fn garwood(events: u64) -> [f64; 2] {
     let half_quantile = |p: f64, degrees: f64| {
         ChiSquared::new(degrees).expect("degrees of freedom are above 0").inverse_cdf(p) / 2.0
@@ -111,8 +116,8 @@ fn garwood(events: u64) -> [f64; 2] {
     [low, half_quantile(0.975, 2.0 * events + 2.0)]
 }
 
-/// Mean and interval, `88.1 [82.9, 91.9]`, with as many decimals as the format's precision says (1 without); the mean alone where
-/// the values put no bounds on it; `> 12.3` where there is a lower bound alone.
+/// Writes mean and interval, e.g. `88.1 [82.9, 91.9]`, with the decimals of the format's precision
+/// (default 1). Without bounds only the mean is written, with only a lower bound `> 12.3`.
 impl fmt::Display for Estimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = f.precision().unwrap_or(1);
@@ -139,10 +144,11 @@ fn negative_infinity_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Resu
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NEG_INFINITY))
 }
 
-/// Quantile of Student's t distribution: the `t` with `P(T <= t) = p`, for `df` degrees of freedom.
+/// Returns a quantile of Student's t distribution: the `t` with `P(T <= t) = p`, for `df` degrees
+/// of freedom.
 ///
-/// Absolute error below 1e-6 for quantiles of the usual size (up to a few hundred). NaN unless `0 < p < 1` and `df >
-/// 0`.
+/// The absolute error is below 1e-6 for quantiles up to a few hundred. The result is NaN unless
+/// `0 < p < 1` and `df > 0`.
 pub fn student_t_quantile(p: f64, df: f64) -> f64 {
     if !(p > 0.0 && p < 1.0 && df > 0.0) {
         return f64::NAN;
@@ -150,8 +156,8 @@ pub fn student_t_quantile(p: f64, df: f64) -> f64 {
     if p < 0.5 {
         return -student_t_quantile(1.0 - p, df);
     }
-    // P(|T| > t) = I_x(df/2, 1/2) with x = df/(df + t²) falls steadily in t: double until the root lies below, then
-    // halve.
+    // P(|T| > t) = I_x(df/2, 1/2) with x = df/(df + t²) falls steadily in t. The upper end is
+    // doubled until it exceeds the root; then the interval is halved.
     let two_tails = 2.0 * (1.0 - p);
     let outside = |t: f64| regularized_beta(df / (df + t * t), df / 2.0, 0.5);
     let (mut low, mut high) = (0.0, 1.0);
@@ -172,7 +178,8 @@ pub fn student_t_quantile(p: f64, df: f64) -> f64 {
     }
 }
 
-/// Regularised incomplete beta function `I_x(a, b)` for `0 <= x <= 1`, by its continued fraction.
+/// Returns the regularised incomplete beta function `I_x(a, b)` for `0 <= x <= 1`, by its continued
+/// fraction.
 fn regularized_beta(x: f64, a: f64, b: f64) -> f64 {
     if x <= 0.0 {
         return 0.0;
@@ -181,7 +188,8 @@ fn regularized_beta(x: f64, a: f64, b: f64) -> f64 {
         return 1.0;
     }
     let front = (a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b)).exp();
-    // The fraction converges fast on one side of the distribution's mean; the other side follows by symmetry.
+    // The fraction converges fast on one side of the distribution's mean; the other side follows by
+    // symmetry.
     if x < (a + 1.0) / (a + b + 2.0) {
         front * beta_fraction(x, a, b) / a
     } else {
@@ -189,7 +197,8 @@ fn regularized_beta(x: f64, a: f64, b: f64) -> f64 {
     }
 }
 
-/// The continued fraction of the incomplete beta function, evaluated front to back (modified Lentz method).
+/// Returns the continued fraction of the incomplete beta function, evaluated front to back
+/// (modified Lentz method).
 fn beta_fraction(x: f64, a: f64, b: f64) -> f64 {
     const TINY: f64 = 1e-300;
     let nonzero = |v: f64| if v.abs() < TINY { TINY } else { v };
@@ -213,7 +222,8 @@ fn beta_fraction(x: f64, a: f64, b: f64) -> f64 {
     value
 }
 
-/// Natural logarithm of the gamma function for `x > 0`: Stirling's series after moving `x` up to where it is accurate.
+/// Returns the natural logarithm of the gamma function for `x > 0`: Stirling's series, after
+/// shifting `x` to where the series is accurate.
 fn ln_gamma(mut x: f64) -> f64 {
     let mut shift = 0.0;
     while x < 10.0 {
@@ -249,7 +259,8 @@ mod tests {
 
     #[test]
     fn t_quantiles_match_closed_forms_and_tables() {
-        // df 1 is the Cauchy distribution, df 2 has an algebraic quantile, df 4 one by Shaw's formula.
+        // df 1 is the Cauchy distribution, df 2 has an algebraic quantile, and df 4 has one by
+        // Shaw's formula.
         close(student_t_quantile(0.975, 1.0), (0.475 * std::f64::consts::PI).tan(), 1e-9);
         close(student_t_quantile(0.975, 2.0), 0.95 / (2.0_f64 * 0.975 * 0.025).sqrt(), 1e-9);
         let alpha = (4.0_f64 * 0.975 * 0.025).sqrt();
@@ -304,8 +315,8 @@ mod tests {
 
     #[test]
     fn wilson_interval_matches_published_values() {
-        // Newcombe (1998), table I: 81/263 -> 0.2553..0.3662; 15/148 -> 0.0624..0.1605; 0/20 -> 0..0.1611; 1/29 ->
-        // 0.0061..0.1718.
+        // Newcombe (1998), table I: 81/263 -> 0.2553..0.3662; 15/148 -> 0.0624..0.1605; 0/20 ->
+        // 0..0.1611; 1/29 -> 0.0061..0.1718.
         for (k, n, low, high) in [
             (81, 263, 0.2553, 0.3662),
             (15, 148, 0.0624, 0.1605),
@@ -330,8 +341,8 @@ mod tests {
             close(least, low, 6e-4);
             close(most, high, 6e-4);
         }
-        // By definition: as many events or fewer have a chance of 2.5 % at the upper bound, as many
-        // or more at the lower one.
+        // By definition, at the upper bound the probability of at most this many events is 2.5 %,
+        // and at the lower bound the probability of at least this many.
         let below = |mean: f64, events: u64| {
             let term = |k: u64| (k as f64 * mean.ln() - mean - ln_gamma(k as f64 + 1.0)).exp();
             (0..=events).map(term).sum::<f64>()
@@ -371,7 +382,8 @@ mod tests {
 
     #[test]
     fn rate_counts_episodes_not_agents() {
-        // Two episodes of fraction 1/2 say as much as two yes/no episodes with the same mean.
+        // Two episodes with fraction 1/2 carry as much information as two yes/no episodes with the
+        // same mean.
         assert_eq!(Estimate::rate(&[0.5, 0.5]), Estimate::rate(&[1.0, 0.0]));
     }
 

@@ -1,15 +1,18 @@
-//! The valid name nearest to a mistyped one, for the hint beside an "unknown name" error. A leaf: imports nothing of
-//! this crate.
+//! The valid name nearest to a mistyped one, for the hint with an "unknown name" error. This module
+//! imports nothing of this crate.
 
-/// Names longer than this are not compared: nobody mistyped them, and the comparison is quadratic in the length.
+/// Longest name that is compared, in bytes. Longer names are no typing errors, and the comparison
+/// takes time quadratic in the length.
 const LONGEST: usize = 128;
 
-/// Likeness (Jaro-Winkler, `0..=1`) from which a name is worth suggesting.
+/// Similarity (`0..=1`) from which a name is suggested.
 const ALIKE: f64 = 0.8;
 
-/// The entry of `valid` that `name` was most likely meant to be, or `None` if nothing is alike.
+/// Returns the entry of `valid` that `name` was most likely meant to be, or `None` if no entry is
+/// similar.
 ///
-/// Case and the choice between `-`, `_` and a space do not count. Of equally near names the first wins.
+/// Case and the choice between `-`, `_` and a space do not matter. Of equally similar names the
+/// first wins.
 pub fn nearest<'a>(name: &str, valid: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let name = plain(name)?;
     let mut best: Option<(f64, &str)> = None;
@@ -25,8 +28,9 @@ pub fn nearest<'a>(name: &str, valid: impl IntoIterator<Item = &'a str>) -> Opti
     best.map(|(_, candidate)| candidate)
 }
 
-/// Jaro-Winkler, which forgives a wrong ending, or edit distance in proportion to the length, which forgives a missing
-/// beginning: the kinder of the two. A name contained whole in the other counts as just alike.
+/// Returns the similarity of two names: the larger of Jaro–Winkler, which tolerates a wrong ending,
+/// and edit distance relative to the length, which tolerates a missing beginning. If one name
+/// contains the other, they are just similar enough for a suggestion.
 fn likeness(a: &str, b: &str) -> f64 {
     let contained = a.len().min(b.len()) >= 3 && (a.contains(b) || b.contains(a));
     strsim::jaro_winkler(a, b).max(strsim::normalized_damerau_levenshtein(a, b)).max(if contained {
@@ -36,7 +40,8 @@ fn likeness(a: &str, b: &str) -> f64 {
     })
 }
 
-/// The name with the differences removed that do not count; `None` if it is empty or too long to compare.
+/// Returns the name without the differences that do not matter; `None` if it is empty or too long
+/// to compare.
 fn plain(name: &str) -> Option<String> {
     (!name.is_empty() && name.len() <= LONGEST)
         .then(|| name.trim().to_lowercase().replace(['_', ' '], "-"))

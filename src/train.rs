@@ -1,7 +1,8 @@
-//! The training loop: rollout, update, now and then a validation and a checkpoint.
+//! The training loop: rollout, update, and at intervals a validation and a checkpoint.
 //!
-//! All randomness comes from the seed tree by iteration number, and a checkpoint is taken between iterations with the
-//! worlds' action histories, so that stopping and resuming changes nothing.
+//! All randomness comes from the seed tree, by iteration number. A checkpoint is taken between
+//! iterations and contains the worlds' action histories, so that stopping and resuming changes
+//! nothing.
 
 mod collect;
 mod files;
@@ -36,26 +37,28 @@ pub use run_dir::RunDir;
 pub enum Outcome {
     /// All steps were done.
     Finished,
-    /// The stop mark was reached.
+    /// Validations reached `train.stop_success`, and annealing is over.
     Solved,
-    /// Someone asked to stop.
+    /// The caller asked to stop.
     Interrupted,
 }
 
-/// Told to whoever watches, after each iteration.
+/// Report on an iteration, for the caller of [`Trainer::run`].
 #[derive(Debug, Clone, Copy)]
 pub struct Report {
     /// Environment steps so far.
     pub step: u64,
     /// Environment steps per second of the last iteration.
     pub steps_per_second: f64,
-    /// Success of the episodes that the last iteration finished (with exploration noise).
+    /// Success rate of the episodes that ended in the last iteration, with exploration noise;
+    /// `None` if none ended.
     pub training_success: Option<f64>,
-    /// Success of the last validation.
+    /// Success rate of the last validation in this call of [`Trainer::run`]; `None` before the
+    /// first.
     pub validation_success: Option<f64>,
 }
 
-/// Seconds per part of the loop since the last report.
+/// Seconds that each part of the loop took since the last report.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 struct Timers {
     #[serde(rename = "time/simulate_s")]
@@ -68,13 +71,13 @@ struct Timers {
     update: f64,
 }
 
-/// Where the worlds stood between two iterations.
+/// State of the worlds and of the policy's memory between two iterations.
 struct Mark {
     worlds: Vec<WorldState>,
     memory: Tensor,
 }
 
-/// A learner and its worlds.
+/// A learner and the worlds in which it trains.
 pub struct Trainer {
     config: Config,
     scenario: Scenario,
@@ -82,11 +85,11 @@ pub struct Trainer {
     env: VecEnv,
     learner: Box<dyn Algorithm>,
     rollout: Rollout,
-    /// Memory of the policy before the coming decision, `[E, N, M]`.
+    /// Memory of the policy before the next decision, `[E, N, M]`.
     memory: Tensor,
     progress: Progress,
     seed: Seed,
-    /// Episodes of training that ended in the last iteration.
+    /// Training episodes that ended in the last iteration.
     finished: Vec<EpisodeRecord>,
     timers: Timers,
 }
@@ -95,16 +98,17 @@ impl Trainer {
     /// Starts a run.
     ///
     /// # Errors
-    /// When the task cannot be set up.
+    /// If the task cannot be set up, or if the device or the initial weights cannot be used.
     pub fn new(config: Config, scenario: Scenario) -> Result<Self, Error> {
         Self::build(config, scenario, None)
     }
 
-    /// Goes on from a checkpoint. The configuration may ask for more steps than the checkpoint's did; anything else that
-    /// differs is the caller's responsibility.
+    /// Continues a run from a checkpoint. The configuration may ask for more steps than that of the
+    /// checkpoint. Settings with which the worlds cannot be restored are refused; any other
+    /// difference is the caller's responsibility.
     ///
     /// # Errors
-    /// When the checkpoint does not fit or the task cannot be set up.
+    /// If the checkpoint does not fit or the task cannot be set up.
     pub fn resume(
         config: Config,
         scenario: Scenario,
@@ -214,25 +218,25 @@ impl Trainer {
         })
     }
 
-    /// The learner.
+    /// Returns the learner.
     pub fn learner(&self) -> &dyn Algorithm {
         &*self.learner
     }
 
-    /// Where training stands.
+    /// Returns the progress of training.
     pub fn progress(&self) -> &Progress {
         &self.progress
     }
 
-    /// The scenario as this run sees it.
+    /// Returns the scenario, with the run's settings applied.
     pub fn scenario(&self) -> &Scenario {
         &self.scenario
     }
 
-    /// One iteration: a rollout and an update.
+    /// Runs one iteration: a rollout and an update.
     ///
     /// # Errors
-    /// When SUMO fails twice in a row or training diverges.
+    /// If SUMO fails twice in a row or training diverges.
     pub fn iterate(&mut self) -> Result<Losses, Error> {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
@@ -251,7 +255,7 @@ impl Trainer {
         Ok(losses)
     }
 
-    /// Makes room for as many steps as the coming rollout has.
+    /// Resizes the rollout to the number of steps that the next iteration takes.
     fn grow(&mut self) {
         let steps = self.config.train.segment * schedule::pace(&self.config, &self.progress).growth;
         if steps != self.rollout.sizes.steps {
@@ -261,10 +265,11 @@ impl Trainer {
         }
     }
 
-    /// Deterministic evaluation of the averaged weights on the validation seeds, which are the same in every call.
+    /// Evaluates the averaged weights with deterministic actions on the validation seeds, which are
+    /// the same in every call.
     ///
     /// # Errors
-    /// When SUMO fails twice in a row.
+    /// If SUMO fails twice in a row.
     pub fn validate(&mut self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         self.learner.swap_average();
         let evaluation = evaluate(
@@ -272,7 +277,7 @@ impl Trainer {
             &Policy::Learned(&*self.learner, algo::Channel::default()),
             self.config.train.validation_episodes,
             self.seed.child("validation"),
-            // libsumo's one place is taken by the training worlds.
+            // The training worlds may use libsumo, which a process can have only once.
             &self.config.hosting().beside(),
             Onlooker { stop, report: &mut |_| {}, recorder: None },
         );
@@ -280,12 +285,12 @@ impl Trainer {
         Ok(evaluation?)
     }
 
-    /// Everything needed to go on from here.
+    /// Returns a checkpoint from which training can continue.
     pub fn checkpoint(&self) -> Checkpoint {
         self.checkpoint_at(self.mark())
     }
 
-    /// Where the worlds stand.
+    /// Returns the present state of the worlds and of the memory.
     fn mark(&self) -> Mark {
         Mark { worlds: self.env.states(), memory: self.memory.shallow_clone() }
     }
@@ -301,10 +306,12 @@ impl Trainer {
         }
     }
 
-    /// Trains until the end, the stop mark or `stop`, writing the run's files.
+    /// Trains until all steps are done, the criterion for early stopping is met or `stop` is set,
+    /// and writes the run's files.
     ///
     /// # Errors
-    /// [`Error`]; the last checkpoint stays usable, and is one from before the rollout if it was the simulation that failed.
+    /// Any [`Error`]. The last checkpoint stays usable. If the simulation failed, it is the state
+    /// before the rollout that failed.
     pub fn run(
         &mut self,
         dir: &RunDir,
@@ -319,10 +326,10 @@ impl Trainer {
                 break Outcome::Interrupted;
             }
             let done = self.progress.step >= self.config.steps;
-            // Whether a validation is due follows from where training stands, so that an interrupted one is made up for.
+            // Depends on the progress alone, so that an interrupted validation is repeated.
             let due = self.progress.step >= self.progress.next_validation || done;
             if due && self.progress.validated < self.progress.step {
-                // Whatever happens in the validation, what was learned is kept.
+                // The checkpoint comes first, so that a failing validation loses no training.
                 self.checkpoint().save(&dir.last())?;
                 let evaluation = self.validate(stop)?;
                 if stop.load(Ordering::Relaxed) {
@@ -342,7 +349,8 @@ impl Trainer {
             self.finished.clear();
             let begin = self.mark();
             let losses = match self.iterate() {
-                // The rollout has changed nothing but the worlds: it can be played again from where it began.
+                // A failed rollout has changed only the worlds, so it can be repeated from its
+                // beginning.
                 Err(error @ Error::Env(_)) => {
                     self.checkpoint_at(begin).save(&dir.last())?;
                     return Err(error);
@@ -368,7 +376,8 @@ impl Trainer {
         Ok(outcome)
     }
 
-    /// Takes a validation into account: records, best checkpoint, last checkpoint.
+    /// Records a validation, updates the schedule, and saves the last checkpoint and, if it
+    /// improved, the best one.
     fn judge(
         &mut self,
         evaluation: &Evaluation,
@@ -395,7 +404,7 @@ impl Trainer {
     }
 }
 
-/// Refuses to resume a run whose worlds would not be brought back to where they stood.
+/// Refuses to resume a run with settings under which its worlds cannot be restored.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
     const ONCE: [&str; 6] =
         ["algorithm", "agents", "seed", "train.envs", "train.segment", "train.fewest_agents"];
@@ -407,7 +416,7 @@ fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
         .map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
 }
 
-/// The setting by which a run has memories or worlds of another shape than the checkpoint.
+/// Returns the setting that gives a run memories or worlds of another shape than the checkpoint's.
 fn other_shape(config: &Config, stored: &Checkpoint) -> String {
     let changed =
         config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
@@ -427,7 +436,7 @@ fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Seconds as people say them.
+/// Formats a duration for people, such as `4.2 s` or `3 min 07 s`.
 pub fn human_duration(duration: Duration) -> String {
     let s = duration.as_secs();
     if s < 60 {
@@ -437,11 +446,11 @@ pub fn human_duration(duration: Duration) -> String {
     }
 }
 
-/// What can go wrong in training.
+/// An error in training.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The environments failed.
+    /// A world failed.
     #[error(transparent)]
     Env(#[from] env::Error),
     /// The learner failed.
@@ -450,21 +459,21 @@ pub enum Error {
     /// A file of the run cannot be written.
     #[error(transparent)]
     Record(#[from] record::Error),
-    /// A checkpoint cannot be written.
+    /// A checkpoint cannot be read or written.
     #[error(transparent)]
     Checkpoint(#[from] checkpoint::Error),
-    /// The device that was asked for is not there.
+    /// The requested device is not available.
     #[error(transparent)]
     Device(#[from] algo::NoDevice),
-    /// The weights to start from are of other networks.
+    /// The initial weights do not fit this run's networks.
     #[error("the weights in `{}` do not fit this run's networks and observations", path.display())]
     InitFrom {
         /// The checkpoint.
         path: PathBuf,
-        /// What does not fit.
+        /// The mismatch.
         source: algo::Error,
     },
-    /// The weights to start from are of another method.
+    /// The initial weights belong to another method.
     #[error(
         "`{}` holds a policy of {of}, and this run trains {trained}, which has other networks",
         path.display()
@@ -472,41 +481,41 @@ pub enum Error {
     OtherMethod {
         /// The checkpoint.
         path: PathBuf,
-        /// Its method.
+        /// Method of the checkpoint.
         of: String,
-        /// The run's.
+        /// Method of this run.
         trained: String,
     },
-    /// The run folder cannot be made.
+    /// The run folder cannot be created.
     #[error("cannot make the run folder `{}`", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// Two processes cannot train in one folder.
+    /// Another process trains in the folder.
     #[error("another process is training in `{}`; wait for it, or choose another folder", path.display())]
     Locked {
         /// The folder.
         path: PathBuf,
     },
-    /// Episodes cannot have more agents than there are.
+    /// The least number of agents in an episode exceeds the number of agents.
     #[error(
         "`train.fewest_agents` is {fewest}, but there are {agents} agents; it is the least number in an episode"
     )]
     TooFew {
-        /// Of the settings.
+        /// The setting `train.fewest_agents`.
         fewest: u32,
-        /// Of the settings.
+        /// The setting `agents`.
         agents: u32,
     },
-    /// A checkpoint is of a run with other settings, which would not go on as it went.
+    /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
     #[error(
         "the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml"
     )]
     OtherRun {
-        /// The setting.
+        /// The first setting that differs.
         key: String,
     },
 }

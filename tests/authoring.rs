@@ -1,4 +1,5 @@
-//! Scenarios of one's own: templates, builds, checks, pictures, imports, and the documentation of the file format.
+//! User-defined scenarios: templates, builds, checks, pictures, imports, and the documentation of
+//! the file format.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -28,7 +29,7 @@ fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a folder")
 }
 
-/// Runs one of SUMO's programs; what it says where it fails.
+/// Runs one of SUMO's programs; returns its error output if it fails.
 fn run(program: &str, arguments: &[&str], folder: &Path) -> Result<(), String> {
     let program = find_program(program).unwrap();
     let output = Command::new(program).args(arguments).current_dir(folder).output().unwrap();
@@ -39,7 +40,7 @@ fn run(program: &str, arguments: &[&str], folder: &Path) -> Result<(), String> {
     }
 }
 
-/// A scenario of the template `cross`, with some text of it replaced.
+/// Creates a scenario from the template `cross` and replaces parts of its text.
 fn changed(folder: &Path, changes: &[(&str, &str)]) -> PathBuf {
     let file = create(folder, "site", Template::Cross, &SIZES).unwrap();
     let mut text = fs::read_to_string(&file).unwrap();
@@ -55,7 +56,7 @@ fn errors(list: &[Finding]) -> Vec<&Finding> {
     list.iter().filter(|finding| finding.severity == Severity::Error).collect()
 }
 
-/// The findings of a check without the folder's name, one a line.
+/// Returns the findings of a check without the folder's name, one per line.
 fn findings(file: &Path) -> String {
     let list = Scenario::check(file).list;
     let lines: Vec<String> = list.iter().map(ToString::to_string).collect();
@@ -78,14 +79,14 @@ fn every_template_builds_checks_and_runs() {
             assert!(checked.list.is_empty(), "{template:?} of {lanes:?} lanes: {:?}", checked.list);
             let scenario = checked.scenario.unwrap();
             assert_eq!(scenario.agents.default, agents);
-            // Long enough for vehicles to overtake, where SUMO were to let them.
+            // Long enough for vehicles to overtake, if SUMO let them.
             let trial =
                 Trial::run(&scenario, agents, 400, Seed::new(1), &Hosting::default()).unwrap();
             let found = trial.findings(&scenario);
             assert!(errors(&found).is_empty(), "{template:?} of {lanes:?} lanes: {found:?}");
             let range = trial.observation.iter().find(|range| range.name == "ego.speed").unwrap();
             assert!(range.least == 0.0 && range.most > 0.2, "vehicles drive: {range:?}");
-            // SUMO alone takes the files as they are.
+            // SUMO alone accepts the files as they are.
             let sumo =
                 ["-c", "site.sumocfg", "--end", "5", "--xml-validation", "never", "--no-step-log"];
             run("sumo", &sumo, &folder.path().join("sumo_nets/site"))
@@ -108,7 +109,7 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
                 evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
             played.metrics().unwrap().success.mean
         };
-        // The check would say so.
+        // `iwol scenario check` warns if full throttle does no harm in any episode.
         let trial = Trial::run(&scenario, 8, 600, Seed::new(0), &Hosting::default()).unwrap();
         let [played, unharmed] = trial.flat_out;
         assert!(
@@ -118,7 +119,8 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
         let flat_out = success(&task, Policy::Throttle(1.0));
         assert!(flat_out < 0.8, "{template:?}: full throttle succeeds at {flat_out}");
         if template == Template::Parking {
-            // SUMO's own driver does not see who leaves a space on the edge into it: one alone shows that all can be driven.
+            // SUMO's own driver does not see a vehicle that leaves a space while it drives on the
+            // edge into the space. Pursuit by a single vehicle shows that all routes can be driven.
             let alone = success(
                 &Arc::new(Task::new(&scenario, 1).unwrap()),
                 Policy::by_name("pursuit:3").expect("a policy"),
@@ -190,7 +192,8 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
     }
 }
 
-/// Success of a vehicle that pursues its route at `speed` \[m/s\], in each of some episodes: no simulator moves a vehicle that steers.
+/// Returns the success of a single vehicle that pursues its route at `speed` \[m/s\], for each of
+/// `episodes` episodes. No simulator is needed, because the world moves vehicles that steer.
 fn alone(task: &Arc<Task>, speed: f64, episodes: u64) -> Vec<f64> {
     let there = Snapshot {
         vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })],
@@ -431,7 +434,7 @@ fn a_check_looks_at_the_net() {
 
 #[test]
 fn a_trial_finds_vehicles_that_begin_in_each_other() {
-    // Two lanes on the same ground, which SUMO and the reader take for two roads.
+    // Two lanes lie on the same ground, but SUMO and the reader take them for two roads.
     let folder = folder();
     let nodes = r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="0" y="0.5"/><node id="c" x="100" y="0"/><node id="d" x="200" y="0"/></nodes>"#;
     let edges = r#"<edges><edge id="ac" from="a" to="c"/><edge id="bc" from="b" to="c"/><edge id="cd" from="c" to="d"/></edges>"#;
@@ -463,7 +466,7 @@ fn pictures_show_net_places_and_meeting_points() {
         document.descendants().filter(|node| node.attribute("fill") == Some(color)).count()
     };
     assert_eq!(count("#3c3c3c"), task.places.len(), "places");
-    // Left and straight cross and merge: three streams of a tee cross in three points and merge in three.
+    // The streams of a T-junction cross in three points and merge in three.
     assert!((3..=9).contains(&count("#d55e00")), "{} meeting points", count("#d55e00"));
     assert!(svg.contains("site: 9 places, 6 routes"), "{svg}");
     drawn.png(&folder.path().join("site.png")).unwrap();
@@ -524,7 +527,7 @@ fn generated_nets_are_imported() {
         Trial::run(&scenario, scenario.agents.default, 50, Seed::new(0), &Hosting::default())
             .unwrap();
     }
-    // Another junction than the first, and one that is none.
+    // A junction other than the first one, and an id that is not a junction.
     let net = folder.path().join("grid.net.xml");
     let other = import(folder.path(), "other", Map::Net(&net), Some("B0"), 8, false).unwrap();
     assert_eq!(other.candidates[0].junction, "B0");
@@ -541,7 +544,7 @@ fn maps_without_a_site_are_refused() {
         fs::write(folder.path().join(name), text).unwrap();
         folder.path().join(name)
     };
-    // Two roads end to end, on which vehicles only pass each other.
+    // Two roads end to end, on which vehicles from opposite directions only pass each other.
     let nodes = r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/></nodes>"#;
     let edge =
         |from: char, to: char| format!("<edge id=\"{from}{to}\" from=\"{from}\" to=\"{to}\"/>");
@@ -605,7 +608,8 @@ fn the_page_on_scenario_files_is_what_the_schema_says() {
     }
 }
 
-/// Names of attributes and elements that a message of the reader calls valid, by the element they belong to.
+/// Returns the names of attributes and elements that the reader's error messages list as valid, by
+/// parent element.
 fn accepted(text: &str) -> BTreeMap<String, BTreeSet<String>> {
     let mut accepted = BTreeMap::<String, BTreeSet<String>>::new();
     let document = roxmltree::Document::parse(text).unwrap();
@@ -616,7 +620,7 @@ fn accepted(text: &str) -> BTreeMap<String, BTreeSet<String>> {
             let damaged = if extra.starts_with(' ') {
                 format!("{}{extra}{}", &text[..at], &text[at..])
             } else {
-                // Within the element, whether it is empty or not.
+                // The new child goes into the element, whether the element is empty or not.
                 let open = at + text[at..].find('>').unwrap();
                 match text[..open].strip_suffix('/') {
                     Some(start) => format!("{start}><zzz/></{name}{}", &text[open..]),
@@ -659,7 +663,7 @@ fn a_trial_says_when_there_is_little_to_coordinate() {
     let folder = folder();
     let mut scenario =
         Scenario::load(&create(folder.path(), "site", Template::Cross, &SIZES).unwrap()).unwrap();
-    // Vehicles of one row, straight on, at one speed.
+    // All vehicles begin in one row, go straight on and drive at one speed.
     scenario.nets[0].spawns.truncate(1);
     scenario.nets[0].spawns[0].routes = [0].into();
     let trial = Trial::run(&scenario, 2, 600, Seed::new(0), &Hosting::default()).unwrap();

@@ -1,5 +1,6 @@
-//! Untrained policies on real SUMO against the rows measured on the simulator of the paper's tasks (crossing: 8 vehicles, parking: 5), and the
-//! collision audit: our own boxes against SUMO's report.
+//! Untrained policies on the real SUMO, compared with measurements on the simulator of the paper's
+//! tasks (crossing: 8 vehicles, parking: 5), and the collision audit: this program's box tests
+//! against SUMO's reports.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -49,7 +50,7 @@ fn full_throttle() {
     within("episode length", metrics.episode_length.mean, 57.8, 0.05);
     assert!((metrics.success.mean - 0.075).abs() <= 0.04, "success {}", metrics.success.mean);
     assert_eq!(metrics.out_of_road.mean, 0.0);
-    // The audit. SUMO tests once per step and along lanes; our boxes are tested five times per step.
+    // The audit: SUMO tests once per step and along lanes, the box test runs five times per step.
     let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
     let sumo: u32 = evaluation.episodes.iter().map(|e| e.sumo_collisions).sum();
     within("colliding pairs by SUMO against ours", f64::from(sumo), f64::from(own), 0.2);
@@ -81,7 +82,7 @@ fn the_audit_says_that_sumo_does_not_look_into_unregulated_junctions() {
     let (evaluation, metrics) =
         play_on(&path("scenarios/intersection.xml"), &Policy::Throttle(1.0), 8, 40);
     let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
-    // What is left are queues that run into each other on a lane.
+    // The remaining collisions happen on lanes, where vehicles of a queue run into each other.
     assert!(
         f64::from(metrics.audit.ours_unregulated) > 0.5 * f64::from(own),
         "{:?} of {own}",
@@ -119,7 +120,7 @@ fn sumos_own_driver_is_safe() {
     for agents in [4, 16, 48] {
         let (_, metrics) = play(&Policy::Sumo, agents, 10);
         assert_eq!(metrics.safety.mean, 1.0, "{agents} vehicles");
-        // It is slow: with 48 vehicles a few are still on their way at the horizon.
+        // SUMO's driver is slow: with 48 vehicles, a few are still on their way at the horizon.
         let least = if agents < 48 { 1.0 } else { 0.95 };
         assert!(metrics.success.mean >= least, "{agents} vehicles: {}", metrics.success.mean);
         assert_eq!(metrics.sumo_collisions.mean, 0.0, "{agents} vehicles");
@@ -140,7 +141,7 @@ fn sumos_own_driver_brings_every_episode_on_the_parking_lot_to_an_end() {
 
 #[test]
 fn results_do_not_depend_on_how_the_work_is_shared() {
-    // Episode i is the same whether 3 or 12 are asked for, though other worlds play it.
+    // Episode i is the same whether 3 or 20 episodes are requested, although other worlds play it.
     let (few, _) = play(&Policy::Gaussian, 4, 3);
     let (many, _) = play(&Policy::Gaussian, 4, 20);
     assert_eq!(few.episodes[..], many.episodes[..3]);
@@ -153,7 +154,8 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     assert!((pursuit.success.mean - 0.29).abs() <= 0.06, "success {}", pursuit.success.mean);
     within("window reward", pursuit.window_reward.mean, 439.5, 0.08);
     within("episode length", pursuit.episode_length.mean, 93.2, 0.1);
-    // Where the arc out of space 5 ends beside the line between the directions, some touch that.
+    // Some vehicles touch the line between the directions where the arc out of space 5 ends beside
+    // it.
     assert!(
         pursuit.out_of_road.mean < 0.015,
         "pure pursuit leaves the road: {}",
@@ -169,8 +171,8 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     within("episode length", straight.episode_length.mean, 51.6, 0.1);
 }
 
-/// Success of pure pursuit, and the share of vehicles that leave the road, as another
-/// implementation of the same vehicle gave them.
+/// Success and off-road share of pure pursuit agree with another implementation of the same
+/// vehicle.
 #[test]
 fn pure_pursuit_through_turns_is_as_in_the_reference() {
     for (name, speed, success, out_of_road) in [
@@ -183,7 +185,7 @@ fn pure_pursuit_through_turns_is_as_in_the_reference() {
         let policy = Policy::by_name(&format!("pursuit:{speed}")).expect("a policy");
         let (_, metrics) = play_on(&path, &policy, 4, 200);
         let found = [metrics.success.mean, metrics.out_of_road.mean];
-        // The seeds are others: half the 95 % interval of 100 episodes.
+        // The seeds differ, so the tolerances are half the 95 % interval of 100 episodes.
         assert!(
             (found[0] - success).abs() < 0.08,
             "{name} at {speed} m/s: {found:?}, success {success}"
@@ -195,8 +197,8 @@ fn pure_pursuit_through_turns_is_as_in_the_reference() {
     }
 }
 
-/// The control of the parking lot, and its vehicle on an open plane, at rest or at a speed straight
-/// ahead.
+/// Returns the parking-lot scenario, and its vehicle on an open plane, at rest or at a speed
+/// straight ahead.
 fn open_plane(speed: f64) -> (Scenario, Motion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
     let mut motion = Motion::at(Pose::default());
@@ -209,8 +211,9 @@ fn advance(scenario: &Scenario, motion: Motion, [steer, throttle]: [f64; 2]) -> 
     motion.advance(&scenario.control, steering, &scenario.vehicle, steer, throttle)
 }
 
-/// Forward speed, speed to the left \[m/s\] and yaw rate \[rad/s\] of the paper's simulator:
-/// `[first speed, steering, throttle, the three after 0.5 s, the three after 2 s]`.
+/// Motion measured on the paper's simulator: forward speed, speed to the left \[m/s\] and yaw rate
+/// \[rad/s\]. Each row is
+/// `[initial speed, steering, throttle, the three after 0.5 s, the three after 2 s]`.
 #[expect(clippy::approx_constant, reason = "a measured speed happens to be close to a constant")]
 const DRIVES: [[f64; 9]; 13] = [
     [2.0, 1.0, 0.0, 1.12, 0.56, 0.360, 0.43, 0.22, 0.141],
@@ -252,8 +255,8 @@ fn a_vehicle_that_steers_moves_as_measured() {
     }
 }
 
-/// States after each step of `walks` random walks of 1000 steps from rest, with normally
-/// distributed actions of these standard deviations, clipped.
+/// Returns the states after each step of `walks` random walks of 1000 steps from rest. Steering and
+/// throttle are normally distributed with these standard deviations, and clipped to -1..=1.
 fn random_walks(walks: u64, deviations: [f64; 2]) -> Vec<Vec<Motion>> {
     let (scenario, start) = open_plane(0.0);
     let walk = |walk: u64| {
@@ -270,7 +273,7 @@ fn random_walks(walks: u64, deviations: [f64; 2]) -> Vec<Vec<Motion>> {
     (0..walks).map(walk).collect()
 }
 
-/// Root mean square.
+/// Returns the root mean square.
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) =
         values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
@@ -281,8 +284,9 @@ fn way(motion: &Motion) -> f64 {
     motion.pose.distance(&Pose::default())
 }
 
-/// What random exploration looks like: steering brakes a vehicle, so that it comes nowhere. The
-/// measured rows are means over 60 or 40 walks, and uncertain by 10 % in root mean squares.
+/// Random actions move a vehicle as measured: steering brakes it, so that it makes little progress.
+/// The measured rows are means over 60 or 40 walks, with an uncertainty of 10 % in root mean
+/// squares.
 #[test]
 fn random_actions_move_a_vehicle_as_measured() {
     let both = random_walks(300, [1.0, 1.0]);
@@ -320,7 +324,7 @@ fn random_actions_move_a_vehicle_as_measured() {
             0.3,
         );
     }
-    // Without steering nothing brakes, with little steering only a little does.
+    // Without steering nothing brakes the vehicle, and with little steering only little does.
     for (deviation, steps, speed, ways) in [
         (0.0, 100, 2.35, 14.4),
         (0.0, 300, 4.04, 67.0),

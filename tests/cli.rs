@@ -1,4 +1,4 @@
-//! The program as users meet it: exit codes and messages.
+//! Tests of the program's exit codes and messages.
 
 use std::path::Path;
 
@@ -13,7 +13,8 @@ fn iwol(args: &[&str]) -> Command {
     command
 }
 
-/// Exit code and standard error of a call that must print nothing to standard output.
+/// Returns exit code and standard error of a call, and checks that it prints nothing to standard
+/// output.
 fn failure(command: &mut Command) -> String {
     let output = command.output().expect("it ran");
     assert_eq!(String::from_utf8_lossy(&output.stdout), "", "stdout is for data");
@@ -135,7 +136,8 @@ fn damaged_checkpoints_are_refused() {
             .contains("tfevents"))
     );
 
-    // The run evaluates, also on another number of agents, and the JSON is what docs/evaluation.md promises.
+    // The run can be evaluated, also with another number of agents, and the JSON has the keys that
+    // docs/evaluation.md documents.
     let output = iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"])
         .arg(&run)
         .output()
@@ -168,7 +170,7 @@ fn damaged_checkpoints_are_refused() {
         json["metrics"]["loitering"]["mean"].is_number()
             && json["metrics"]["km_per_crash"]["km"].is_number()
     );
-    // Results say what they come from, and so does the run.
+    // Results and run folder name the versions that produced them.
     let meta: serde_json::Value =
         serde_json::from_slice(&std::fs::read(run.join("meta.json")).expect("it is there"))
             .expect("JSON");
@@ -188,38 +190,39 @@ fn damaged_checkpoints_are_refused() {
             && success["mean"].as_f64() <= success["high"].as_f64()
     );
 
-    // A second run into the same folder must be asked for.
+    // A second run into the same folder is refused without --resume.
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(tidy(failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(&run))), @r#"
     2
     error: `DIR/run` already holds a run; add --resume to go on with it, or choose another --out
     "#);
-    // Another algorithm's checkpoint.
+    // A checkpoint of another algorithm is refused.
     let mut other = iwol(&["train", "--resume", "--algorithm", "mappo", "--out"]);
     assert_snapshot!(tidy(failure(other.arg(&run))), @r#"
     2
     error: `DIR/run` is a run of im-iwol, not of mappo
     "#);
-    // Another number of agents, or seed: the worlds could not be brought back.
+    // Another number of agents or another seed is refused, because the worlds could not be
+    // restored.
     let mut fewer = iwol(&["train", "--resume", "--agents", "5", "--out"]);
     assert_snapshot!(tidy(failure(fewer.arg(&run))), @r#"
     2
     error: the checkpoint was made with another `agents`; resume with the settings in its run folder's config.toml
     "#);
-    // Another scenario.
+    // Another scenario is refused.
     let mut elsewhere =
         iwol(&["train", "--resume", "--scenario", "scenarios/parking_lot.xml", "--out"]);
     assert_snapshot!(tidy(failure(elsewhere.arg(&run))), @r#"
     2
     error: `DIR/run` was begun on another scenario, or `scenarios/parking_lot.xml` has changed since, or a net or route file that it names; go on with that, or start a new run from this one's policy with --init-from
     "#);
-    // Another network.
+    // Another size of the network is refused.
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
     assert_snapshot!(tidy(failure(wider.arg(&run))), @r#"
     2
     error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 67], but this network needs [16, 67]; check the configuration
     "#);
-    // Another discount is another way to learn, which is said.
+    // Another discount factor is accepted and reported.
     let mut discounted = iwol(&["train", "--resume", "--set", "ppo.gamma=0.5", "--out"]);
     let output = discounted.arg(&run).output().expect("it ran");
     let said = String::from_utf8_lossy(&output.stderr);
@@ -227,7 +230,7 @@ fn damaged_checkpoints_are_refused() {
         output.status.success() && said.contains("another setting: ppo.gamma = 0.5 (was 0.99)"),
         "{said}"
     );
-    // Truncated.
+    // A truncated checkpoint is refused.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");
     std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("written");
@@ -245,7 +248,7 @@ fn damaged_checkpoints_are_refused() {
     "#);
 }
 
-/// A new scenario in a folder of its own, with some text of it replaced.
+/// Creates a scenario in a folder and replaces a part of its text.
 fn scenario(dir: &Path, from: &str, to: &str) -> std::path::PathBuf {
     let mut new =
         iwol(&["scenario", "new", "site", "--template", "tee", "--agents", "6", "--root"]);
@@ -271,7 +274,7 @@ fn a_check_tells_good_from_bad_by_its_exit_code() {
             .replace(&dir.path().display().to_string(), "DIR");
         (output.status.code(), text)
     };
-    // Warnings are no errors.
+    // Warnings do not make the check fail.
     let (code, text) = check(&file, &["--steps", "40"]);
     assert_eq!(code, Some(0), "{text}");
     assert!(
@@ -343,7 +346,8 @@ fn a_scenario_is_made_built_and_drawn() {
     "#);
 }
 
-/// Progress that cannot be written stops no training; a result that cannot is an error, and no panic.
+/// Training continues if its progress cannot be written; a result that cannot be written is an
+/// error without a panic.
 #[test]
 fn work_goes_on_where_nobody_hears_it() {
     let dir = folder();
@@ -386,7 +390,7 @@ fn work_goes_on_where_nobody_hears_it() {
     );
 }
 
-/// Files of a run's names that are of no run stay as they are.
+/// Files with the names of a run's files that belong to no run are not overwritten.
 #[test]
 fn strange_files_are_left_alone() {
     let dir = folder();
@@ -413,6 +417,6 @@ fn usage_errors_end_with_two() {
     for args in [&["evaluate"][..], &["train", "--steps", "x"], &["fly"]] {
         assert!(failure(&mut iwol(args)).starts_with("2\n"), "{args:?}");
     }
-    // Help goes to stdout and is no error.
+    // Help goes to stdout and is not an error.
     iwol(&["train", "--help"]).assert().success();
 }

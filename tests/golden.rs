@@ -1,8 +1,10 @@
-//! Networks, losses, value normalisation and optimiser against values that PyTorch computed.
+//! Comparison of networks, losses, value normalisation and optimiser with values that PyTorch
+//! computed.
 //!
-//! `golden/generate.py` writes the inputs, weights, outputs and gradients of each case to `golden/golden.safetensors`;
-//! here the same weights go into our layers. Tolerances are a few rounding errors of `f32`: absolute and relative 2e-5
-//! for outputs of networks and for gradients, tighter where stated.
+//! `golden/generate.py` writes the inputs, weights, outputs and gradients of each case to
+//! `golden/golden.safetensors`; the tests load the same weights into the Rust layers. Tolerances
+//! are a few rounding errors of `f32`: absolute and relative 2e-5 for outputs of networks and for
+//! gradients, and tighter where stated.
 
 use iwol_sumo::algo::settings::{EncoderKind, Settings};
 use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, ppo};
@@ -45,12 +47,12 @@ impl Case {
             .shallow_clone()
     }
 
-    /// An input whose gradient is compared.
+    /// Returns an input whose gradient is compared.
     fn input(&self, key: &str) -> Tensor {
         self.get(key).set_requires_grad(true)
     }
 
-    /// Builds a network and gives it the reference's weights.
+    /// Builds a network and loads the reference's weights into it.
     fn network<T>(&self, build: impl FnOnce(Path<'_>) -> T) -> (Params, T) {
         let mut params = Params::new(Device::Cpu);
         let network = build(params.root(&mut Seed::new(0).rng()));
@@ -62,7 +64,8 @@ impl Case {
         (params, network)
     }
 
-    /// A learner with the reference's weights, each of which it has `times` times, and with returns seen.
+    /// Builds a learner with the reference's weights, each of which the learner holds `times`
+    /// times, and with statistics of its value normalisation that are not the initial ones.
     fn learner(
         &self,
         method: &str,
@@ -99,7 +102,8 @@ impl Case {
         assert!(close, "{}/{key} is off by {worst}: expected {expected}, found {found}", self.name);
     }
 
-    /// Compares gradients of a scalar in which each element of `out` has another weight, as in the generator.
+    /// Compares the gradients of a scalar that weights each element of `out` differently, as in the
+    /// generator.
     fn check_gradients(&self, out: &Tensor, of: &[(&str, &Tensor)]) {
         let weights =
             (Tensor::arange(out.numel() as i64, (Kind::Float, Device::Cpu)) * 0.37 + 0.5).sin();
@@ -118,7 +122,7 @@ fn features(count: usize) -> Features {
     Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
 }
 
-/// Settings of the smallest networks.
+/// Returns settings of the smallest networks.
 fn small() -> Settings {
     let mut settings = Settings::default();
     (settings.network.encoder, settings.network.hidden) = (EncoderKind::Mlp, 6);
@@ -173,7 +177,7 @@ fn entity_encoder_with_absent_tokens() {
     case.check_gradients(&out, &[("grad_obs", &obs), ("grad_qkv", &qkv), ("grad_embed", &embed)]);
 }
 
-/// Features `[B, N, H]` of agents who are all there, as rows of a packing.
+/// Returns features `[B, N, H]`, all of whose agents are present, as rows of a packing.
 fn all_places(f: &Tensor) -> (Tensor, Packing) {
     let size = f.size();
     (f.flatten(0, 1), Packing::full(size[0], size[1]))
@@ -225,7 +229,8 @@ fn decoder_of_mat() {
     );
 }
 
-/// Graph, encoder block and decoder in one, so that the gradient of the graph's scores is that through all of them.
+/// CommFormer's graph, encoder block and decoder together agree with the reference, including the
+/// gradient of the graph's scores through all of them.
 #[test]
 fn commformer() {
     let case = Case::new("commformer");
@@ -294,8 +299,8 @@ fn dimensions(count: usize) -> Vec<ActionDimension> {
     vec![ActionDimension::named("action"); count]
 }
 
-/// One whole update of MADDPG: targets, both losses, clipping, Adam, and the networks that follow. The third agent is gone
-/// before, the second one after the step.
+/// One whole update of MADDPG agrees with the reference: targets, both losses, clipping, Adam and
+/// the target networks. The third agent is absent before the step, the second one after it.
 #[test]
 fn maddpg() {
     let case = Case::new("maddpg");
@@ -308,7 +313,7 @@ fn maddpg() {
         (1, 0.1, 0.05);
     let mut learner = case.learner("maddpg", &spec, &settings, 2);
 
-    // Of one step, all that are drawn are the same.
+    // The buffer holds a single step, so that all transitions drawn are equal.
     let (steps, envs, agents) = (1, 1, 3);
     let sizes =
         Sizes { steps, envs, agents, observation: 4, state: 3, actions: 1, memory: 0, graphs: 0 };
@@ -343,8 +348,8 @@ fn maddpg() {
     case.check("statistics", statistics);
 }
 
-/// Whole learners on a crew with someone out of range and someone gone, one environment of which has just begun: what they do, and
-/// what they think it worth.
+/// Actions and values of whole learners agree with the reference, with agents out of range, absent
+/// agents, and one environment whose episode has just begun.
 #[test]
 fn decisions_and_values() {
     let of_icp = ["dec", "sum", "monotonic"]
@@ -364,7 +369,7 @@ fn decisions_and_values() {
         };
         let mut settings = small();
         (settings.network.hidden, settings.iwol.message) = (16, 8);
-        // Two links of three.
+        // Each agent listens to two of three agents.
         settings.commformer.sparsity = 0.7;
         if method != "icp-monotonic" {
             case.arrays.retain(|(key, _)| !key.starts_with("param/critic/mixer."));
@@ -419,7 +424,7 @@ fn gaussian() {
     );
 }
 
-/// The state is `f64`; it agrees to 1e-12.
+/// Value normalisation agrees with the reference; its `f64` state agrees to 1e-12.
 #[test]
 fn value_norm() {
     let case = Case::new("value_norm");
@@ -442,14 +447,15 @@ fn value_norm() {
     case.check("denormalized", &Tensor::stack(&denormalized, 0));
 }
 
-/// Five clipped steps with a falling learning rate.
+/// Five clipped steps of Adam with a falling learning rate agree with the reference.
 #[test]
 fn adam_with_clipping() {
     let case = Case::new("adam");
     let (mut params, mlp) = case.network(|path| Mlp::new(path, 4, 12, 1));
     let mut adam = Adam::new(&mut params);
     let (x, y, norms) = (case.get("x"), case.get("y"), case.get("norms"));
-    // The reference has the order of its modules, which is ours: input norm, then linear and norm of each layer.
+    // The reference's modules have the order of the Rust ones: input norm, then linear and norm of
+    // each layer.
     let flat = |tensors: Vec<Tensor>| {
         Tensor::cat(&tensors.iter().map(|t| t.detach().reshape([-1])).collect::<Vec<_>>(), 0)
     };

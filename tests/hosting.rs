@@ -1,5 +1,6 @@
-//! A world's results do not depend on where it runs: a SUMO process of its own, a tile among others, or libsumo. Compared
-//! bit by bit, over runs with crashes, arrivals and respawns, against the real SUMO.
+//! Tests that the results of a world do not depend on its hosting: a SUMO process of its own, a
+//! tile among others, or libsumo. The tests compare bits, over runs with crashes, arrivals and
+//! respawns, against the real SUMO.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -9,7 +10,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{Backend, Command, Hosting, VehicleState, start};
 
-/// libsumo holds one simulation per process.
+/// libsumo allows one simulation per process, so the tests must not run at the same time.
 static ALONE: Mutex<()> = Mutex::new(());
 
 fn task(agents: u32) -> Arc<Task> {
@@ -27,7 +28,8 @@ fn hosting(backend: Backend, processes: usize) -> Hosting {
     Hosting { backend, processes, ..Hosting::default() }
 }
 
-/// Bits of everything that learners see, step by step, and the records of the finished episodes.
+/// Returns a hash of everything that learners observe, for each step and world, and the records of
+/// the finished episodes.
 fn play(
     task: &Arc<Task>,
     driver: Driver,
@@ -47,10 +49,10 @@ fn play(
     let mut actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
     let (mut bits, mut records) = (Vec::new(), Vec::new());
     for step in 0..steps {
-        // Around a fair speed, so that vehicles crash, arrive and queue.
+        // Actions around a moderate speed make vehicles crash, arrive and queue.
         rng::fill_normal(&mut Seed::new(5).index(step).rng(), &mut actions);
         for (k, action) in actions.iter_mut().enumerate() {
-            // Steering comes first, where there are two.
+            // With two action components, steering is the first.
             let steers = task.spec.actions.len() == 2 && k % 2 == 0;
             *action = if steers { 0.3 * *action } else { 0.6 + 0.5 * *action };
         }
@@ -65,7 +67,7 @@ fn play(
                 &frame.reward,
                 &frame.terminated,
             ];
-            // FNV-1a, so that a long run needs little room.
+            // FNV-1a hash, so that a long run needs little memory.
             let hash = all
                 .into_iter()
                 .flatten()
@@ -77,7 +79,7 @@ fn play(
         }
         records.extend(env.take_finished());
     }
-    // SUMO's own driver gets a fresh SUMO for each episode.
+    // Only SUMO's own driver loads or restarts SUMO for a new episode.
     assert!(driver == Driver::Sumo || env.resets().loads + env.resets().restarts == 0);
     (bits, records)
 }
@@ -104,7 +106,7 @@ fn agree(task: &Arc<Task>, driver: Driver, steps: u64, least_episodes: usize) {
             None,
             "(step, world) that differs first with {hosting:?}"
         );
-        // Episodes are long to print.
+        // `assert_eq!` would print both lists of records, which are long.
         assert!(records == other_records, "the records differ with {hosting:?}");
     }
 }
@@ -114,7 +116,8 @@ fn eight_agents_see_the_same_wherever_their_world_runs() {
     agree(&task(8), Driver::Agents, 600, 20);
 }
 
-/// Vehicles that steer move by our own law, and SUMO is told by speeds and by `moveToXY`.
+/// Tests agents that steer: this program's vehicle model moves them, and SUMO receives their speeds
+/// and, through `moveToXY`, their poses.
 #[test]
 fn agents_that_steer_see_the_same_wherever_their_world_runs() {
     agree(&task_of("parking_lot", 5), Driver::Agents, 600, 20);
@@ -131,7 +134,7 @@ fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
     agree(&task(8), Driver::Sumo, 400, 4);
 }
 
-/// What is reported of vehicles that are placed by their poses, in `worlds` worlds that do the same.
+/// Returns the reports of vehicles that are placed by their poses, in `worlds` identical worlds.
 fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleState>>> {
     let mut simulation =
         start(backend, task.simulation_config(1, worlds, &Hosting::default())).expect("SUMO runs");
@@ -182,7 +185,7 @@ fn steered_vehicles_are_where_they_were_put_wherever_their_world_runs() {
             );
         }
     }
-    // SUMO finds the place on the lane from coordinates, which are rounded otherwise in a tile.
+    // SUMO derives the position on the lane from coordinates, whose rounding differs in a tile.
     let tiled = steer(&task, Backend::Traci, 3);
     for (one, three) in alone.iter().zip(&tiled) {
         for (a, b) in three.iter().zip(one.iter().cycle()) {

@@ -1,5 +1,6 @@
-//! What is left when processes die: a killed SUMO costs its world's episode, an interrupted run keeps a checkpoint, and no
-//! SUMO outlives the program. One test at a time in this binary: they count child processes.
+//! Tests of processes that die: a killed SUMO costs only its world's episode, an interrupted run
+//! keeps a checkpoint, and no SUMO outlives the program. The tests of this binary run one at a
+//! time, because they count child processes.
 
 use std::fs;
 use std::path::Path;
@@ -14,7 +15,7 @@ use iwol_sumo::sumo::Hosting;
 
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// Processes named `sumo` whose parent is `parent`.
+/// Returns the processes named `sumo` whose parent is `parent`.
 fn sumo_children(parent: u32) -> Vec<u32> {
     let mut children = Vec::new();
     for entry in fs::read_dir("/proc").expect("proc").flatten() {
@@ -24,7 +25,7 @@ fn sumo_children(parent: u32) -> Vec<u32> {
         let Ok(stat) = fs::read_to_string(entry.path().join("stat")) else {
             continue;
         };
-        // pid (name) state ppid …
+        // The fields are: pid (name) state ppid …
         let Some((head, tail)) = stat.rsplit_once(')') else {
             continue;
         };
@@ -76,7 +77,7 @@ fn a_killed_sumo_costs_its_episode_only() {
         env.step(&actions).expect("a step");
         undisturbed.step(&actions).expect("a step");
     }
-    // One of the six; which environment and world it hosts is seen from what happens.
+    // One of the six processes is killed; the results show which environment and world it hosted.
     signal(sumo_children(std::process::id())[0], "KILL");
     let mut interrupted = Vec::new();
     for _ in 0..3 {
@@ -178,7 +179,8 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
     }
 }
 
-/// A first one waits for the iteration, here a long one, and a second one does not.
+/// The first interrupt lets the current iteration finish, here a long one; a second interrupt ends
+/// the program at once.
 #[test]
 fn a_second_interrupt_ends_it_at_once() {
     let _alone = ALONE.lock().expect("no test panicked");
@@ -190,7 +192,7 @@ fn a_second_interrupt_ends_it_at_once() {
     });
     let workers = sumo_children(child.id());
     assert_eq!(workers.len(), 2);
-    // The next rollout, of 16 steps, is soon over.
+    // The next rollout has 16 steps and ends soon.
     std::thread::sleep(Duration::from_secs(1));
     signal(child.id(), "INT");
     std::thread::sleep(Duration::from_secs(1));

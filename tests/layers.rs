@@ -1,10 +1,11 @@
-//! Who may import whom: the layering that keeps simulator, environments, networks and learners apart.
+//! Tests of which module may import which: the layers that separate simulator, environments,
+//! networks and learners.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Modules of the library, and the ones that each may name.
+/// Modules of the library, each with the modules that it may name.
 const ALLOWED: [(&str, &[&str]); 23] = [
     ("rng", &[]),
     ("fnv", &[]),
@@ -73,7 +74,7 @@ fn sources() -> Vec<(String, PathBuf, String)> {
                 path.strip_prefix(&root).expect("inside").components().next().expect("a name");
             let module = first.as_os_str().to_string_lossy().trim_end_matches(".rs").to_owned();
             let text = fs::read_to_string(&path).expect("text");
-            // Tests may look over the fence, and comments may speak of anything.
+            // Unit tests and comments may name any module.
             let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
             let code = code
                 .lines()
@@ -85,7 +86,7 @@ fn sources() -> Vec<(String, PathBuf, String)> {
         .collect()
 }
 
-/// Names that follow `prefix` in code, including those in one level of braces.
+/// Returns the names that follow `prefix` in code, including those in one level of braces.
 fn names_after(code: &str, prefix: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for (at, _) in code.match_indices(prefix) {

@@ -1,4 +1,5 @@
-//! What every learner must keep: who can influence whom, determinism, and that it learns at all. No simulator.
+//! Properties that every learner must have: the agents that can influence an action, determinism,
+//! and learning itself. The tests use no simulator.
 
 use iwol_sumo::algo::{
     self, ActMode, Algorithm, Channel, ChannelNoise, Hears, Observation, Pace, Settings,
@@ -48,7 +49,7 @@ fn small(encoder: EncoderKind) -> Settings {
     settings.iwol.rounds = 2;
     settings.iwol.message = 12;
     settings.iwol.latent = 4;
-    // Every agent may listen to every other one.
+    // Every agent may listen to every other agent.
     settings.commformer.sparsity = 1.0;
     settings.commformer.graph_every = 2;
     settings.maddpg.updates = 20;
@@ -81,7 +82,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
     }
 }
 
-/// Actions with every edge of the learned graph switched on.
+/// Returns the actions when every edge of the learned graph is open.
 fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let (e, n, _) = x.size3().expect("[E, N, O]");
     let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
@@ -93,8 +94,8 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
 
-/// A learner whose weights are disturbed: fresh ones are close to the identity in the message path (gain 0.01), so that
-/// effects through it would drown in rounding.
+/// Builds a learner with disturbed weights. New weights in the message path are close to the
+/// identity (gain 0.01), so that effects through that path would be lost in rounding.
 fn loud(name: &str, spec: &EnvSpec, settings: &Settings) -> Box<dyn Algorithm> {
     let mut learner =
         algo::build(name, spec, settings, Seed::new(1), Device::Cpu).expect("a learner");
@@ -108,7 +109,8 @@ fn loud(name: &str, spec: &EnvSpec, settings: &Settings) -> Box<dyn Algorithm> {
     learner
 }
 
-/// Agent 4 is gone; agents 0, 1 are in range of each other, and so are 2, 3; nothing links the pairs.
+/// Returns a physical mask in which agents 0 and 1 are in range of each other, agents 2 and 3 as
+/// well, no other pair is, and agent 4 is absent.
 fn pairs() -> Tensor {
     let comm = Tensor::zeros([1, 5, 5], (Kind::Float, Device::Cpu));
     for (i, j) in [(0, 0), (1, 1), (2, 2), (3, 3), (0, 1), (1, 0), (2, 3), (3, 2)] {
@@ -117,7 +119,8 @@ fn pairs() -> Tensor {
     comm
 }
 
-/// Who can change whose action at once: nobody but oneself, those within range, or all who are there.
+/// An observation changes at once only the actions that it may change: the agent's own, and those
+/// of agents within range or of all present agents, depending on the method.
 #[test]
 fn observations_reach_whom_they_may_and_nobody_else() {
     each(|name, encoder| {
@@ -152,7 +155,7 @@ fn observations_reach_whom_they_may_and_nobody_else() {
     });
 }
 
-/// What an agent does shows a symbol to those within range, who read it in the next step.
+/// An agent's action shows a symbol to the agents within range, who read it in the next step.
 #[test]
 fn symbols_are_seen_a_step_later_and_within_range() {
     each(|name, encoder| {
@@ -185,12 +188,13 @@ fn symbols_are_seen_a_step_later_and_within_range() {
                 seen += 1;
             }
         }
-        // A symbol may be the same for many observations.
+        // Many observations may have the same symbol, so that not every change is seen.
         assert!(seen > 0, "{name} {encoder:?}: {seen}");
     });
 }
 
-/// A rollout of random numbers in which slots die and come back with new trajectories.
+/// Returns a rollout of random numbers in which agents end and their slots start new trajectories
+/// later.
 fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout {
     let sizes = Sizes {
         steps: 16,
@@ -222,7 +226,7 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
         for i in 0..agents {
             let mut alive = true;
             for t in 0..=sizes.steps {
-                // A whole environment starts anew at step 8.
+                // A new episode begins in the whole environment at step 8.
                 if t == 8 {
                     alive = true;
                     rollout.start[t * sizes.envs + e] = 1.0;
@@ -300,7 +304,8 @@ fn without_a_learning_rate_nothing_moves() {
             bits(learner)
                 .into_iter()
                 .filter(|(n, _)| n.starts_with("actor/") || n.starts_with("critic/"))
-                // MADDPG's last layer follows the statistics that normalise values.
+                // The last layer of MADDPG's critic is rescaled with the statistics that normalise
+                // values.
                 .filter(|(n, _)| on_policy || !n.starts_with("critic/value."))
                 .collect::<Vec<_>>()
         };
@@ -310,7 +315,8 @@ fn without_a_learning_rate_nothing_moves() {
     });
 }
 
-/// The first pass that finds the policy too far away is the last: what follows is as if no more had been asked for.
+/// The first pass whose KL divergence exceeds `target_kl` is the last one: the result is that of an
+/// update with this number of passes.
 #[test]
 fn a_policy_that_moves_too_far_ends_its_update() {
     const PASSES: usize = 4;
@@ -331,7 +337,8 @@ fn a_policy_that_moves_too_far_ends_its_update() {
             (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
         };
         let update = |epochs, target_kl| update_at(epochs, target_kl, 0.0);
-        // By default all passes are made; how far each moves follows from the means over all of them.
+        // By default all passes are made. The divergence of each one follows from the means over
+        // all passes.
         let whole: Vec<_> = (1..=PASSES).map(|passes| update(passes, 0.0)).collect();
         let total =
             |passes: usize| if passes == 0 { 0.0 } else { passes as f64 * whole[passes - 1].1 };
@@ -347,7 +354,7 @@ fn a_policy_that_moves_too_far_ends_its_update() {
             assert_eq!(whole[passes - 1].0, passes as f64, "{name}");
             assert_eq!(update(PASSES, target), whole[passes - 1], "{name}: {moved:?}, {target}");
         }
-        // Who imitates is to move.
+        // Early stopping is off while the imitation loss is active.
         assert_eq!(update_at(PASSES, 1e-9, 0.1), update_at(PASSES, 0.0, 0.1), "{name}");
     }
 }
@@ -379,8 +386,8 @@ fn the_dead_do_not_teach() {
         let (calm, losses) = run(0.0);
         let (loud, same) = run(7.0);
         assert_eq!(losses, same, "{name} {encoder:?}");
-        // The memory that a recurrent critic carries for a dead slot is cleared before anyone reads it, and what is replayed of
-        // one is read by nobody.
+        // A recurrent critic's memory of an inactive slot is cleared before the critic reads it,
+        // and inactive entries of the replay buffer are never read.
         let weights = |bits: Vec<(String, Vec<u64>)>| {
             bits.into_iter().filter(|b| !b.0.contains("_memory/")).collect::<Vec<_>>()
         };
@@ -388,7 +395,7 @@ fn the_dead_do_not_teach() {
     });
 }
 
-/// Work on two threads is the work on one, up to rounding.
+/// Two shards on two threads give the same result as one, up to rounding.
 #[test]
 fn shards_share_one_set_of_weights() {
     each(|name, encoder| {
@@ -396,7 +403,7 @@ fn shards_share_one_set_of_weights() {
             let mut settings = small(encoder);
             settings.ppo.shards = shards;
             settings.ppo.average = 0.5;
-            // A part of the samples would be another part.
+            // With a share below 1, the decoders of two shards would learn from other samples.
             settings.iwol.decoded = 1.0;
             let mut learner = loud(name, &spec(4), &settings);
             let rollout = random_rollout(&*learner, 4, 3);
@@ -414,8 +421,8 @@ fn shards_share_one_set_of_weights() {
     });
 }
 
-/// An update that changes nothing sees the actions exactly as probable as they were when they were chosen: with each
-/// environment's noise, graph and memory.
+/// An update without learning finds exactly the log-probabilities that the actions had when they
+/// were chosen, with each environment's noise, graph and memory.
 #[test]
 fn an_update_sees_the_policy_that_acted() {
     each(|name, encoder| {
@@ -426,7 +433,7 @@ fn an_update_sees_the_policy_that_acted() {
         let mut rollout = random_rollout(&*learner, 4, 3);
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
-        // Noise that is correlated from step to step is as probable as the process says.
+        // Log-probabilities of correlated noise are conditional on the noise of the step before.
         rollout.carried =
             Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
         rollout.log_fresh =
@@ -443,8 +450,8 @@ fn an_update_sees_the_policy_that_acted() {
     });
 }
 
-/// Graphs that are drawn again in an update have as much noise as those that acted: hardly any
-/// noise, the same graph.
+/// Graphs that an update draws again have the noise scale of those that acted: with hardly any
+/// noise, they are the same graphs.
 #[test]
 fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
     each(|name, encoder| {
@@ -461,7 +468,8 @@ fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
     });
 }
 
-/// Plays a rollout's observations with its noise: its actions, their probabilities and memories.
+/// Acts on a rollout's observations with its noise, and stores actions, log-probabilities and
+/// memories.
 fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let s = rollout.sizes;
     let (e, n) = (s.envs as i64, s.agents as i64);
@@ -497,7 +505,7 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     }
 }
 
-/// An update without a learning rate finds the policy where it was.
+/// Checks that an update without a learning rate finds the policy unchanged.
 fn nothing_moved(
     name: &str,
     encoder: EncoderKind,
@@ -511,7 +519,8 @@ fn nothing_moved(
     assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
 }
 
-/// Worlds in which everybody has arrived or crashed stay among the others for a while.
+/// Acting, diagnostics and updates work where no agent is present, as in worlds whose agents have
+/// all arrived or crashed.
 #[test]
 fn where_nobody_is_left_nothing_breaks() {
     each(|name, encoder| {
@@ -543,7 +552,7 @@ fn where_nobody_is_left_nothing_breaks() {
     });
 }
 
-/// What a decoder says that never learns is not told.
+/// Predictions of decoders that are not trained are not reported.
 #[test]
 fn only_decoders_that_learn_tell_something() {
     for name in algo::NAMES {
@@ -571,7 +580,7 @@ fn only_decoders_that_learn_tell_something() {
     }
 }
 
-/// Libtorch takes other ways from 16 agents on.
+/// Methods learn with 15, 16 and 17 agents; libtorch uses other code paths from 16 on.
 #[test]
 fn many_agents_learn_as_few_do() {
     each(|name, encoder| {
@@ -585,7 +594,8 @@ fn many_agents_learn_as_few_do() {
     });
 }
 
-/// What an action does ends at its bounds, and that is all that others see of it.
+/// The decoder of symbols learns of actions only within their bounds, because other agents see the
+/// executed action.
 #[test]
 fn symbols_tell_of_actions_within_their_bounds() {
     each(|name, encoder| {
@@ -612,8 +622,8 @@ fn symbols_tell_of_actions_within_their_bounds() {
     });
 }
 
-/// Where the noise has not begun yet, what was done and how probable it was do not matter to the policy.
-/// With all weight on imitation, policies come to do what pursuit would, and what was earned does not matter.
+/// With all weight on imitation, policies learn the actions of pure pursuit, and rewards have no
+/// effect.
 #[test]
 fn pursuit_is_imitated() {
     for name in algo::NAMES {
@@ -647,11 +657,11 @@ fn pursuit_is_imitated() {
     }
 }
 
-/// A channel that does nothing changes nothing, one that loses everything leaves every agent to itself, and local policies
-/// notice no channel at all.
+/// A perfect channel changes nothing, a channel that loses every message leaves each agent with its
+/// own observation, and local policies are not affected by any channel.
 #[test]
 fn channels_stand_between_agents_and_nowhere_else() {
-    // In one round each agent needs less of what the others make of it, which takes another way.
+    // Policies with one round of attention have a code path of their own.
     each(|name, encoder| {
         for rounds in [1, 2] {
             let mut settings = small(encoder);
@@ -688,7 +698,7 @@ fn channels_stand_between_agents_and_nowhere_else() {
             let silence = through(&Channel { loss: 1.0, ..Channel::default() });
             let expected = if width > 0 { plain(&alone) } else { together.shallow_clone() };
             assert!(apart(&silence, &expected) < 1e-4, "{name} {encoder:?}");
-            // Who is out of reach stays so.
+            // Agents out of range stay out of range.
             let (pairs, bits) =
                 (pairs().repeat([2, 1, 1]), Channel { bits: 31, ..Channel::default() });
             let reached = |comm: &Tensor| {
@@ -707,7 +717,7 @@ fn channels_stand_between_agents_and_nowhere_else() {
                 apart(&those_there(&reached(&pairs)), &those_there(&plain(&pairs))) < 1e-4,
                 "{name} {encoder:?}"
             );
-            // With so many bits as good as with all of them, but each receiver works out by itself what it heard.
+            // 31 bits are as good as 32, but make each receiver compute its own messages.
             let [some, each] =
                 [32, 31].map(|bits| through(&Channel { loss: 0.6, bits, ..Channel::default() }));
             assert!(apart(&some, &each) < 1e-4, "{name} {encoder:?}");
@@ -728,7 +738,8 @@ fn channels_stand_between_agents_and_nowhere_else() {
     });
 }
 
-/// CommFormer's dropout, of the released code: in updates alone, and the same for the same seed.
+/// CommFormer's dropout, an option of the released code, changes updates but no decisions, and
+/// depends only on the seed.
 #[test]
 fn dropout_changes_updates_and_no_decision() {
     let learner = |dropout: f64| {
@@ -787,7 +798,7 @@ fn averaged_weights_follow_and_can_be_exchanged() {
             "{name}: nothing is lost"
         );
 
-        // Starting from a state takes the averaged policy over, and the value; the noise stays the new run's.
+        // A new run takes over the averaged policy and the value function, but keeps its own noise.
         let any_number = algo::capabilities(name).expect("known").any_number;
         let agents = if any_number { 9 } else { 4 };
         let mut next = algo::build(name, &spec(agents), &settings, Seed::new(8), Device::Cpu)
@@ -828,24 +839,26 @@ fn a_state_is_taken_over_whole_or_not_at_all() {
     });
 }
 
-/// Games of two agents who see a number each.
+/// Games of two agents that each see a number.
 #[derive(Clone, Copy, PartialEq)]
 enum Game {
-    /// The action should be the other's number.
+    /// The best action is the other agent's number.
     Other,
-    /// It should be what the other's was a step before.
+    /// The best action is the number that the other agent had one step before.
     OtherBefore,
-    /// Both see both numbers, and earn together: what they drive, but nothing good comes of driving at the same time.
+    /// Both agents see both numbers and share a reward: the sum of what they drive, minus a penalty
+    /// for driving at the same time.
     Crossing,
 }
 
 impl Game {
-    /// Steps of an episode.
+    /// Returns the number of steps of an episode.
     fn steps(self) -> usize {
         if self == Self::OtherBefore { 2 } else { 1 }
     }
 
-    /// Rewards for `actions` of pairs whose first features are `x`, and were `before`.
+    /// Returns the rewards for `actions` of pairs of agents whose first features are `x` and were
+    /// `before` one step earlier.
     fn rewards(self, x: &[f32], before: &[f32], actions: &[f32]) -> Vec<f32> {
         let off = |k: usize, aim: f32| -(actions[k] - aim).powi(2);
         let driven = |k: usize| actions[k].clamp(0.0, 1.0);
@@ -859,7 +872,7 @@ impl Game {
     }
 }
 
-/// The mean reward of the last of so many updates.
+/// Trains a learner for `updates` updates and returns the mean reward of the last one.
 fn play(name: &str, game: Game, updates: u64) -> f32 {
     let (e, n, o) = (32_usize, 2, 4);
     let mut settings = small(EncoderKind::Mlp);
@@ -897,7 +910,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         for pair in rollout.observation.chunks_mut(n * o) {
             match game {
                 Game::Crossing => (pair[1], pair[o + 1]) = (pair[o], pair[0]),
-                // A symbol tells of all that its sender saw.
+                // A symbol is about all that its sender saw, so that only the number is left to
+                // encode.
                 Game::OtherBefore => (0..n * o).filter(|i| i % o > 0).for_each(|i| pair[i] = 0.0),
                 Game::Other => {}
             }
@@ -938,7 +952,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             let seen: Vec<f32> = x.iter().step_by(o).copied().collect();
             let rewards = game.rewards(&seen, &before, &actions);
             (before, memory) = (seen, numbers(&decision.memory));
-            // The step in which nothing is asked does not count.
+            // The first step of an `OtherBefore` episode has no reward and does not count.
             let asked = sizes.steps / game.steps();
             mean += rewards.iter().sum::<f32>() / (e * n * asked) as f32;
             let cell = rollout.at(t, 1);
@@ -959,8 +973,9 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
     mean
 }
 
-/// Together they earn 1 at best, when one drives and the other waits. Alike, they earn 0.25 at best, each at a quarter of the speed: who
-/// goes first must follow from the numbers.
+/// Every method learns who goes first. The pair earns at most 1, when one agent drives and the
+/// other waits; equal actions earn at most 0.25, at a quarter of the speed, so that the order must
+/// follow from the numbers.
 #[test]
 fn every_algorithm_learns_who_goes_first() {
     for name in algo::NAMES {
@@ -969,7 +984,7 @@ fn every_algorithm_learns_who_goes_first() {
     }
 }
 
-/// A crew with a gap decides as the same crew without one, whatever stands in the gap.
+/// Agents decide the same with an empty slot among them as without it, whatever the slot contains.
 #[test]
 fn an_empty_slot_changes_nothing() {
     each(|name, encoder| {
@@ -996,7 +1011,8 @@ fn an_empty_slot_changes_nothing() {
     });
 }
 
-/// With more than one action dimension, a ratio for each of them is another loss.
+/// Methods learn with two action dimensions, where one ratio per dimension is another loss than one
+/// ratio per action.
 #[test]
 fn several_action_dimensions_are_learned_from() {
     for name in algo::NAMES {
@@ -1033,14 +1049,16 @@ fn several_action_dimensions_are_learned_from() {
 #[test]
 fn messages_help_where_they_are_needed() {
     let hears = |name: &str| algo::capabilities(name).expect("known").hears;
-    // One that hears nobody stands for all; that none hears whom it must not is tested for each above.
+    // MAPPO stands for all methods without communication; another test checks for each method that
+    // no observation reaches an agent that it must not reach.
     let without = play("mappo", Game::Other, 60);
     assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
     for name in algo::NAMES
         .into_iter()
         .filter(|name| !matches!(hears(name), Hears::Nobody | Hears::InRangeLater))
     {
-        // On another processor sums are rounded otherwise, and a run takes another course.
+        // The bound is wide, because rounding differs between processors and a run then takes
+        // another course.
         let with = play(name, Game::Other, 120);
         assert!(with > -0.25, "{name}: but it can be told: {with}");
     }
@@ -1057,7 +1075,8 @@ fn symbols_help_where_they_are_needed() {
     }
 }
 
-/// A reward of 1 in every step, for ever, is worth 1 / (1 - γ), however fast the statistics that normalise values follow them.
+/// A reward of 1 in every step without end has the value 1 / (1 - γ), however fast the statistics
+/// that normalise values follow the values.
 #[test]
 fn values_do_not_feed_on_their_own_normalisation() {
     const GAMMA: f64 = 0.95;

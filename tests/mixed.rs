@@ -1,5 +1,5 @@
-//! Vehicles that SUMO drives beside the agents, on the real SUMO: reproducible wherever they run, seen in every kind of observation,
-//! and what collisions with them come to.
+//! Background traffic on the real SUMO: it is reproducible on every backend, every kind of
+//! observation contains it, and collisions with it end as they should.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,7 +17,7 @@ use iwol_sumo::stats::Estimate;
 use iwol_sumo::sumo::process::{Options, Process};
 use iwol_sumo::sumo::{Backend, Hosting};
 
-/// libsumo holds one simulation per process.
+/// libsumo holds one simulation per process, so tests that use it must not run at the same time.
 static ALONE: Mutex<()> = Mutex::new(());
 
 fn root() -> PathBuf {
@@ -47,7 +47,8 @@ fn options(worlds: usize, seed: u64, backend: Backend) -> VecOptions {
     }
 }
 
-/// Actions of a world's agents that depend on its episode and step alone: around a fair speed, so that some crash and some arrive.
+/// Writes actions that depend only on a world's episode and step: around a moderate throttle, so
+/// that some agents crash and some arrive.
 fn actions(world: &World, out: &mut [f32]) {
     let seed = Seed::new(5).index(world.episode()).index(u64::from(world.step_count()));
     rng::fill_normal(&mut seed.rng(), out);
@@ -65,7 +66,7 @@ fn step(env: &mut VecEnv, agents: usize) -> Vec<EpisodeRecord> {
     env.take_finished()
 }
 
-/// What learners and onlookers see, step by step, of a single world.
+/// Returns the frame and the background vehicles of a single world after each step.
 fn watch(
     task: &Arc<Task>,
     seed: u64,
@@ -84,7 +85,7 @@ fn watch(
     seen
 }
 
-/// Twelve pedestrians at most, in nobody's way: all vehicles stand.
+/// Pedestrians walk along their paths, at most twelve at a time, while all vehicles stand.
 #[test]
 fn pedestrians_walk_along_their_ways() {
     let task = task_of("pedestrians_cross.xml", |_| {});
@@ -101,7 +102,8 @@ fn pedestrians_walk_along_their_ways() {
             assert!(!walker.wreck && (0.0..4.0).contains(&walker.speed), "{walker:?}");
             let ([x, y], _) = task.routes[walker.route].path.at(walker.position);
             let aside = (walker.pose.x - x).hypot(walker.pose.y - y);
-            // Sidewalks are 2 m wide, crossings 4 m, and corners of walking areas are cut.
+            // Sidewalks are 2 m wide, crossings are 4 m wide, and pedestrians cut the corners of
+            // walking areas.
             assert!(aside < 2.5, "{aside} m beside the way: {walker:?}");
             crossed += usize::from(walker.pose.x.abs() < 3.5 || walker.pose.y.abs() < 3.5);
         }
@@ -109,7 +111,7 @@ fn pedestrians_walk_along_their_ways() {
     assert!(most > 3 && crossed > 50, "at most {most} at a time, {crossed} steps on the road");
 }
 
-/// Files that list every person by himself have as many walks; the same way is one stream, whoever takes it.
+/// Persons who walk the same path are one stream, even if a file lists every person separately.
 #[test]
 fn who_walks_the_same_way_is_one_stream() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -145,7 +147,7 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
     let meets = |route: usize| task.routes[route].meeting(over_north).is_some();
     assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who uses the northern arm");
     let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes");
-    // At several speeds, so that some are at the crossing when somebody is.
+    // Several speeds, so that some vehicles reach the crossing when a pedestrian is on it.
     let rude = [0.15, 0.2, 0.25, 0.3].map(|throttle| of(Policy::Throttle(throttle)));
     let others = rude.iter().map(|metrics| metrics.others.as_ref().expect("others"));
     let hit = others.clone().map(|others| others.pedestrian_crash.expect("some walk").mean);
@@ -154,7 +156,7 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
         others.clone().all(|o| o.vehicles.mean == 0.0 && o.crash.is_none() && o.delay.is_none()),
         "nobody drives"
     );
-    // SUMO's driver waits for them, but for a few that it brushes.
+    // SUMO's driver waits for pedestrians, but brushes a few of them.
     let polite = of(Policy::Sumo);
     assert!(polite.success.mean > 0.8 && rude[1].success.mean < 0.2, "{polite:?}");
     let met = polite.others.expect("others");
@@ -168,7 +170,7 @@ fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
     let (mut hit, mut lying) = (0, Vec::<OtherView>::new());
     let mut throttle = 0.0;
     for k in 0..5000 {
-        // Who goes north drives, a little faster each time; the others stand.
+        // Northbound vehicles drive, a little faster each time; all other vehicles stand.
         let northbound = |world: &World| {
             world.agents().map(|a| if a.route == 2 { throttle } else { -1.0 }).collect()
         };
@@ -226,7 +228,8 @@ fn the_same_seed_gives_the_same_traffic_on_both_backends() {
     assert!(first[50].1.iter().zip(&other[50].1).all(|(a, b)| a != b));
 }
 
-/// Records of the first episodes, by number, from so many worlds.
+/// Returns the records of the first `episodes` episodes by episode number, played in `worlds`
+/// worlds.
 fn records(task: &Arc<Task>, worlds: usize, episodes: u64) -> BTreeMap<u64, EpisodeRecord> {
     let options = VecOptions { episodes: 0..episodes, ..options(worlds, 7, Backend::Traci) };
     let mut env = VecEnv::new(task, &options).expect("SUMO runs");
@@ -288,7 +291,8 @@ fn goes_on(task: &Arc<Task>) {
     }
 }
 
-/// A world of one agent that stands still among seven vehicles that SUMO drives, after so many steps.
+/// Returns a world after `steps` steps, in which one agent stands still among seven vehicles that
+/// SUMO drives.
 fn stand(change: impl FnOnce(&mut Scenario), steps: usize) -> (Arc<Task>, World) {
     let task = task(|scenario| {
         scenario.traffic.penetration = 0.125;
@@ -303,7 +307,7 @@ fn stand(change: impl FnOnce(&mut Scenario), steps: usize) -> (Arc<Task>, World)
     (task, world)
 }
 
-/// The features of a group: one slice per token.
+/// Returns the features of a group, one slice per token.
 fn tokens<'a>(task: &Task, world: &'a World, group: &str) -> Vec<&'a [f32]> {
     let found = task.spec.observation.groups.iter().find(|g| g.name == group).expect("the group");
     let seen = &world.frame().observation[found.offset..found.offset + found.width * found.count];
@@ -375,14 +379,14 @@ fn beams_end_at_others() {
             * 72.0)
             .round();
         let distance = f64::from(seen[beam as usize % 72]) * 60.0;
-        // No beam goes through a vehicle.
+        // No beam passes through a vehicle.
         assert!(distance <= dx.hypot(dy) + other.size[0] / 2.0, "{distance} {other:?}");
         hits += usize::from((distance - dx.hypot(dy)).abs() < other.size[0] / 2.0 + 0.5);
     }
     assert!(hits > 0, "some are in plain sight");
 }
 
-/// Agents that steer stand where they begin: those of SUMO behind them stop and do not touch them.
+/// Background vehicles stop behind agents that steer and stand still, and do not touch them.
 #[test]
 fn others_wait_behind_agents_that_steer() {
     let task =
@@ -412,7 +416,7 @@ fn others_wait_behind_agents_that_steer() {
 
 #[test]
 fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
-    // One agent at full throttle among seven: it runs into whoever is ahead.
+    // One agent at full throttle among seven background vehicles runs into the vehicle ahead.
     let task = task(|scenario| scenario.traffic.penetration = 0.125);
     let mut env = VecEnv::new(&task, &options(1, 2, Backend::Traci)).expect("SUMO runs");
     let mut crashes = 0;
@@ -446,7 +450,7 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
 
 #[test]
 fn a_wreck_of_theirs_is_cleared_away() {
-    // Two agents, of which one stands still to keep the episode going.
+    // One of the two agents stands still, so that the episode goes on.
     let task = task(|scenario| scenario.traffic.penetration = 0.25);
     let wreck_steps =
         (task.scenario.termination.wreck_time / task.scenario.control.interval).round() as usize;
@@ -476,7 +480,7 @@ fn a_wreck_of_theirs_is_cleared_away() {
         }
     }
     assert!(lives.len() >= 3, "{lives:?}");
-    // One step in which it comes to a stop, and one in which it is taken away.
+    // Besides the wreck time, a wreck takes one step to come to a stop and one step to be removed.
     assert!(
         lives.iter().all(|steps| (wreck_steps..=wreck_steps + 2).contains(steps)),
         "{lives:?} {wreck_steps}"
@@ -501,14 +505,14 @@ fn metrics_of_others_tell_who_gives_way() {
     assert!(met(rude.crash).mean <= met(rude.close).mean, "{rude:?}");
     assert!(met(polite.ttc).low > 0.0 && met(polite.pet).low > 0.0, "{polite:?}");
     assert!(rude.pedestrians.mean == 0.0 && rude.pedestrian_crash.is_none(), "nobody walks");
-    // Who waits loses time; wrecks and those who were let through lose less.
+    // Vehicles that wait lose time; wrecks and vehicles that were let through lose less.
     assert!(
         met(polite.delay).low > met(rude.delay).high
             && met(rude.delay).low > 0.0
             && met(polite.braking).low > 0.0,
         "{rude:?} {polite:?}"
     );
-    // Nothing of it where SUMO drives nobody.
+    // Without background traffic, there are no metrics of it.
     let alone = self::task(|scenario| {
         (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new())
     });
@@ -524,7 +528,7 @@ fn penetration_is_the_share_that_learns() {
     }
 }
 
-/// Sizes by class are SUMO's own.
+/// The sizes of vehicle classes are SUMO's own.
 #[test]
 fn vehicles_are_as_large_as_sumo_has_them() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -595,7 +599,8 @@ fn trips_take_the_routes_that_lead_there() {
     );
 }
 
-/// The message that the shipped scenario's check gives when its `<traffic>` and the route file are changed.
+/// Returns the first error of the check of the shipped scenario, after its `<traffic>` and, if
+/// given, its route file have been changed.
 fn mistake(traffic: &str, file: Option<(&str, &str)>) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let text = fs::read_to_string(root().join("scenarios/mixed_cross.xml")).expect("the scenario");

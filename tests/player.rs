@@ -1,4 +1,5 @@
-//! Recordings, and the player in a real browser (`scripts/bootstrap --tests` installs it).
+//! Tests of recordings, and of the player in a real browser (`scripts/bootstrap --tests` installs
+//! it).
 
 use std::path::Path;
 use std::process::Command;
@@ -24,7 +25,7 @@ fn check(html: &Path) -> serde_json::Value {
     serde_json::from_str(&stdout).expect("a line of JSON")
 }
 
-/// Full throttle: vehicles crash, stand as wrecks, and some arrive.
+/// An episode at full throttle, with crashes, wrecks and arrivals, plays in a browser.
 #[test]
 fn a_recorded_episode_plays_in_a_browser() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -53,13 +54,13 @@ fn a_recorded_episode_plays_in_a_browser() {
         serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
     let found = check(Path::new(&html));
     assert_eq!(found["steps"], recorded["steps"]);
-    // One row per decision, and one for the end.
+    // There is one row per decision, and one for the end.
     let length = recorded["summary"]["episode_length"].as_f64().expect("a length");
     assert_eq!(recorded["steps"].as_f64(), Some(length + 1.0));
     assert!(std::fs::read_to_string(&svg).expect("written").contains("<rect"));
 }
 
-/// The rewards of a recording add up to those of the episode.
+/// The rewards of a recording add up to the reward of the episode.
 #[test]
 fn a_recording_says_what_the_evaluation_says() {
     use base64::Engine as _;
@@ -79,7 +80,7 @@ fn a_recording_says_what_the_evaluation_says() {
         "--out",
         &run,
     ]);
-    // Small, and with nearly all edges of the learned graph.
+    // The run is small, and its learned graph has nearly all edges.
     for set in [
         "train.envs=2",
         "train.segment=32",
@@ -115,14 +116,14 @@ fn a_recording_says_what_the_evaluation_says() {
     let reward = column("reward").iter().sum::<f64>() / agents;
     let expected = recorded["summary"]["reward"].as_f64().expect("a reward");
     assert!((reward - expected).abs() < 0.05, "{reward} {expected}");
-    // Vehicles begin at rest and drive at no more than 80 km/h.
+    // Vehicles start at rest and drive no faster than 80 km/h.
     let (speed, value) = (column("speed"), column("value"));
     assert!(
         speed[..8].iter().all(|v| v.abs() < 1e-3) && speed.iter().all(|v| *v <= 22.3),
         "{speed:?}"
     );
     assert!(value[..8].iter().any(|v| *v != 0.0), "{:?}", &value[..8]);
-    // It communicates, within the range of the mask, and nobody is drawn as hearing himself.
+    // The agents communicate within range, and no agent receives its own messages.
     let (edges, n) = (bytes(&recorded["edges"]), agents as usize);
     assert!(
         recorded["communicates"].as_bool().expect("a flag") && edges.iter().any(|byte| *byte != 0)

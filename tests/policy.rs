@@ -1,4 +1,5 @@
-//! The life of a policy, as users lead it: train, export, evaluate at other sizes, start again from it, draw.
+//! Test of the whole use of a policy: train, export, evaluate at other sizes, start training from
+//! it, plot.
 
 use std::fs;
 use std::path::Path;
@@ -53,7 +54,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     let name = |name: &str| at(name).display().to_string();
     for algorithm in algo::NAMES {
         let Capabilities { any_number, latent, .. } = algo::capabilities(algorithm).expect("known");
-        // The numbers of vehicles among which it is used afterwards.
+        // Numbers of vehicles that the policy is used with after training.
         let (more, next_agents) = if any_number { ("16", "5") } else { ("4", "4") };
         let run = format!("{algorithm}_0");
         text(&mut train(&at(&run), &["--algorithm", algorithm, "--agents", "4"]));
@@ -65,7 +66,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         };
         assert!(size(&small) < size(&name(&run)) / 2);
 
-        // The copy drives as the run does, and any number of vehicles.
+        // The copy gives the same results as the run, and controls other numbers of vehicles.
         let evaluate = |run: &str, agents: &str| -> Value {
             let args = ["evaluate", run, "--episodes", "2", "--agents", agents, "--json"];
             serde_json::from_str(&text(&mut iwol(&args))).expect("JSON")
@@ -83,7 +84,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             "{wide}"
         );
 
-        // Training starts from it with more vehicles; its metrics say what the latent knows.
+        // Training starts from the copy with more vehicles; its metrics contain the quality of the
+        // latent.
         let next = format!("{algorithm}_next");
         text(&mut train(
             &at(&next),
@@ -98,7 +100,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             );
         }
 
-        // What is refused is refused whatever the method.
+        // These refusals do not depend on the algorithm, so they are tested once.
         if algorithm != algo::NAMES[0] {
             continue;
         }
@@ -184,7 +186,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         }
     }
 
-    // Two seeds are one curve; another observation is another.
+    // Two seeds form one curve; runs with another observation form another curve.
     text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));
     let nearest = ["--algorithm", "mappo", "--agents", "4", "--set", "env.observation=nearest"];
     text(&mut train(&at("nearest"), &nearest));
@@ -194,7 +196,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
         assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
     }
-    // A run that a report kept has its settings and its validations alone.
+    // A run that a report kept contains only its settings and validations.
     let kept = at("kept");
     fs::create_dir(&kept).expect("a folder");
     fs::copy(at("mappo_0").join("config.toml"), kept.join("config.toml")).expect("copied");

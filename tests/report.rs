@@ -1,5 +1,5 @@
-//! Reports made from hand-written results: what a table says about its intervals, and where results
-//! come from.
+//! Tests of reports that are made from hand-written results: the intervals that tables name, and
+//! the provenance of results.
 
 use std::path::Path;
 
@@ -23,12 +23,12 @@ name = "last"
 episodes = 100
 "#;
 
-/// An estimate as `iwol evaluate` writes it.
+/// Returns an estimate as `iwol evaluate` writes it.
 fn estimate(mean: f64, low: f64, high: f64) -> Value {
     json!({ "mean": mean, "low": low, "high": high })
 }
 
-/// Pretends that every cell is trained and evaluated; `success` gives each cell's mean.
+/// Writes files as if every cell were trained and evaluated; `success` gives the mean of each cell.
 fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) -> Value) {
     for cell in &sweep.cells {
         std::fs::create_dir_all(cell.folder.join("evaluations")).expect("a folder");
@@ -66,7 +66,7 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
     }
 }
 
-/// The report in Markdown, and `summary.json`.
+/// Returns the report in Markdown, and `summary.json`.
 fn report(sweep: &Sweep, folder: &Path) -> (String, Value) {
     let out = folder.join("report");
     report::write(sweep, "iwol report", &out).expect("a report");
@@ -74,7 +74,7 @@ fn report(sweep: &Sweep, folder: &Path) -> (String, Value) {
     (read("report.md"), serde_json::from_str(&read("summary.json")).expect("JSON"))
 }
 
-/// The tables of a report: header cells, then rows of cells.
+/// Returns the tables of a report as rows of cells; the header comes first.
 fn tables(markdown: &str) -> Vec<Vec<Vec<String>>> {
     let mut tables: Vec<Vec<Vec<String>>> = vec![Vec::new()];
     for line in markdown.lines() {
@@ -93,7 +93,8 @@ fn tables(markdown: &str) -> Vec<Vec<Vec<String>>> {
 fn every_table_has_one_unit_of_interval_and_names_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).expect("a sweep");
-    // All seeds of MAPPO among 4 tie, those of Im-IWoL do not; MAGIC has one seed.
+    // All seeds of MAPPO with 4 agents have the same result, those of Im-IWoL differ, and MAGIC has
+    // one seed.
     let success = |cell: &Cell| match (cell.config.algorithm.as_str(), cell.config.agents) {
         ("mappo", 4) => 1.0,
         _ => 0.9 + 0.02 * cell.config.seed as f64,
@@ -123,12 +124,13 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
         found.next().unwrap_or_else(|| panic!("no table of success {part} in {markdown}"))
     };
     let row = |table: &[Vec<String>], name: &str| table.iter().find(|row| row[0] == name).cloned();
-    // The interval over seeds of a tie is a point; what the episodes leave open is said beside it.
+    // If all seeds have the same result, the interval over seeds is a point; a separate table gives
+    // the interval over episodes.
     let seeds = titled("over seeds");
     assert_eq!(row(seeds, "mappo").expect("a row")[1..], ["100.0 ± 0.0", "92.0 ± 5.0"]);
     assert_eq!(row(seeds, "im-iwol").expect("a row")[1], "92.0 ± 5.0");
     assert_eq!(row(seeds, "magic"), None, "one seed says nothing about others");
-    // Wilson's interval of 300 episodes that all succeed ends at 300 / (300 + 1.96²).
+    // Wilson's lower bound for 300 episodes that all succeed is 300 / (300 + 1.96²).
     let pooled = row(titled("all episodes together"), "mappo").expect("a row");
     assert_eq!(
         pooled[1],
@@ -139,7 +141,7 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
     assert_eq!(row(alone, "magic").expect("a row")[1], "90.0 [87.0, 91.0]");
 }
 
-/// What all cells were trained with.
+/// Returns the provenance that the cells of the test were trained with.
 fn trained_with() -> Value {
     json!({
         "version": "0.3.0", "commit": "0123456789abcdef0123456789abcdef01234567", "dirty": false, "sumo": "1.18.0",
@@ -152,7 +154,7 @@ fn results_name_versions_and_commits() {
     let folder = tempfile::tempdir().expect("a folder");
     let sweep = Sweep::parse(FILE, "s.toml", "s", &folder.path().join("runs")).expect("a sweep");
     results(&sweep, |_| 0.9, |_| trained_with());
-    // A run that was resumed by another version.
+    // One run was resumed by another version.
     let resumed =
         sweep.cells.iter().find(|cell| cell.id == "mappo_agents=8/seed_1").expect("a cell");
     let mut meta = trained_with();
@@ -175,7 +177,7 @@ fn results_name_versions_and_commits() {
         assert_eq!(row["program"]["version"], "0.4.0");
     }
 
-    // What is kept without weights takes its versions along.
+    // The files that are kept without weights include the versions.
     let kept = folder.path().join("kept");
     resumed.keep(&kept, "s").expect("copied");
     let again = Sweep::parse(FILE, "s.toml", "s", &kept).expect("a sweep");
@@ -194,7 +196,8 @@ fn kilometres_and_knowledge_have_tables() {
     results(&sweep, success, |_| Value::Null);
     let (markdown, _) = report(&sweep, folder.path());
     for part in [
-        // 100, 80 and 60 crashes in 40 km each; without a crash there is a lower bound alone.
+        // The seeds have 100, 80 and 60 crashes in 40 km each; without a crash there is only a
+        // lower bound.
         "| im-iwol | 0.50 [0.44, 0.57] (240 in 120.0 km) | 0.50 [0.44, 0.57] (240 in 120.0 km) |",
         "| mappo | > 32.53 (0 in 120.0 km) | > 32.53 (0 in 120.0 km) |",
         "| variance of the world that is explained, % (± t-interval over seeds) |",

@@ -1,4 +1,5 @@
-//! Reproducibility against the real simulator: same seed, same bits; stopping, resuming and validating change nothing.
+//! Reproducibility with the real simulator: the same seed gives the same bits, and stopping,
+//! resuming and validating change nothing.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -10,7 +11,7 @@ use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{Outcome, RunDir, Trainer};
 use tch::{Kind, Tensor};
 
-// Over TraCI, as several trainers are alive at once, and libsumo has one place.
+// Uses TraCI, because several trainers exist at once, and a process can have libsumo only once.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
@@ -27,7 +28,8 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     Config::resolve(&Layers { document, ..Layers::default() }).expect("a valid configuration")
 }
 
-/// One whose rollouts, where they may, grow to twice their length after two iterations.
+/// Returns settings with which rollouts of on-policy methods grow to twice their length after two
+/// iterations.
 fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     let (mut config, scenario) = config(algorithm, encoder, 720);
     config.exploration.explore_steps = 240;
@@ -42,7 +44,7 @@ fn trainer(algorithm: &str, encoder: &str) -> Trainer {
     Trainer::new(config, scenario).expect("SUMO runs")
 }
 
-/// Everything that decides the future, as bits.
+/// Returns everything that determines the further course of a run, as bits.
 fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     let value =
         |t: &Tensor| Vec::<f64>::try_from(t.to_kind(Kind::Double).reshape([-1])).expect("numbers");
@@ -68,7 +70,7 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     all
 }
 
-/// Every method, and those with an encoder whose memory is carried along.
+/// Returns all methods with the encoder `mlp`, and some with `gru` or `attention`.
 fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
     let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
     algo::NAMES
@@ -82,12 +84,13 @@ fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
 fn training_is_reproducible_and_resumable_bit_for_bit() {
     let stop = AtomicBool::new(false);
     for (algorithm, encoder) in runs() {
-        // Four iterations in one go. Episodes of at most 60 steps end within the segments of 40.
+        // Four iterations in one go. Episodes of at most 60 steps end within rollouts of 40 steps.
         let mut whole = trainer(algorithm, encoder);
         for _ in 0..4 {
             whole.iterate().expect("an iteration");
         }
-        // Two, a validation, a checkpoint through a file, then two more in a trainer that knows the file alone.
+        // Two iterations, a validation and a checkpoint in a file, then two more in a trainer that
+        // gets only the file.
         let mut first = trainer(algorithm, encoder);
         for _ in 0..2 {
             first.iterate().expect("an iteration");
@@ -109,7 +112,7 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         );
         let (config, scenario) = growing(algorithm, encoder);
         let end = if config.train.growth == 2 { 720 } else { 480 };
-        // Other crews would make other episodes of the stored actions.
+        // Episodes with other numbers of agents would not match the stored actions.
         let mut other = config.clone();
         other.train.fewest_agents = 3;
         let refused = Trainer::resume(other, scenario.clone(), &stored).err().expect("refused");
@@ -137,7 +140,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let (config, scenario) = config("im-iwol", "mlp", 360);
     let stop = AtomicBool::new(false);
     let mut trainer = Trainer::new(config.clone(), scenario.clone()).expect("SUMO runs");
-    // Someone presses Ctrl-C during the first iteration.
+    // Training is asked to stop during the first iteration, as by Ctrl-C.
     let outcome =
         trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
     assert_eq!(outcome.expect("a clean end"), Outcome::Interrupted);
@@ -159,11 +162,11 @@ fn a_stopped_run_goes_on_in_its_folder() {
                 .expect("a step")
         })
         .collect();
-    // Each iteration once, and the validations.
+    // One line per iteration and one per validation.
     assert_eq!(steps, [120, 240, 240, 360, 360]);
     assert!(dir.best().exists());
 
-    // As if nobody had pressed anything.
+    // A run of the same settings that was not stopped.
     let undisturbed = RunDir::new(folder.path().join("undisturbed"));
     let (config, scenario) = self::config("im-iwol", "mlp", 360);
     let mut trainer = Trainer::new(config, scenario).expect("SUMO runs");
@@ -178,7 +181,8 @@ fn a_stopped_run_goes_on_in_its_folder() {
         );
     }
 
-    // Killed when the last validation was recorded, but no checkpoint knew of it yet: it is made again, and recorded once.
+    // The process is killed after it recorded the last validation and before a checkpoint contains
+    // it: the validation is repeated, and recorded once.
     let recorded = |file: std::path::PathBuf| -> Vec<(u64, bool)> {
         let text = std::fs::read_to_string(file).expect("lines");
         let line = |line| serde_json::from_str::<serde_json::Value>(line).expect("whole lines");

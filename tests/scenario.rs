@@ -1,4 +1,5 @@
-//! Scenario files: the shipped intersection and its geometry, mistakes and their messages, and the way back to XML.
+//! Scenario files: the shipped intersection and its geometry, errors and their messages, and the
+//! conversion back to XML.
 
 use std::{
     collections::BTreeSet,
@@ -41,7 +42,7 @@ fn shipped_text() -> String {
     fs::read_to_string(root().join("scenarios/intersection.xml")).unwrap()
 }
 
-/// Arm length \[m\] and spawn places of each shipped net.
+/// Arm length \[m\] and number of spawn places of each shipped net.
 const SIZES: [(f64, u32); 4] = [(30.0, 8), (42.0, 16), (74.0, 32), (106.0, 48)];
 
 fn close(a: [f64; 2], b: [f64; 2]) -> bool {
@@ -169,7 +170,8 @@ fn finish_lines_and_queues_scale_with_the_arms() {
             ("southbound", [arm + 10.0, -arm - 5.0]),
         ];
         assert!(finishes.zip(expected).all(|(a, b)| a.0 == b.0 && close(a.1, b.1)));
-        // The last place of each queue, jitter included, has its front bumper before the stop line.
+        // The vehicle at the last place of each queue, with jitter, has its front bumper before the
+        // stop line.
         let front = net.places().map(|place| place.pos + 1.0 + 4.515 / 2.0).fold(0.0, f64::max);
         assert!(front < arm);
     }
@@ -212,7 +214,7 @@ fn every_shipped_scenario_survives_its_xml() {
     }
 }
 
-/// Whatever lies in `scenarios` is sound, and every method drives there for some steps.
+/// Every shipped scenario passes its check, and every algorithm drives in it for some steps.
 #[test]
 fn every_shipped_scenario_is_for_every_method() {
     for path in all_shipped() {
@@ -230,7 +232,7 @@ fn every_shipped_scenario_is_for_every_method() {
             let learner =
                 algo::build(name, &task.spec, &settings, Seed::new(0), Device::Cpu).unwrap();
             let policy = Policy::Learned(&*learner, Channel::default());
-            // One episode is enough; a whole window would take hundreds.
+            // One episode is enough; a whole window of the throughput metric would take hundreds.
             let stop = AtomicBool::new(false);
             let onlooker = Onlooker {
                 stop: &stop,
@@ -249,7 +251,8 @@ fn every_shipped_scenario_is_for_every_method() {
     }
 }
 
-/// Message and causes of the error that the shipped scenario gives when `from` is replaced by `to`, and its hint.
+/// Returns message, causes and hint of the error that the shipped scenario gives when `from` is
+/// replaced by `to`.
 fn mistake(from: &str, to: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let text = shipped_text();

@@ -1,4 +1,5 @@
-//! Steering control with the real simulator: the scenarios with turns, and what SUMO makes of the poses that it is given.
+//! Vehicles that steer, with the real SUMO: the scenarios with turns, and the lanes and positions
+//! that SUMO derives from given poses.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::process::{Options, Process};
 use iwol_sumo::sumo::{Backend, Client, Command, Hosting, Snapshot, VehicleState};
 
-/// Scenarios, numbers of vehicles and of episodes.
+/// Scenarios with numbers of vehicles and of episodes.
 const SCENARIOS: [(&str, u32, u64); 3] =
     [("intersection_turns", 8, 4), ("intersection_turns_small", 8, 4), ("parking_lot", 5, 10)];
 
@@ -26,7 +27,7 @@ fn task(name: &str, agents: u32) -> Arc<Task> {
     )
 }
 
-/// A SUMO of the test's own, which a world's commands are played on.
+/// A SUMO process of the test's own, on which the commands of a world are played.
 struct Own {
     _process: Process,
     sumo: Client,
@@ -36,7 +37,7 @@ struct Own {
 impl Own {
     fn start(task: &Arc<Task>) -> Self {
         let mut arguments = vec!["--net-file".into(), task.net_file().into()];
-        // As the environments have it.
+        // The options that the environments use.
         let options = "--step-length 0.1 --collision.action none --time-to-teleport -1";
         arguments.extend(options.split(' ').map(Into::into));
         let (process, mut sumo, _) =
@@ -103,7 +104,7 @@ impl Own {
     }
 }
 
-/// Distance of a point from a polyline \[m\].
+/// Returns the distance of a point from a polyline \[m\].
 fn beside(shape: &[[f64; 2]], p: [f64; 2]) -> f64 {
     let apart = |w: &[[f64; 2]]| {
         let (dx, dy) = (w[1][0] - w[0][0], w[1][1] - w[0][1]);
@@ -151,7 +152,8 @@ fn sumo_has_every_vehicle_where_it_is() {
             {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
                 if agent.driving && task.routes[agent.route].avoided.is_some() {
-                    // Where it cannot drive its route, what it sees is the way that it drives instead.
+                    // The vehicle cannot drive the U-turn of its route: the observation describes
+                    // the path that the vehicle drives instead.
                     let seen = &world.frame().observation[slot * task.spec.observation.len()..];
                     let (lateral, heading) = (seen[lateral], seen[heading]);
                     assert!(
@@ -164,14 +166,15 @@ fn sumo_has_every_vehicle_where_it_is() {
                 let front = [agent.pose.x + half * cos, agent.pose.y + half * sin];
                 let path = task.routes[agent.route].lanes();
                 let (s, lateral, segment) = path.nearest(front);
-                // Who is off its lane SUMO may have on another; who has missed a turn may come back against the traffic.
+                // SUMO may assign a vehicle beside its lane to another lane, and a vehicle that has
+                // missed a turn may come back against the traffic.
                 let off = lateral.abs() > path.widths[segment] / 2.0;
                 if off || (agent.pose.heading - path.at(s).1).cos() < 0.5 {
                     continue;
                 }
                 let stretch = path.lane_stretches().find(|&(_, from, to)| (from..to).contains(&s));
                 let (lane, from, to) = stretch.expect("every position lies on a lane");
-                // Next to a border between lanes SUMO may take either.
+                // Next to the border between two consecutive lanes, SUMO may choose either of them.
                 if s - from < 0.1 || to - s < 0.1 {
                     continue;
                 }
@@ -181,13 +184,13 @@ fn sumo_has_every_vehicle_where_it_is() {
                 let [x, y] = own.sumo.vehicle().get_position(&id).unwrap();
                 let found = own.sumo.vehicle().get_lane_id(&id).unwrap();
                 let apart = (x - front[0]).hypot(y - front[1]);
-                // SUMO lays a vehicle on the middle of its lane.
+                // SUMO places a vehicle on the centre line of its lane.
                 assert!(
                     apart < lateral.abs() + 0.1,
                     "{at}: SUMO at {x} {y}, {front:?} is {apart} away, {lateral} aside"
                 );
                 if junction && found != lane.id {
-                    // Over a junction lanes lie on each other, and SUMO takes the nearest.
+                    // Lanes over a junction overlap, and SUMO chooses the nearest one.
                     let other = net
                         .lanes
                         .iter()
@@ -211,7 +214,8 @@ fn sumo_has_every_vehicle_where_it_is() {
                     on_lanes.push((found, position, id));
                 }
             }
-            // Whom SUMO's drivers would follow: the next ahead on the same lane, at the end of the gap.
+            // The leader that SUMO's drivers would follow is the next vehicle ahead on the same
+            // lane, at the end of the gap.
             on_lanes.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
             for pair in on_lanes.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
                 let gap = pair[1].1 - pair[0].1 - 2.0 * half;
@@ -232,7 +236,7 @@ fn sumo_has_every_vehicle_where_it_is() {
                 }
             }
         }
-        // On the lot no two are on one lane.
+        // On the parking lot, no two vehicles are on one lane.
         assert!(led > 20 || name == "parking_lot", "{name}: {led} leaders");
         assert!(
             around > 100 || name != "intersection_turns",
@@ -266,14 +270,16 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     let pursuit = play("intersection_turns_small", 4, by_name("pursuit:5"));
     assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
     assert!(pursuit.success.mean > 0.3 && pursuit.crash.mean > 0.05, "{pursuit:?}");
-    // Many at once, who go straight on, turn off or back, and one after the other.
+    // The `fcfs` policy lets many vehicles pass one after the other: straight on, left, right and
+    // back.
     for (name, agents) in [("intersection_turns_small", 8), ("intersection_turns", 16)] {
         let courteous = play(name, agents, by_name("fcfs:5"));
         assert!(
             courteous.success.mean > 0.98 && courteous.crash.mean < 0.01,
             "{name}: {courteous:?}"
         );
-        // SUMO takes who crosses the junction to be on ways of others, above all on those that turn back, and bends bodies along them.
+        // In the junction, SUMO may assign a vehicle to the path of another route, above all in
+        // U-turns, and then bends the vehicle's body along this path.
         let audit = courteous.audit;
         assert_eq!(audit.sumo_other, 0, "{name}: {audit:?}");
         assert!(audit.sumo_bent > 0 || name != "intersection_turns", "{audit:?}");
@@ -286,7 +292,8 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     assert!(straight.success.mean < 0.4, "{straight:?}");
 }
 
-/// Vehicles that drive forwards and backwards anyhow leave the net by its ends, and come back over the junction: none vanishes.
+/// Vehicles that drive forwards and backwards, leave the net by its ends and come back over the
+/// junction never vanish.
 #[test]
 fn who_drives_to_and_fro_is_never_lost() {
     let task = task("parking_lot", 5);
@@ -296,7 +303,7 @@ fn who_drives_to_and_fro_is_never_lost() {
     let (mut commands, mut rng) = (Vec::new(), Seed::new(9).rng());
     let (mut turned, mut gone) = (0, 0);
     while !world.is_idle() {
-        // Pursuit for a while, backwards for a while, and on.
+        // Pursuit forwards for a while, backwards for a while, and forwards again.
         let back = (world.step_count() / 25 + world.episode() as u32) % 3 == 1;
         let mut actions = Vec::new();
         for slot in 0..task.agents {

@@ -1,5 +1,6 @@
-//! The SUMO side against the real simulator: conversation, vehicles' lives, refusals, deaths, and that no
-//! SUMO outlives its owner. A missing SUMO fails these tests.
+//! Tests of the SUMO interface against the real simulator: exchanges, departures and arrivals of
+//! vehicles, refusals, termination of SUMO, and that no SUMO process outlives its owner. These
+//! tests fail if SUMO is missing.
 
 use std::{
     io::{Read as _, Write as _},
@@ -28,7 +29,8 @@ const LENGTH: f64 = 4.515;
 const EAST: u32 = 0;
 const NORTH: u32 = 1;
 
-/// Two straight roads of 300 m that cross at the origin; built once by SUMO's netconvert.
+/// Returns a net of two straight roads, each 300 m long, that cross at the origin; SUMO's
+/// netconvert builds it once.
 fn net() -> &'static Path {
     static NET: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, path) = NET.get_or_init(|| {
@@ -119,11 +121,11 @@ fn speed(slot: u32, speed: f64) -> Command {
 }
 
 fn lives(pid: u32) -> bool {
-    // A process that nobody has waited for yet still has a folder, but no command line.
+    // A zombie process still has a folder in `/proc`, but an empty command line.
     std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| !line.is_empty())
 }
 
-/// Waits until the process is gone; `false` if it stays.
+/// Waits until the process ends; returns `false` if it is still there after 10 s.
 fn ends(pid: u32) -> bool {
     let start = Instant::now();
     while lives(pid) && start.elapsed() < Duration::from_secs(10) {
@@ -179,7 +181,8 @@ fn a_commanded_speed_is_the_speed_of_the_whole_step() {
 #[test]
 fn a_queue_departs_complete_and_exact_in_any_order() {
     let mut simulation = start(14);
-    // SUMO tries vehicles in the order of their names: from the back of the queue, then from its front.
+    // SUMO inserts vehicles in the order of their names. The first queue is inserted from its rear,
+    // the second from its front.
     for backwards in [false, true] {
         let place = |slot: u32| 60.0 + 6.0 * f64::from(if backwards { 13 - slot } else { slot });
         let mut commands: Vec<Command> = (0..14).map(remove).collect();
@@ -209,7 +212,7 @@ fn a_slot_is_emptied_filled_and_filled_again_in_one_batch() {
         assert!((vehicle.distance - place).abs() < 1e-9);
         assert!(snapshot.vehicles[1].is_some() && snapshot.vehicles[2].is_none());
     }
-    // Emptied, filled, emptied: nobody is left, and the slot is free.
+    // A slot that is emptied, filled and emptied in one batch holds no vehicle and is free.
     let batch: Vec<Command> =
         [remove(0)].into_iter().chain(add(0, EAST, 9.0)).chain([remove(0), remove(0)]).collect();
     assert!(simulation.step(&batch).unwrap().vehicles[0].is_none());
@@ -227,7 +230,7 @@ fn a_vehicle_that_finds_no_room_is_absent_and_holds_up_no_other() {
         [true, false, true]
     );
     assert!(simulation.step(&[]).unwrap().vehicles[1].is_none());
-    // Waiting, it can be replaced by one that has room.
+    // A vehicle that waits for insertion can be replaced by one that has room.
     let batch: Vec<Command> = [remove(1)].into_iter().chain(add(1, EAST, 30.0)).collect();
     assert_eq!(simulation.step(&batch).unwrap().vehicles[1].unwrap().distance, 30.0);
 }
@@ -246,7 +249,7 @@ fn a_vehicle_that_reaches_the_end_of_its_route_is_gone() {
     }
     assert!(last.distance > 290.0 && last.distance <= 300.0, "{last:?}");
     assert!(simulation.snapshot().vehicles[1].is_some());
-    // The slot is free again.
+    // The slot of an arrived vehicle is free.
     assert!(simulation.step(&add(0, EAST, 10.0)).unwrap().vehicles[0].is_some());
 }
 
@@ -318,7 +321,7 @@ fn a_step_in_the_steady_state_allocates_nothing() {
             simulation.step(&speeds).unwrap();
         }
     };
-    // Buffers grow with the first of all that can happen: respawns, removals, collisions.
+    // The buffers grow on the first respawns, removals and collisions.
     play();
     play();
     let allocated = allocation_counter::measure(&mut play);
@@ -337,7 +340,7 @@ fn a_refusal_leaves_the_connection_usable() {
         }
         other => panic!("{other:?}"),
     }
-    // The other command and the step were carried out.
+    // SUMO carried out the other command and the step.
     assert_eq!(simulation.snapshot().vehicles[0].map(|v| v.speed), Some(1.0));
     let time = simulation.step(&[speed(0, 2.0)]).unwrap().time;
     assert!((time - 0.3).abs() < 1e-9);
@@ -368,11 +371,11 @@ fn requests_that_cannot_be_sent_change_nothing() {
         let error = simulation.step(&[remove(0), bad]).expect_err("nothing that can be sent");
         assert!(matches!(error, Error::Invalid { .. }) && !error.is_fatal(), "{bad:?}: {error}");
     }
-    // Not even where the vehicle is thought to have departed.
+    // A rejected batch does not change the departure position that the client has stored either.
     let moved: Vec<Command> =
         [remove(0)].into_iter().chain(add(0, EAST, 90.0)).chain([speed(0, f64::NAN)]).collect();
     assert!(matches!(simulation.step(&moved), Err(Error::Invalid { .. })));
-    // A slot that holds a vehicle takes no second one.
+    // A slot that holds a vehicle does not accept a second one.
     assert!(matches!(simulation.step(&add(0, NORTH, 5.0)), Err(Error::Invalid { .. })));
     let snapshot = simulation.step(&[speed(0, 1.0)]).unwrap();
     assert!((snapshot.time - 0.2).abs() < 1e-9);
@@ -406,7 +409,7 @@ fn a_killed_sumo_is_a_fatal_error_and_a_restart_begins_anew() {
     let snapshot = simulation.step(&add(0, NORTH, 20.0)).unwrap();
     assert_eq!(snapshot.time, 0.1);
     assert_eq!(snapshot.vehicles[0].unwrap().distance, 20.0);
-    // A restart in mid-flight is sound as well, and ends the old process.
+    // A restart between send and receive works too, and ends the old process.
     let old = simulation.pid();
     simulation.send(&[]).unwrap();
     simulation.renew().unwrap();
@@ -481,7 +484,7 @@ fn the_public_client_batches_gets_and_subscribes() {
     };
     assert_eq!(find(None, ""), Some(&Ok(Value::Double(1.0))));
     assert_eq!(find(Some("c"), "v"), Some(&Ok(Value::Double(0.0))));
-    // Ten steps in one exchange; then a value of each of the kinds that SUMO nests.
+    // Ten steps in one exchange; then one value of each kind that SUMO nests.
     let reply = client.step(&mut batch, 11.0).unwrap();
     assert!(reply.subscriptions.iter().any(|o| o.value == Ok(Value::Double(11.0))));
     let collisions = client
@@ -535,7 +538,7 @@ fn the_public_client_reads_collisions_whose_count_sumo_gets_wrong() {
     assert!(most >= 2, "{most}");
 }
 
-/// A listener that answers the first bytes it gets with `answer`.
+/// Starts a listener that answers the first bytes that it receives with `answer`.
 fn impostor(answer: &'static [u8]) -> (SocketAddr, thread::JoinHandle<()>) {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let address = listener.local_addr().unwrap();
@@ -639,11 +642,12 @@ fn sumo_outlives_the_thread_that_asked_for_it() {
     simulation.step(&[]).unwrap();
 }
 
-/// With this variable set, a test is the victim of its own second run: it starts SUMO and waits to be killed.
-/// The value is the file to leave SUMO's process identifier in.
+/// Environment variable that makes a test act as the victim: the test runs itself a second time
+/// with this variable, and the second run starts SUMO and waits to be killed. The value is the path
+/// of the file to which the victim writes SUMO's process identifier.
 const VICTIM: &str = "IWOL_TEST_VICTIM";
 
-/// Runs the test of this name as a victim, kills it, and expects its SUMO to end.
+/// Runs the test of this name as a victim, kills it, and asserts that its SUMO ends.
 fn kill_owner(test: &str) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("pid");
@@ -662,7 +666,7 @@ fn kill_owner(test: &str) {
         }
         thread::sleep(Duration::from_millis(2));
     };
-    // In the moment of an exec a process has no command line.
+    // During `exec`, a process briefly has no command line.
     while !lives(pid) {
         assert!(begin.elapsed() < Duration::from_secs(20), "SUMO ended by itself");
         thread::sleep(Duration::from_millis(1));
@@ -686,7 +690,8 @@ fn no_sumo_is_left_after_its_owner_is_killed() {
     thread::sleep(Duration::from_secs(60));
 }
 
-/// While it loads, SUMO has no connection whose end it could notice: here it loads for ever.
+/// Tests that a SUMO that is still loading ends with its owner. While SUMO loads, it has no
+/// connection whose end it could notice; the script stands for a SUMO that never finishes loading.
 #[test]
 fn no_sumo_that_loads_is_left_after_its_owner_is_killed() {
     let Some(file) = std::env::var_os(VICTIM) else {

@@ -1,4 +1,4 @@
-//! Sweeps on real SUMO: what is computed does not depend on how often they were cut off, and failures are told.
+//! Tests of sweeps with real SUMO: interruptions do not change results, and failures are reported.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -78,7 +78,7 @@ fn succeeds(command: &mut Command) -> Output {
     output
 }
 
-/// Everything that a sweep found, without times.
+/// Returns all results of a sweep, without times.
 fn findings(out: &Path) -> BTreeMap<String, String> {
     let mut findings = BTreeMap::new();
     for seed in [0, 1] {
@@ -105,7 +105,7 @@ fn findings(out: &Path) -> BTreeMap<String, String> {
     findings
 }
 
-/// Processes that threads of a process have started.
+/// Returns the child processes of a process, over all of its threads.
 fn children(parent: u32) -> Vec<u32> {
     let threads = std::fs::read_dir(format!("/proc/{parent}/task")).expect("it runs");
     let of_thread =
@@ -114,7 +114,7 @@ fn children(parent: u32) -> Vec<u32> {
     all.split_whitespace().map(|pid| pid.parse().expect("a number")).collect()
 }
 
-/// Kills whoever is still there when a test fails.
+/// A child process that is killed on drop, e.g. when a test fails.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -154,7 +154,8 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     );
     let checkpoint = cut.join("tiny/mappo/seed_0/checkpoints/last.safetensors");
     until("a checkpoint", || checkpoint.exists());
-    // SIGKILL: the sweep can do nothing about its child, which must go by itself, and free its folder.
+    // After a SIGKILL the sweep cannot stop its child; the child must end by itself and unlock its
+    // folder.
     first.0.kill().expect("killed");
     first.0.wait().expect("gone");
     let lock = cut.join("tiny/mappo/seed_0/.lock");
@@ -165,7 +166,7 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     let output = succeeds(&mut sweep(&file, &cut, &["--dry-run"]));
     assert!(text(&output.stdout).contains("0 of 2 cells finished"), "{}", text(&output.stdout));
 
-    // Somebody stops the child alone: no failure, and the other cell has its turn.
+    // If only the child is stopped, the cell has not failed, and the other cell runs.
     let metrics = || {
         std::fs::metadata(cut.join("tiny/mappo/seed_0/metrics.jsonl")).map_or(0, |file| file.len())
     };
@@ -191,13 +192,13 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     assert!(text(&output.stderr).contains("1 of 2 cells to do"), "{}", text(&output.stderr));
     assert_eq!(findings(&cut), findings(&undisturbed));
 
-    // All is there: nothing runs again.
+    // Everything is finished, so nothing runs again.
     let output = succeeds(&mut sweep(&file, &cut, &[]));
     assert!(text(&output.stderr).contains("0 of 2 cells to do"), "{}", text(&output.stderr));
     report(&file, &cut, folder.path());
 }
 
-/// The report of a finished sweep has what it should.
+/// Checks the contents of the report of a finished sweep.
 fn report(file: &Path, runs: &Path, folder: &Path) {
     let (out, kept) = (folder.join("report"), folder.join("kept"));
     let make = |runs: &Path, more: &[&Path]| {
@@ -207,7 +208,7 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         ));
         std::fs::read_to_string(out.join("report.md")).expect("written")
     };
-    // The same again from what was kept, which holds no weights.
+    // The report from the kept files, which contain no weights, is the same.
     let first = make(runs, &[Path::new("--keep"), &kept]);
     assert_eq!(make(&kept, &[]), first);
     assert!(!kept.join("tiny/mappo/seed_0/checkpoints").exists());
@@ -217,7 +218,7 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         "2 of 2 runs are finished",
         "| success % at communication range (± t-interval over seeds) | 100.0 | 10.0 |",
         "| published | 50.0 | – |",
-        // One place: all metrics side by side.
+        // With a single place, all metrics are columns of one table.
         "| ± t-interval over seeds | success % | safety % | window reward | loitering % |",
         "| published, plain | 25.0 | – | 300.0 | – |",
         "km per crash",
@@ -279,7 +280,7 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
 fn failures_are_told_and_retried_on_request() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("runs");
-    // The second seed cannot start.
+    // The second seed cannot start, because its initial policy does not exist.
     let broken = FILE.replace("steps = 4096", "steps = 256")
         + "[[rule]]\nwhen = { seed = 1 }\nset = { init_from = \"nowhere\" }\n";
     let file = sweep_file(folder.path(), &broken);
@@ -307,7 +308,7 @@ fn failures_are_told_and_retried_on_request() {
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
     assert!(stderr.contains("another `exploration.correlation`: 0.0, and now 0.5"), "{stderr}");
-    // MAPPO is not told of MAGIC's settings.
+    // MAPPO does not read MAGIC's settings, so changing them is no change of the run.
     sweep_file(
         folder.path(),
         &broken.replace("steps = 256", "steps = 256\nmagic = { lambda_world = 0.5 }"),
@@ -315,7 +316,7 @@ fn failures_are_told_and_retried_on_request() {
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(1));
     assert!(stderr.contains("0 of 2 cells to do"), "{stderr}");
-    // A cell whose settings have changed is not mixed with the old ones.
+    // A cell with other settings than its folder's run is refused.
     sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 512"));
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
@@ -346,7 +347,7 @@ fn shards_divide_the_grid() {
 fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("runs");
-    // The cell that waits comes first in the file.
+    // The waiting cell comes first in the file.
     let rule = "[[rule]]\nwhen = { agents = 5 }\nset = { init_from = { agents = 4 } }\n[[evaluate]]\nname = \"range\"";
     let changes = [
         ("agents = 4\n", ""),
@@ -381,7 +382,7 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
     );
 }
 
-/// Sweeps name settings that there are, and so do configurations.
+/// All sweeps and configurations in `experiments` name existing settings.
 #[test]
 fn the_experiments_that_come_along_load() {
     let mut sweeps = 0;
@@ -397,7 +398,8 @@ fn the_experiments_that_come_along_load() {
             let sweep = Sweep::load(&path, Path::new("runs"))
                 .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert!(!sweep.cells.is_empty(), "{}", path.display());
-            // Each runs from nothing: none needs a policy that only another version can load.
+            // An initial policy must be that of another cell, because a policy from elsewhere may
+            // need another version of the program.
             for cell in &sweep.cells {
                 let init_from = &cell.config.init_from;
                 assert!(
@@ -417,7 +419,8 @@ fn the_experiments_that_come_along_load() {
     assert!(sweeps > 8);
 }
 
-/// On a real Slurm of one machine, from Debian's packages (`scripts/bootstrap --tests` installs them).
+/// Slurm runs every cell, on one machine with Debian's packages (`scripts/bootstrap --tests`
+/// installs them).
 #[test]
 fn slurm_runs_every_cell() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,5 +1,5 @@
-//! Batches and tickets without a simulator: no allocation when warm, no wrong value for a wrong ticket, no panic
-//! whatever the peer sends, no wait beyond the timeout.
+//! Tests of batches and tickets without a simulator: a warm batch allocates nothing, a wrong ticket
+//! gives no value, no message from the peer causes a panic, and no wait exceeds the timeout.
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -17,7 +17,7 @@ use iwol_sumo::sumo::{
 };
 use proptest::{collection::vec, prelude::*};
 
-/// Counts the allocations of each thread.
+/// Allocator that counts the allocations of each thread.
 struct Counting;
 
 thread_local! {
@@ -25,27 +25,27 @@ thread_local! {
 }
 
 fn count() {
-    // Late in the life of a thread there is no counter any more.
+    // When a thread ends, its counter may already be destroyed.
     let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
 }
 
 #[allow(unsafe_code, reason = "an allocator can be counted in no other way")]
-// SAFETY: all work is done by the system's allocator, which gets what this one got.
+// SAFETY: every method passes its arguments unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller upholds the contract of `alloc`.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller upholds the contract of `dealloc`.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: as promised by the caller.
+        // SAFETY: the caller upholds the contract of `realloc`.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -80,7 +80,8 @@ fn a_warm_batch_is_filled_without_allocation() {
     assert_eq!(ALLOCATIONS.get(), before + 1, "the counter counts");
 }
 
-/// A client whose peer answers one message with `answer`, holds the connection so long, and closes it.
+/// Returns a client whose peer answers one message with `answer`, keeps the connection open for
+/// `hold`, and then closes it.
 fn client_of(answer: Vec<u8>, hold: Duration) -> (Client, thread::JoinHandle<()>) {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let stream = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
@@ -98,7 +99,7 @@ fn client_of(answer: Vec<u8>, hold: Duration) -> (Client, thread::JoinHandle<()>
     (Client::new(stream, Duration::from_secs(5)).unwrap(), peer)
 }
 
-/// As SUMO would answer: a message of statuses and answers.
+/// Returns a message of statuses and answers, in the form that SUMO sends.
 fn message(fill: impl FnOnce(&mut Writer)) -> Vec<u8> {
     let mut writer = Writer::default();
     fill(&mut writer);
@@ -182,7 +183,7 @@ fn a_silent_peer_costs_no_more_than_the_timeout() {
         other => panic!("{other:?}"),
     }
     assert!(start.elapsed() < Duration::from_millis(300), "{:?}", start.elapsed());
-    // The connection is not used again.
+    // The client does not use the connection again.
     assert!(matches!(client.vehicle().get_speed("v"), Err(Error::Closed { .. })));
     peer.join().unwrap();
 }
@@ -208,10 +209,10 @@ fn a_client_waits_for_a_listener_as_long_as_it_is_told() {
     late.join().unwrap();
 }
 
-/// Takes one result; `true` if it has a value.
+/// Takes one result; returns `true` if the result has a value.
 type Take = Box<dyn FnOnce(&mut StepReply) -> bool>;
 
-/// Puts calls of many shapes into a batch, and takes all of their results out of the reply.
+/// Puts calls of many forms into a batch and takes all their results from the reply.
 fn ask(client: &mut Client, calls: &[u8]) -> Result<usize, Error> {
     let mut batch = Batch::new();
     let mut takes: Vec<Take> = Vec::new();
@@ -259,13 +260,13 @@ fn ask(client: &mut Client, calls: &[u8]) -> Result<usize, Error> {
     Ok(takes.into_iter().filter_map(|take| take(&mut reply).then_some(())).count())
 }
 
-/// One value, or something that claims to be one.
+/// Generates the bytes of one value, which may be malformed.
 fn value() -> impl Strategy<Value = Vec<u8>> {
     let kind = prop::sample::select(vec![0_u8, 1, 3, 4, 6, 7, 8, 9, 11, 12, 14, 15, 16, 17]);
     let small = 0..4_i32;
     prop_oneof![
         (kind, vec(any::<u8>(), 0..30)).prop_map(|(kind, bytes)| [vec![kind], bytes].concat()),
-        // A compound, or a list, that begins as SUMO's do.
+        // A compound that begins like SUMO's compounds and lists.
         (small.clone(), small, vec(any::<u8>(), 0..60)).prop_map(|(items, count, bytes)| {
             let head =
                 [vec![15], items.to_be_bytes().to_vec(), vec![9], count.to_be_bytes().to_vec()];
@@ -274,9 +275,9 @@ fn value() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// Replies that are well-formed on the outside: the statuses fit the calls, the values do not.
+/// Returns replies whose statuses fit the calls, but whose values do not.
 fn almost(calls: &[u8], values: &[Vec<u8>]) -> Vec<u8> {
-    // Command, variable, and whether a value is answered: as in the list of calls.
+    // Command, variable, and whether SUMO answers with a value, in the order of the calls in `ask`.
     const ANSWERS: [(u8, u8, bool); 22] = [
         (0xa4, 0x40, true),
         (0xc4, 0x40, false),

@@ -1,5 +1,5 @@
-//! Calls that change something, against the real simulator: what is set can be read back, a refused call harms
-//! no other.
+//! Tests of calls that change something, against the real simulator: getters return what setters
+//! set, and a refused call does not affect other calls.
 
 use iwol_sumo::sumo::{
     Batch, Client, Domain, Error,
@@ -22,7 +22,7 @@ use world::World;
 
 const NET: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/sumo_nets/intersection/arm30.net.xml");
 
-/// Sets, and reads back.
+/// Calls setters, and compares what the getters return.
 macro_rules! sets {
     ($client:ident, $domain:ident, $id:literal; $($set:ident($($argument:expr),*), $get:ident, $value:expr;)+) => {
         $(
@@ -32,7 +32,7 @@ macro_rules! sets {
     };
 }
 
-/// Calls that must not be refused.
+/// Calls methods that SUMO must not refuse.
 macro_rules! calls {
     ($client:ident, $domain:ident; $($call:ident($($argument:expr),*);)+) => {
         $($client.$domain().$call($($argument),*).unwrap_or_else(|e| panic!("{}: {e}", stringify!($call)));)+
@@ -96,7 +96,7 @@ fn what_is_set_can_be_read_back() {
     driver_attributes!(vehicle "many.11");
     type_attributes!(vehicle_type "taxi");
     driver_attributes!(vehicle_type "taxi");
-    // The others are refused for persons.
+    // SUMO refuses the other setters for persons.
     type_attributes!(person "walker");
     assert_eq!(refused(client.person().set_tau("walker", 1.0)).0, "person.setTau");
     sets! { client, vehicle_type, "taxi";
@@ -156,7 +156,7 @@ fn what_is_set_can_be_read_back() {
         client.traffic_light().set_link_state("c", 14, 'G'),
         Err(Error::Invalid { .. })
     ));
-    // A program goes there and back as it is.
+    // A program that is set reads back unchanged.
     let mut phases = vec![Phase::new(10.0, "GGGGrrrrrrrrrr"), Phase::new(5.0, "rrrrGGGGrrrrrr")];
     phases[1] = Phase {
         min_dur: 4.0,
@@ -172,7 +172,7 @@ fn what_is_set_can_be_read_back() {
     assert_eq!(client.traffic_light().get_program("c").unwrap(), "mine");
     let logics = client.traffic_light().get_all_program_logics("c").unwrap();
     let back = logics.iter().find(|logic| logic.program_id == "mine").unwrap();
-    // SUMO fills in what a phase leaves open.
+    // SUMO fills in values that a phase leaves open, so only the complete phase is compared.
     assert_eq!((&back.phases[1], &back.parameters), (&mine.phases[1], &mine.parameters));
     client.traffic_light().set_program("c", "0").unwrap();
     assert_eq!(client.traffic_light().get_program("c").unwrap(), "0");
@@ -183,7 +183,7 @@ fn what_is_set_can_be_read_back() {
         set_effort_during("cn", 100.0, 200.0, 23.5);
         set_max_speed("cw", 11.0);
     }
-    // Python's client has these, SUMO 1.15 refuses them.
+    // Python's client has these calls, but SUMO 1.15 refuses them.
     refused(client.edge().set_allowed("sc", &["taxi"]));
     refused(client.edge().set_disallowed("cw", &["bus"]));
     refused(client.lane().set_friction("cn_2", 0.5));
@@ -196,7 +196,7 @@ fn what_is_set_can_be_read_back() {
         (13.5, 23.5)
     );
     assert_eq!(client.lane().get_max_speed("cw_0").unwrap(), 11.0);
-    // Every domain has parameters.
+    // Every domain has generic parameters.
     macro_rules! parameters {
         ($($domain:ident $id:literal),+) => {
             $(
@@ -406,7 +406,8 @@ fn a_refused_command_harms_no_other_of_its_batch() {
         (call.as_str(), id.as_str(), message.as_str()),
         ("vehicle.setSpeed", "nobody", "Vehicle 'nobody' is not known")
     );
-    // Its ticket is taken; without tickets, the check tells of the first refusal.
+    // The refusal was returned with its ticket, so the check passes. If no ticket is taken, the
+    // check returns the first refusal.
     reply.check().unwrap();
     batch.vehicle().set_speed("v", 2.0);
     batch.vehicle().set_speed("stranger", 1.0);
@@ -423,10 +424,10 @@ fn a_refused_command_harms_no_other_of_its_batch() {
     assert_eq!(client.vehicle().get_speed("v").unwrap(), 2.0);
     let (call, id, _) = refused(client.vehicle().get_speed("nobody"));
     assert_eq!((call.as_str(), id.as_str()), ("vehicle.getSpeed", "nobody"));
-    // Calls that were put together by hand are named by their numbers.
+    // Errors of calls without a name give their numbers.
     let (call, ..) = refused(client.call(|batch| batch.get(Domain::VEHICLE, 0xfe, "v")));
     assert_eq!(call, "command 0xa4 for variable 0xfe");
-    // A call of several commands fails as a whole if one of them does.
+    // A call of several commands fails as a whole if one command fails.
     let filter = client.vehicle().add_subscription_filter_lc_maneuver(None);
     assert_eq!(refused(filter).0, "vehicle.addSubscriptionFilterLCManeuver");
     assert_eq!(client.get_version().unwrap().api, 20);
@@ -484,7 +485,8 @@ fn detectors_signals_and_windows() {
     assert_eq!(client.induction_loop().get_time_since_detection("loop").unwrap(), 3.0);
     client.lane_area().override_vehicle_number("area", 12).unwrap();
     assert_eq!(client.lane_area().get_last_step_vehicle_number("area").unwrap(), 12);
-    // The slow train waits for the fast one; then it is the other way round; then none waits.
+    // First the slow train waits for the fast one, then the fast one for the slow one, then
+    // neither.
     let swapped = client.traffic_light().swap_constraints("rb", "slow", "rb", "fast").unwrap();
     assert_eq!(swapped, []);
     let constraints = client.traffic_light().get_constraints("rb", "").unwrap();
@@ -493,7 +495,8 @@ fn detectors_signals_and_windows() {
     client.traffic_light().update_constraints("fast", "").unwrap();
     client.traffic_light().remove_constraints("rb", "fast", "rb", "slow").unwrap();
     assert_eq!(client.traffic_light().get_constraints("rb", "").unwrap(), []);
-    // There is no such place, controller, device or window here: refused for that, not for the bytes.
+    // The net has no such stop, controller or device, and SUMO has no window: SUMO must refuse
+    // these calls for that reason, not because they are malformed.
     let unlimited = INVALID_DOUBLE_VALUE;
     refused(client.vehicle().set_container_stop("bus", "none", 1.0, unlimited));
     refused(client.vehicle().set_charging_station_stop("bus", "none", 1.0, unlimited));

@@ -1,5 +1,5 @@
-//! The TraCI client against SUMO's own: every variable of every object of a small world has the value that
-//! Python's client reads, and no call of Python's is missing.
+//! Compares the TraCI client with SUMO's Python client: every variable of every object of a small
+//! world has the same value, and no call of the Python client is missing.
 
 use std::{collections::BTreeMap, process::Command};
 
@@ -22,7 +22,7 @@ use world::World;
 
 const SECONDS: f64 = 50.0;
 
-/// A call that is in the batch: its name and object, and how its result becomes JSON.
+/// A call in the batch: its name and object, and a function that converts its result to JSON.
 type Read = (String, Box<dyn FnOnce(&mut Replies) -> Json>);
 
 fn read<T: ToJson + 'static>(reads: &mut Vec<Read>, key: String, ticket: Ticket<T>) {
@@ -34,7 +34,7 @@ fn read<T: ToJson + 'static>(reads: &mut Vec<Read>, key: String, ticket: Ticket<
     reads.push((key, Box::new(take)));
 }
 
-/// Puts calls into the batch: those that are for no object, and those for each of the objects.
+/// Puts calls into the batch: calls without an object, and calls for each of the objects.
 macro_rules! reads {
     ($reads:ident, $batch:ident, $module:ident, $domain:literal, $ids:ident;
      { $($alone:ident($($alone_argument:expr),*));* } { $($method:ident$(($($argument:expr),*))?);* }) => {
@@ -258,7 +258,7 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
     reads.into_iter().map(|(key, take)| (key, take(&mut replies))).collect()
 }
 
-/// What Python's client reads in the same world, and the calls that it has.
+/// Returns what the Python client reads in the same world, and the list of its calls.
 fn theirs(world: &World) -> (BTreeMap<String, Json>, Json) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/traci_client/dump.py");
     let output = Command::new("/usr/bin/python3")
@@ -268,19 +268,20 @@ fn theirs(world: &World) -> (BTreeMap<String, Json>, Json) {
     let output = output.unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
-    // Python's client prints while it waits for SUMO.
+    // The Python client prints messages while it waits for SUMO.
     let mut dump: Json = serde_json::from_str(&text[text.find("{\"values\"").unwrap()..]).unwrap();
     let Json::Object(values) = dump["values"].take() else { panic!("no values") };
     (values.into_iter().collect(), dump["methods"].take())
 }
 
-/// Calls that SUMO refuses here for each object or some of them, in both clients, with the same words.
+/// Calls that SUMO refuses in this world for some or all objects, in both clients with the same
+/// message.
 const REFUSED: [&str; 5] = [
-    // Not every lane leads to the one that is asked for.
+    // Not every lane leads to the lane in the argument.
     "lane.get_foes",
-    // For rail signals only.
+    // Only rail signals have constraints.
     "trafficlight.get_constraints",
-    // For NEMA controllers only.
+    // Only NEMA controllers have phase calls.
     "trafficlight.get_nema_phase_calls",
     // A rail signal has no phases.
     "trafficlight.get_served_person_count",
@@ -292,7 +293,7 @@ const REFUSED: [&str; 5] = [
 fn every_variable_is_read_as_pythons_client_reads_it() {
     let world = World::new();
     let (ours, (mut theirs, methods)) = (ours(&world), theirs(&world));
-    // SUMO has no identifiers in this domain, and this crate no such calls.
+    // SUMO has no identifiers in this domain, so this crate does not have these calls.
     for key in ["simulation.get_id_count", "simulation.get_id_list"] {
         let refused = theirs.remove(key).unwrap();
         assert!(refused.as_str().unwrap().starts_with("refused"), "{refused}");
@@ -315,7 +316,7 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
         theirs.len(),
         different.join("\n")
     );
-    // The world is rich enough: 14 domains, and values that are neither empty nor zero.
+    // The world must be rich enough: 14 domains, with many values that are neither empty nor zero.
     let told = |v: &&Json| {
         !matches!(v.to_string().as_str(), "[]" | "\"\"" | "0" | "null" | "\"0000000000000000\"")
     };
@@ -327,7 +328,8 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
     nothing_is_missing(&methods);
 }
 
-/// Where the calls of each domain are defined; those of several domains are in `macros.rs`.
+/// Source files that define the calls of each domain; `macros.rs` defines the calls of several
+/// domains.
 const SOURCES: [(&str, &str); 15] = [
     ("edge", include_str!("../src/sumo/domain/edge.rs")),
     ("gui", include_str!("../src/sumo/domain/gui.rs")),
@@ -354,9 +356,9 @@ const SOURCES: [(&str, &str); 15] = [
 ];
 const SHARED: &str = include_str!("../src/sumo/domain/macros.rs");
 
-/// Calls of Python's client that have no method here, and why.
+/// Calls of the Python client without a method in this crate, and the reasons.
 const ABSENT: [&str; 10] = [
-    // What subscriptions report comes with the reply to the step.
+    // The reply to a step contains the reports of subscriptions.
     "getSubscriptionResults",
     "getAllSubscriptionResults",
     "getContextSubscriptionResults",
@@ -366,9 +368,9 @@ const ABSENT: [&str; 10] = [
     "addLegacy",
     "getCompleteRedYellowGreenDefinition",
     "setCompleteRedYellowGreenDefinition",
-    // `Client::simulation_step`.
+    // This crate has `Client::simulation_step` instead.
     "step",
-    // `Stage::walking`.
+    // This crate has `Stage::walking` instead.
     "walkingStage",
 ];
 
@@ -393,7 +395,8 @@ fn nothing_is_missing(methods: &Json) {
     }
 }
 
-/// The variables that a text of tables makes constants of: those without an argument, and those with one.
+/// Returns the variables for which the tables in a source text define constants: those without and
+/// those with an argument.
 fn constants(source: &str) -> [Vec<(&str, u8)>; 2] {
     let words: Vec<&str> = source.split_whitespace().collect();
     let mut found = [Vec::new(), Vec::new()];
@@ -435,7 +438,7 @@ fn sumo_takes_subscriptions_to_all_constants() {
             "trafficlight" => Domain::TRAFFIC_LIGHT,
             "vehicle" => Domain::VEHICLE,
             "vehicletype" => Domain::VEHICLE_TYPE,
-            // There is none here.
+            // SUMO without a window refuses the calls of `gui`.
             _ => continue,
         };
         let mut batch = Batch::new();
@@ -452,7 +455,7 @@ fn sumo_takes_subscriptions_to_all_constants() {
             }
         }
         let [plain, with] = constants(&text);
-        // For a stop, or for an option.
+        // These variables take a stop or an option instead of an object.
         let takes_stop =
             |number| domain == Domain::SIMULATION && [0x67, 0xef, 0x32].contains(&number);
         for (constant, number) in plain {

@@ -1,5 +1,5 @@
-//! The course of a session with the real simulator: steps, states, what is loaded, kinds of objects without a module,
-//! several clients.
+//! Tests of sessions with the real simulator: steps, loading of states and simulations, kinds of
+//! objects without a module, and several clients.
 
 use std::{
     net::{Ipv4Addr, SocketAddr, TcpListener},
@@ -43,7 +43,7 @@ fn a_step_goes_to_a_time_in_the_future_or_nowhere() {
     }
     client.simulation_step(0.0).unwrap();
     assert_eq!(client.simulation().get_time().unwrap(), 8.0);
-    // An error names the time that was known last.
+    // An error contains the last known simulation time.
     drop(process);
     match client.simulation_step(0.0) {
         Err(Error::Closed { sim_time_s, .. }) => assert_eq!(sim_time_s, Some(8.0)),
@@ -113,7 +113,7 @@ fn states_and_simulations_are_loaded() {
     assert!(client.vehicle().get_id_list().unwrap().contains(&"parker".to_owned()));
 }
 
-/// A SUMO that is killed with its owner.
+/// A SUMO process that is killed when this value is dropped.
 struct Owned(Child);
 
 impl Drop for Owned {
@@ -137,7 +137,7 @@ fn two_clients_take_turns() {
     let other = thread::spawn(move || {
         second.set_order(2).unwrap();
         let Version { api, .. } = second.handshake().unwrap();
-        // The first one's commands are carried out before this one's.
+        // SUMO carries out the first client's commands before those of this client.
         let routes = second.route().get_id_list().unwrap();
         second.simulation_step(0.0).unwrap();
         let time = second.simulation().get_time().unwrap();

@@ -1,4 +1,5 @@
-//! Subscriptions against the real simulator: what they report, how they are restricted, and that SUMO survives them.
+//! Tests of subscriptions against the real simulator: their reports and filters, and that no
+//! subscription crashes SUMO.
 
 use iwol_sumo::sumo::{
     Batch, Client, Domain, Error, Reports, Value, Variable, VariableId,
@@ -30,12 +31,13 @@ fn context_subscriptions_are_reported_and_filtered() {
     let world = World::new();
     let (_process, mut client) = world.start();
     client.simulation_step(50.0).unwrap();
-    // No subscription is there that a filter could restrict.
+    // No subscription exists that a filter could restrict.
     let (call, ..) = refused(client.vehicle().add_subscription_filter_downstream_distance(10.0));
     assert_eq!(call, "vehicle.addSubscriptionFilterDownstreamDistance");
     let variables =
         [vehicle::VAR_SPEED.id(), vehicle::VAR_POSITION.id(), vehicle::VAR_LANE_ID.id()];
-    // Around a lane detector, a junction, a vehicle: objects of the same identifier in different domains.
+    // The junction has context subscriptions to vehicles and persons, the vehicle to other
+    // vehicles.
     client.junction().subscribe_context("c", Domain::VEHICLE, 60.0, &variables).unwrap();
     client
         .junction()
@@ -79,7 +81,7 @@ fn context_subscriptions_are_reported_and_filtered() {
     assert_eq!(parameter, ("key".to_owned(), String::new()));
     assert!(reply.get("many.15", vehicle::VAR_SPEED).is_none());
     assert!(reply.get("nobody", vehicle::VAR_SPEED).is_none());
-    // The same variable, taken for another type.
+    // The same variable, read as another type.
     let wrong = Variable::<String>::new(Domain::VEHICLE, vehicle::VAR_SPEED.number());
     match reply.get("many.13", wrong) {
         Some(Err(error @ Error::Type { .. })) => {
@@ -91,7 +93,7 @@ fn context_subscriptions_are_reported_and_filtered() {
     let all: Vec<_> =
         reply.around(Domain::VEHICLE, "many.13").objects().map(str::to_owned).collect();
     assert!(all.len() > 5, "{all:?}");
-    // Each filter leaves fewer.
+    // Each filter reduces the number of reported vehicles.
     macro_rules! filtered {
         ($($filter:ident($($argument:expr),*)),+) => {{
             let mut batch = client.batch();
@@ -123,7 +125,7 @@ fn context_subscriptions_are_reported_and_filtered() {
         add_subscription_filter_lateral_distance(1.0),
         add_subscription_filter_downstream_distance(30.0)
     );
-    // It ends when told.
+    // Subscriptions end with `unsubscribe` and `unsubscribe_context`.
     client.vehicle().unsubscribe("many.13").unwrap();
     client.vehicle().unsubscribe_context("many.13", Domain::VEHICLE).unwrap();
     let reply = client.simulation_step(0.0).unwrap();
@@ -146,7 +148,7 @@ fn sumo_survives_what_it_would_die_of() {
         (Domain::ROUTE, route::VAR_EDGES.id()),
         (Domain::SIMULATION, simulation::VAR_TIME.id()),
         (Domain::GUI, gui::VAR_ANGLE.id()),
-        // A variable of another domain.
+        // A variable that does not belong to the domain around the vehicle.
         (Domain::PERSON, speed[0]),
     ] {
         assert!(
@@ -164,7 +166,7 @@ fn sumo_survives_what_it_would_die_of() {
     }
     assert!(is_invalid(&client.vehicle().subscribe_with("bus", lane::VAR_PARAMETER, "key")));
     tickets.push(batch.vehicle().subscribe_with("bus", lane::VAR_PARAMETER, "key"));
-    // All that so far needs no exchange, nor does a batch of nothing else.
+    // None of these calls needs an exchange, nor does a batch that consists of them.
     let mut replies = client.run(&mut batch).unwrap();
     assert_eq!(client.bytes().0, sent);
     assert!(is_invalid(&replies.check()));
@@ -173,13 +175,13 @@ fn sumo_survives_what_it_would_die_of() {
         assert!(is_invalid(&replies.take(ticket)));
     }
     replies.check().unwrap();
-    // The others of a batch are carried out.
+    // SUMO carries out the other calls of such a batch.
     let bad = batch.vehicle().subscribe("bus", &many);
     let time = batch.simulation().get_time();
     let mut replies = client.run(&mut batch).unwrap();
     assert!(is_invalid(&replies.take(bad)));
     assert_eq!(replies.take(time).unwrap(), 50.0);
-    // Objects that are not there, or no longer.
+    // Objects that do not exist, or no longer exist.
     let gone = "many.13";
     client.simulation_step(51.0).unwrap();
     client.vehicle().remove(gone, 3).unwrap();
@@ -191,7 +193,7 @@ fn sumo_survives_what_it_would_die_of() {
     refused(client.lane_area().subscribe_context("none", Domain::VEHICLE, 9.0, &speed));
     refused(client.vehicle().unsubscribe_context("nobody", Domain::VEHICLE));
     refused(client.vehicle().subscribe("nobody", &speed));
-    // A refused subscription is answered all the same, in a batch too.
+    // SUMO answers a refused subscription too, also in a batch.
     let nobody = batch.vehicle().subscribe("nobody", &speed);
     let unknown = Variable::<Value>::new(Domain::VEHICLE, 0xfe).id();
     let nothing = batch.vehicle().subscribe("bus", &[speed[0], unknown]);
@@ -246,14 +248,14 @@ fn subscriptions_add_up_until_they_end() {
     client.vehicle().subscribe("bus", &[vehicle::VAR_ANGLE.id()]).unwrap();
     assert_eq!(seen(&mut client), ([false, true, false], 1));
     client.vehicle().unsubscribe("bus").unwrap();
-    // Of several ranges, the last is reported; all end together.
+    // With several ranges, the last is reported; all of them end together.
     let mut batch = client.batch();
     let variables = [vehicle::VAR_SPEED.id()];
     batch.vehicle().subscribe_context("many.13", Domain::VEHICLE, 1.0, &variables);
     batch.vehicle().subscribe_context("many.13", Domain::VEHICLE, 200.0, &variables);
     let speed = batch.vehicle().get_speed("many.13");
     let mut reply = batch.step(0.0).unwrap();
-    // What was first told is of the time before the step.
+    // The first reports describe the time before the step.
     let (before, after) = (&reply.outcomes.first, &reply.reports);
     let of = |reports: &Reports| {
         let around = reports.around(Domain::VEHICLE, "many.13");

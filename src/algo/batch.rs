@@ -7,47 +7,49 @@ use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
-/// A rollout as tensors; the first dimension is the row `t · E + e`.
+/// A rollout as tensors. The first dimension is the row `t · E + e` of step t and environment e.
 pub(super) struct Batch {
-    /// `[(T + 1) · E, N, O]`
+    /// Observations, `[(T + 1) · E, N, O]`.
     pub(super) observation: Tensor,
-    /// `[(T + 1) · E, N, S]`
+    /// Privileged states, `[(T + 1) · E, N, S]`.
     pub(super) state: Tensor,
-    /// `[(T + 1) · E, N, N]`
+    /// Physical masks, `[(T + 1) · E, N, N]`.
     pub(super) comm: Tensor,
-    /// `[T · E, N]`
+    /// 1 where an agent acts, `[T · E, N]`.
     pub(super) active: Tensor,
-    /// 1 − start, `[(T + 1) · E, N]`
+    /// 0 where a trajectory starts and memories are cleared, else 1, `[(T + 1) · E, N]`.
     pub(super) keep: Tensor,
-    /// Memory of the policy, `[(T + 1) · E, N, M]`.
+    /// Memory of the policy before each decision, `[(T + 1) · E, N, M]`.
     pub(super) memory: Tensor,
-    /// Memory of the value, `[(T + 1) · E, N, M]`.
+    /// Memory of the value function before each row, `[(T + 1) · E, N, M]`.
     pub(super) value_memory: Tensor,
-    /// Noise of the policy's G communication graphs side by side, `[(T + 1) · E, N, G · N]`; empty without one.
+    /// Noise of the policy's G communication graphs side by side, `[(T + 1) · E, N, G · N]`; empty
+    /// for policies without a graph.
     pub(super) policy_graph: Tensor,
-    /// Noise of the value's communication graph, `[(T + 1) · E, N, N]`; empty without one.
+    /// Noise of the value function's communication graph, `[(T + 1) · E, N, N]`; empty for value
+    /// functions without a graph.
     pub(super) value_graph: Tensor,
-    /// `[T · E, N, A]`
+    /// Actions as sampled, not clipped, `[T · E, N, A]`.
     pub(super) action: Tensor,
-    /// What pure pursuit of the route would have done, `[T · E, N, A]`; empty where the policy does
-    /// not imitate it.
+    /// Actions of the teacher, pure pursuit of the route, `[T · E, N, A]`; empty where the policy
+    /// does not imitate it.
     pub(super) pursuit: Tensor,
-    /// Weight of imitating it in the policy's loss.
+    /// Weight of imitating `pursuit` in the policy's loss, 0 to 1.
     pub(super) imitation: f64,
-    /// Of each dimension of the action, `[T · E, N, A]`.
+    /// Log-probability of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
-    /// Shift of the means by noise of earlier steps, `[T · E, N, A]`; empty where noise is
-    /// independent from step to step.
+    /// Shift of the means by noise of earlier steps, in units of the scheduled standard deviation,
+    /// `[T · E, N, A]`; empty where noise is independent from step to step.
     pub(super) carried: Tensor,
     /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, A]`.
     pub(super) log_fresh: Tensor,
-    /// Normalised over the active samples, `[T · E, N]`.
+    /// Advantages, normalised over the active samples, `[T · E, N]`.
     pub(super) advantage: Tensor,
-    /// In units of the reward, `[T · E, N]`.
+    /// Returns in units of the reward, `[T · E, N]`.
     pub(super) returns: Tensor,
-    /// The network's outputs before the update, `[T · E, N]`.
+    /// Outputs of the value network (normalised) before the update, `[T · E, N]`.
     pub(super) value: Tensor,
-    /// Share of the returns' variance that the values explained.
+    /// Share of the returns' variance that the values explained before the update.
     pub(super) explained_variance: f64,
 }
 
@@ -94,8 +96,9 @@ impl Batch {
         }
     }
 
-    /// Takes the critic's outputs for all rows, `[(T + 1) · E, N]` normalised, and fills advantages and returns: each agent's own, or
-    /// those of the team, of which all outputs of a row are the value.
+    /// Computes advantages and returns from the critic's outputs for all rows (normalised),
+    /// `[(T + 1) · E, N]`: each agent's own, or those of its team, in which case all outputs of a
+    /// row are equal.
     pub(super) fn estimate(
         &mut self,
         rollout: &Rollout,
@@ -130,12 +133,13 @@ impl Batch {
         self.value = outputs.narrow(0, 0, self.active.size()[0]).copy();
     }
 
-    /// A second handle on the same tensors, for another thread.
+    /// Returns a second handle on the same tensors, for another thread.
     pub(super) fn share(&self) -> Self {
         self.map(Tensor::shallow_clone)
     }
 
-    /// What the value needs to know of `count` environments from number `first` on, of `envs`.
+    /// Returns the batch of `count` environments from number `first` on, as far as the value
+    /// function reads it. `envs` is the number of all environments.
     pub(super) fn of_envs(&self, envs: i64, first: i64, count: i64) -> Self {
         self.map(|tensor| {
             let size = tensor.size();
@@ -173,26 +177,26 @@ impl Batch {
     }
 }
 
-/// Part of a minibatch, on which one copy of the networks works.
+/// A part of a minibatch, on which one copy of the networks works.
 pub(super) struct Shard {
-    /// Sequence length L and number of sequences C: rows come as `[L, C]`.
+    /// Sequence length L. Rows come as `[L, C]` for C sequences.
     pub(super) length: i64,
     /// Rows `t · E + e`, step-major, `[L · C]`.
     rows: Tensor,
     /// Rows of the first steps, `[C]`.
     pub(super) first: Tensor,
-    /// Active samples among the `L · C · N`.
+    /// Indices of the active samples among the `L · C · N`, ascending, `[B]`.
     samples: Tensor,
-    /// Agents N.
+    /// Number of agent slots N.
     agents: i64,
-    /// Share of the minibatch's active samples that are here.
+    /// Share of the minibatch's active samples that belong to this shard.
     pub(super) weight: f64,
-    /// Of what a loss draws at random.
+    /// Source of what the loss draws at random.
     pub(super) seed: Seed,
 }
 
-/// Shuffled minibatches of one epoch that hold about `size` samples each, every one in up to `shards` parts. Parts without
-/// an active sample are left out.
+/// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `shards`
+/// parts; parts without an active sample are left out.
 pub(super) fn minibatches(
     rollout: &Rollout,
     length: usize,
@@ -222,7 +226,7 @@ pub(super) fn minibatches(
             rows: indices(&rows),
             weight: samples.len() as f64,
             samples: indices(&samples),
-            // No two begin with the same chunk.
+            // Every shard begins with another chunk, so that its seed is unique.
             seed: seed.child("shard").index(t as u64).index(e as u64),
         }
     };
@@ -239,30 +243,32 @@ pub(super) fn minibatches(
 }
 
 impl Shard {
-    /// The rows of a tensor, `[L · C, …]`.
+    /// Returns this shard's rows of a tensor, `[L · C, …]`.
     pub(super) fn take(&self, tensor: &Tensor) -> Tensor {
         tensor.index_select(0, &self.rows)
     }
 
-    /// The active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
+    /// Returns the active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
     pub(super) fn active(&self, tensor: &Tensor) -> Tensor {
         self.pick(&self.take(tensor))
     }
 
-    /// About `share` of `x: [B, ..]`, which has a row for each active sample: a random part, as the chunks are shuffled.
+    /// Returns about the share `share` of `x: [B, ..]`, which has a row for each active sample. The
+    /// part is random because the chunks are shuffled.
     pub(super) fn part(&self, x: &Tensor, share: f64) -> Tensor {
         let some = |count: i64| ((count as f64 * share).ceil() as i64).clamp(1, count);
         if self.length == 1 {
             return x.narrow(0, 0, some(x.size()[0]));
         }
-        // Whole chunks, so that every step of one has its turn.
+        // Whole chunks are taken, so that every step of a chunk is equally likely.
         let chunks = self.first.size()[0];
         let chunk = self.samples.floor_divide_scalar(self.agents).remainder(chunks);
         let chosen = chunk.lt(some(chunks)).nonzero().squeeze_dim(-1);
         if chosen.numel() == 0 { x.shallow_clone() } else { x.index_select(0, &chosen) }
     }
 
-    /// The active samples of tensors of the filled places of a packing of this shard's rows, `[P, …]` to `[B, …]`.
+    /// Returns the active samples of tensors that hold the present agents of this shard's rows,
+    /// `[P, …]` to `[B, …]`.
     pub(super) fn unpacked<const K: usize>(
         &self,
         packing: &Packing,
@@ -271,13 +277,15 @@ impl Shard {
         packing.take(tensors, &self.samples)
     }
 
-    /// The active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to `[B, …]`.
+    /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to
+    /// `[B, …]`.
     pub(super) fn pick(&self, tensor: &Tensor) -> Tensor {
         tensor.flatten(0, 1).index_select(0, &self.samples)
     }
 }
 
-/// Logistic noise of this scale for G graphs in each row, `[(T + 1) · E, N, G · N]`; `lasts`: the same at each step.
+/// Draws logistic noise times `scale` for G graphs in each row, `[(T + 1) · E, N, G · N]`. With
+/// `lasts`, the noise of an environment is the same at each step.
 pub(super) fn graph_noise(
     rollout: &Rollout,
     graphs: usize,

@@ -1,8 +1,9 @@
-//! The radio between agents in evaluation: few bits, losses, delay and false messages. In training messages arrive as they were
-//! sent.
+//! The radio between agents in evaluation: quantised, lost, delayed and falsified messages. In
+//! training, messages arrive as they were sent.
 //!
-//! What agents send is their embedding f. Each agent computes the rest (who to listen to, and what it makes of what it hears)
-//! from what arrived at it, its own embedding intact. With several rounds it does so for all rounds, as nobody sends again.
+//! Agents send their embedding f. Each agent computes the rest (its graph and its messages) from
+//! the embeddings that arrived at it, with its own embedding intact. With several rounds it does so
+//! for all rounds, because agents send only once per decision.
 
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor};
@@ -10,19 +11,19 @@ use tch::{Kind, Tensor};
 use super::Observation;
 use super::encoder::{Encoder, encode_rows};
 
-/// What happens to messages.
+/// Disturbances of messages.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Channel {
-    /// Bits per element, 2 to 32: elements are rounded to 2^bits − 1 even steps between ± the message's largest one, which is
-    /// sent along; 32: as they are.
+    /// Bits per element, 2 to 32. Elements are rounded to 2^bits − 1 evenly spaced levels between ±
+    /// the largest magnitude in the message, which is sent along; at 32 they are sent unchanged.
     pub bits: u32,
-    /// Probability that a message does not arrive, for each receiver and step by itself.
+    /// Probability that a message is lost, independent for each receiver and step.
     pub loss: f64,
-    /// Steps after which a message arrives; in the first steps of an episode nothing does.
+    /// Delay of messages in steps. No message arrives in the first `delay` steps of an episode.
     pub delay: u32,
-    /// Probability that a message is replaced by normal noise of the same mean and spread, for each receiver and step by
-    /// itself.
+    /// Probability that a message is replaced by normal noise of the same mean and standard
+    /// deviation, independent for each receiver and step.
     pub falsified: f64,
 }
 
@@ -38,39 +39,44 @@ impl Channel {
         *self == Self::default()
     }
 
-    /// Whether those whom a message reaches all get what was sent.
+    /// Whether messages that arrive are unchanged and in time, so that the channel at most loses
+    /// messages.
     pub(super) fn only_loses(&self) -> bool {
         *self == Self { loss: self.loss, ..Self::default() }
     }
 
-    /// Numbers that an agent remembers for messages of this width.
+    /// Returns how many numbers an agent remembers for messages of this width.
     pub fn memory(&self, width: usize) -> usize {
         if self.delay == 0 { 0 } else { 1 + self.delay as usize * width }
     }
 }
 
-/// Randomness of a channel at one decision of E environments with N agents whose messages have width H.
+/// Randomness of a channel at one decision of E environments with N agents whose messages have
+/// width H.
 #[derive(Debug)]
 pub struct ChannelNoise {
-    /// Uniform in 0..1, `[E, N, N]`: a message is lost where it is below the loss.
+    /// Uniform in 0..1, `[E, N, N]`; a message is lost where the number is below [`Channel::loss`].
     pub lost: Tensor,
-    /// Uniform in 0..1, `[E, N, N]`.
+    /// Uniform in 0..1, `[E, N, N]`; a message is replaced where the number is below
+    /// [`Channel::falsified`].
     pub falsified: Tensor,
-    /// Standard normal, `[E, N, N, H]`; only needed where something is falsified.
+    /// Standard normal, `[E, N, N, H]`; needed only where messages are falsified.
     pub content: Tensor,
 }
 
-/// What arrives.
+/// The embeddings that receivers know after the exchange.
 struct Heard {
-    /// `[E, N, N, H]`; row `i` is what agent `i` knows of everyone, itself included.
+    /// Embeddings, `[E, N, N, H]`; row `i` holds what agent `i` knows of every agent, itself
+    /// included.
     embedding: Tensor,
-    /// Whether it arrived, `[E, N, N]`.
+    /// 1 where the embedding arrived, else 0, `[E, N, N]`.
     arrived: Tensor,
 }
 
-/// One decision where embeddings pass through a channel. Each agent works out by itself what it makes of what it heard: `read`
-/// gets a row of agents for each receiver, `known [E · N, N, H]`, and who arrived there, `[E · N, 1, N]`, and gives what the
-/// receiver makes of it, `[E · N, D]`. Gives that as `[E, N, D]`, embeddings `[E, N, H]`, and the memory of encoder and channel.
+/// Makes one decision in which embeddings pass through a channel. `read` computes each receiver's
+/// message on its own, `[E · N, D]`, from the embeddings known there, `[E · N, N, H]`, and 1 where
+/// an embedding arrived, `[E · N, 1, N]`. Returns the messages `[E, N, D]`, the embeddings
+/// `[E, N, H]`, and the memory of encoder and channel.
 pub(super) fn exchange(
     encoder: &Encoder,
     input: &Observation,
@@ -84,21 +90,23 @@ pub(super) fn exchange(
     let (f, after) = encode_rows(encoder, &input.observation, &memory, &input.keep(), 1);
     let past = input.memory.narrow(2, own, total - own);
     let (Heard { embedding, arrived }, past) = channel.send(&f, &input.keep(), &past, noise);
-    // Those whom a receiver did not hear reach it by no way.
+    // An agent that the receiver did not hear cannot reach it over a third agent either.
     let made = read(&embedding.flatten(0, 1), &arrived.reshape([envs * agents, 1, agents]));
     let made = made.view([envs, agents, -1]);
     let memory = after.map_or(memory, |after| after.view([envs, agents, own]));
     (made, f, Tensor::cat(&[&memory, &past], -1))
 }
 
-/// What is physically possible `[E, N, N]`, once for each receiver, where it `arrived [E · N, 1, N]` there: `[E · N, N, N]`.
+/// Returns the physical mask `[E, N, N]` as each receiver sees it, `[E · N, N, N]`: only edges from
+/// agents whose embedding `arrived [E · N, 1, N]` at the receiver.
 pub(super) fn of_everyone(comm: &Tensor, arrived: &Tensor) -> Tensor {
     let (envs, agents, _) = comm.size3().expect("the physical mask is [E, N, N]");
     let each = comm.unsqueeze(1).expand([-1, agents, -1, -1], false);
     each.reshape([envs * agents, agents, agents]) * arrived
 }
 
-/// Of rows of agents, one for each receiver, `[E · N, N, D]`, the receivers' own, `[E · N, D]`.
+/// Returns the receivers' own entries, `[E · N, D]`, from rows of agents with one row per receiver,
+/// `[E · N, N, D]`.
 pub(super) fn of_receivers(rows: &Tensor) -> Tensor {
     let (count, agents, width) = rows.size3().expect("rows are [E · N, N, D]");
     let own = rows.view([count / agents, agents, agents, width]).diagonal(0, 1, 2);
@@ -106,9 +114,9 @@ pub(super) fn of_receivers(rows: &Tensor) -> Tensor {
 }
 
 impl Channel {
-    /// Sends the embeddings `f [E, N, H]`. `past [E, N, 1 + delay · H]` is how long
-    /// ago the episode began, and what was sent since, forgotten where `keep [E, N]` is 0; gives what arrives, and the past of
-    /// the next decision.
+    /// Sends the embeddings `f [E, N, H]`. Returns what arrives, and the past of the next decision.
+    /// `past [E, N, 1 + delay · H]` holds the steps since the episode began and the embeddings sent
+    /// since; it is cleared where `keep [E, N]` is 0.
     fn send(
         &self,
         f: &Tensor,
@@ -131,13 +139,15 @@ impl Channel {
         let mut embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
         let arrived = self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0);
         if self.loss > 0.0 || self.delay > 0 {
-            // Where cut edges leak, too, there is nothing to leak.
+            // With masks that leak, a lost embedding must not reach the receiver through a cut
+            // edge.
             embedding *= arrived.unsqueeze(-1);
         }
         (Heard { embedding, arrived }, past)
     }
 
-    /// What is not lost, 1 or 0, `[E, N, N]`; one's own never is.
+    /// Returns 1 where a message is not lost, else 0, `[E, N, N]`; an agent's own embedding is
+    /// never lost.
     pub(super) fn arrived(&self, noise: &ChannelNoise) -> Tensor {
         let own = Tensor::eye(noise.lost.size()[1], (Kind::Bool, noise.lost.device()));
         noise.lost.ge(self.loss).logical_or(&own).to_kind(Kind::Float)
@@ -152,7 +162,8 @@ impl Channel {
         (f / &scale * steps).round() / steps * scale
     }
 
-    /// What was sent `delay` decisions ago, where nothing arrives yet (`[E, 1, 1]`), and the past of the next decision.
+    /// Returns the embeddings sent `delay` decisions ago, whether nothing arrives yet
+    /// (`[E, 1, 1]`), and the past of the next decision.
     fn delayed(&self, sent: &Tensor, keep: &Tensor, past: &Tensor) -> (Tensor, Tensor, Tensor) {
         let (envs, agents, width) = sent.size3().expect("messages are [E, N, H]");
         let delay = i64::from(self.delay);
@@ -163,7 +174,7 @@ impl Channel {
         let past = past * keep.unsqueeze(-1);
         let age = past.narrow(2, 0, 1);
         let silent = age.narrow(1, 0, 1).lt(delay as f64);
-        // The oldest first.
+        // The oldest embedding comes first.
         let queue = Tensor::cat(&[&past.narrow(2, 1, delay * width), sent], -1);
         let next = Tensor::cat(&[&(age + 1.0), &queue.narrow(2, width, delay * width)], -1);
         (queue.narrow(2, 0, width).view([envs, agents, width]), silent, next)
@@ -254,7 +265,7 @@ mod tests {
         let channel = Channel { delay: 2, ..Channel::default() };
         let mut past = Tensor::full([1, N, channel.memory(H as usize) as i64], 7.0, CPU);
         for t in 0..6 {
-            // A new episode at the fourth decision.
+            // New episodes start at the first and at the fourth decision.
             let keep = if t == 0 || t == 3 { 0.0 } else { 1.0 };
             let (heard, next) =
                 send(&channel, &embeddings(f64::from(t * 100)), keep, &past, &noise(1.0, 1.0));

@@ -1,30 +1,43 @@
-//! CommFormer: MAT over a communication graph that is learned for all time (Hu et al. 2024, "Learning multi-agent communication
-//! from graph modeling perspective"; charleshsc/CommFormer, `cformer.py`, `transformer_policy.py`, `mat_trainer.py`, with
-//! `--dec_actor`).
+//! CommFormer: MAT over a static communication graph that is learned (Hu et al. 2024, "Learning
+//! multi-agent communication from graph modeling perspective"; charleshsc/CommFormer, `cformer.py`,
+//! `transformer_policy.py`, `mat_trainer.py`, with `--dec_actor`).
 //!
-//! 1. each agent listens to the `sparsity · N` agents (at least one) with the best of its row of scores, which begin at 1; itself may
-//!    be among them, though it always listens to itself (`edges`, `edge_return`)
-//! 2. relations: being linked or not has an embedding, from which each attention makes a vector for queries and one for keys;
-//!    scores are scaled twice (`RelationMultiheadAttention`)
-//! 3. who is not linked has no weight, and what is left is multiplied by the graph, through which the scores get the gradient of
-//!    their row's softmax; agents always listen to themselves
-//! 4. of `graph_every` passes over a rollout, the last trains the scores alone, the others all else (`mat_trainer.py`: bi-level
-//!    optimisation)
-//! 5. encoder blocks with a rectifier, decoder blocks as MAT's; one ratio for each dimension of the action
+//! 1. graph: each agent listens to the `sparsity · N` agents (at least one) with the highest scores
+//!    in its row of the score matrix; all scores are 1 at first; the agent itself may be among the
+//!    chosen agents, although it always listens to itself (`edges`, `edge_return`)
+//! 2. relations: linked and not linked each have an embedding, from which every attention layer
+//!    makes a vector added to queries and one added to keys; scores are scaled twice
+//!    (`RelationMultiheadAttention`)
+//! 3. attention: agents that are not linked have weight 0; the other weights are multiplied by the
+//!    graph, through which the scores get the gradient of their row's softmax; agents always listen
+//!    to themselves
+//! 4. bi-level optimisation: of `graph_every` passes over a rollout, the last trains the scores
+//!    alone and the others train everything else (`mat_trainer.py`)
+//! 5. encoder blocks have a rectifier, decoder blocks are those of MAT; each dimension of the
+//!    action has its own ratio
 //!
-//! It differs on purpose: each world samples a graph for a whole rollout, by the noise that all methods with graphs get (logistic;
-//! the most likely graph while an episode has no noise yet), and an update sees the graph that acted (reference: exact in acting,
-//! new Gumbel noise in every update, so that ratios compare different graphs; `iwol.graph_noise = "resampled"` does likewise); no
-//! ten updates with the complete graph first, as noise tries all links; a link has weight 1, to itself, too (reference: 2 where
-//! that is chosen as well); relations are those of edges above ½ (reference: cut to an integer, which after the warm-up is the
-//! same: (1 − s) + s is 1 for every s of 32 bits from 0 to 1); no dropout, which changes the ratio (`commformer.dropout`); one
-//! action head for all (reference: one for each agent).
-//! Edges beyond the radio range do not exist, and an agent reads the action before its own only from someone it
-//! listens to. For encoder, value, noise and agents who are gone see [`mat`](super::mat). `commformer.lambda_world` adds
-//! IWoL's world decoder.
+//! Differences on purpose:
 //!
-//! The graph is one of N slots: a policy is for as many agents as it was trained with, though some may be gone. Where slots are dealt
-//! anew in each episode, as on the intersection, no link is better than another, so that there is nothing for the graph to learn.
+//! - Each world samples one graph per rollout, with the logistic noise of all methods with graphs,
+//!   and an update sees the graph that acted. Reference: no noise in acting and new Gumbel noise in
+//!   every update, so that ratios compare different graphs; `iwol.graph_noise = "resampled"` also
+//!   draws new noise in every pass.
+//! - There is no warm-up of ten updates with the complete graph, because noise tries all links.
+//! - Every link has weight 1. Reference: an agent's link to itself has weight 2 where it is also
+//!   chosen.
+//! - A pair is linked where its edge is above ½. Reference: edges are cut to integers, which is the
+//!   same after the warm-up, because (1 − s) + s is 1 for every 32-bit number s from 0 to 1.
+//! - There is no dropout by default, because it changes the ratio (`commformer.dropout`).
+//! - One action head serves all agents. Reference: one head for each agent.
+//! - Edges beyond the radio range do not exist, and an agent reads the previous agent's action only
+//!   if it listens to that agent.
+//!
+//! Observation encoder, value, noise and absent agents are as in [`mat`](super::mat).
+//! `commformer.lambda_world` adds IWoL's world decoder.
+//!
+//! The graph links N slots, so that a policy serves only as many agents as it was trained with,
+//! though some may be absent. Where slots are assigned anew in each episode, as on the
+//! intersection, no link is better than another, and the graph has nothing to learn.
 
 use tch::{Kind, Tensor};
 
@@ -40,7 +53,7 @@ use crate::env::EnvSpec;
 use crate::nn::graph::{edge_rate, sample_best, with_self_loops};
 use crate::nn::{AdamConfig, Decoder, Dropout, Init, Reach, RelationBlock, ValueNorm};
 
-/// The scores of the graph.
+/// The group of the graph's scores.
 const GRAPH: Set = Set {
     name: "graph",
     gradient: "the graph's gradient",
@@ -48,13 +61,13 @@ const GRAPH: Set = Set {
     adam: AdamConfig::TORCH,
 };
 
-/// Communication transformer.
+/// The networks of CommFormer (communication transformer).
 pub(super) struct CommFormer {
     /// Scores of the links, `[N, N]`, row = listener.
     edges: Tensor,
-    /// Agents that each agent listens to.
+    /// Number of agents that each agent listens to.
     links: i64,
-    /// Embeddings of both relations, `[2, H]`.
+    /// Embeddings of the two relations (not linked, linked), `[2, H]`.
     relations: Tensor,
     input: Input,
     blocks: Vec<RelationBlock>,
@@ -63,12 +76,12 @@ pub(super) struct CommFormer {
     world: Option<WorldDecoder>,
 }
 
-/// What comes of a scene.
+/// Result of the encoder for a scene.
 struct Represented {
-    /// `[rows, N, H]`
+    /// Representations of the agents, `[rows, N, H]`.
     representation: Tensor,
     order: Order,
-    /// Who listens to whom, `[rows, N, N]`.
+    /// Communication graph, `[rows, N, N]`, row = listener.
     graph: Tensor,
     memory: Option<Tensor>,
 }
@@ -78,7 +91,7 @@ impl CommFormer {
         self.represent_with(scene, None)
     }
 
-    /// With what an update drops.
+    /// Encodes a scene, with dropout if there is any (in updates only).
     fn represent_with(&self, scene: &Scene, dropout: Option<&Dropout>) -> Represented {
         let (x, memory) = self.input.forward(scene);
         let scores = self.edges.unsqueeze(0);
@@ -95,7 +108,8 @@ impl CommFormer {
         Represented { representation, order, graph, memory }
     }
 
-    /// Loss of the world decoder on representations `[rows, N, H]`, if there is one.
+    /// Returns the loss of the world decoder on representations `[rows, N, H]`, if there is a
+    /// decoder.
     fn world_loss(&self, batch: &Batch, shard: &Shard, representation: &Tensor) -> Option<Tensor> {
         self.world.as_ref().map(|world| world.loss(batch, shard, &shard.pick(representation)))
     }
@@ -183,7 +197,8 @@ impl Networks for CommFormer {
     }
 
     fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        // The policy's own memory is known before each row.
+        // The rollout holds the policy's memory before each row, so that every row is a sequence of
+        // its own.
         let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
         let value = |scene: &Scene, state: &Tensor| {
             self.value.forward(&self.represent(scene).representation, state)

@@ -1,9 +1,11 @@
-//! What all actor-critic learners here share: parameters with their optimisers, value normalisation, averaged weights, and
-//! the passes over a rollout, on as many threads as minibatches have shards.
+//! The parts that all on-policy actor-critic learners share: parameters with their optimisers,
+//! value normalisation, averaged weights, and the passes over a rollout, on as many threads as
+//! minibatches have shards.
 //!
-//! Every shard has a copy of the networks. The copies share their weights and have gradients of their own, which are added
-//! up before a step: both cores are busy in forward and backward alike, without a thread pool inside libtorch, and the
-//! result depends on the number of shards alone, not on the machine.
+//! Every shard has a copy of the networks. The copies share their weights and have gradients of
+//! their own, which are added up before a step. All cores are busy in forward and backward passes
+//! without a thread pool inside libtorch, and the result depends on the number of shards alone, not
+//! on the machine.
 
 use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
@@ -21,57 +23,60 @@ use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// Name of the diagnostic: share of the physically possible edges of the learned graph that are
+/// Name of a diagnostic: the share of the physically possible edges of the learned graph that are
 /// open.
 pub(super) const EDGE_RATE: &str = "graph/edge_rate";
 
-/// The networks of one algorithm: how they decide, what they value, and what they lose on a shard.
+/// The networks of one algorithm: their actions, their values, and their loss on a shard.
 pub(super) trait Networks: Sized + Send {
-    /// Name, as on the command line.
+    /// Name of the algorithm, as on the command line.
     const NAME: &'static str;
-    /// Whose observations can change an agent's action.
+    /// The agents whose observations can change an agent's action.
     const HEARS: Hears = Hears::Nobody;
-    /// Whether agents send messages, each of which its receiver reads by itself, so that a channel can disturb them.
+    /// Whether agents send messages that each receiver reads by itself, so that a channel can
+    /// disturb them.
     const MESSAGES: bool = false;
-    /// What its latent is trained to tell, by default.
+    /// What the latent is trained to predict by default; see
+    /// [`Capabilities::latent`](super::Capabilities::latent).
     const LATENT: &'static [&'static str] = &[];
-    /// Groups of settings that it is told of, beside those of all methods.
+    /// Groups of settings that the networks read, besides those common to all methods.
     const SETTINGS: &'static [&'static str] = &[];
-    /// Communication graphs that the policy samples at each decision.
+    /// Number of communication graphs that the policy samples at each decision.
     const GRAPHS: usize = 0;
-    /// Whether a world keeps its graph's noise for a whole rollout, as the graph is the same at each decision (but for those without
-    /// noise, while that has not begun in an episode).
+    /// Whether a world keeps the noise of its graph for a whole rollout, so that the graph is the
+    /// same at each decision.
     const GRAPH_LASTS: bool = false;
-    /// Whether the value samples one.
+    /// Whether the value function samples a communication graph.
     const VALUE_SAMPLES_GRAPH: bool = false;
-    /// Parts of the actor that a deployed policy does not need.
+    /// Name prefixes of the actor's parameters that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
     /// Whether agents share the value and the return of their team.
     const TEAM: bool = false;
-    /// A parameter with a row for each agent, as `<set>/<name>`, where there is one.
+    /// A parameter with a row for each agent, as `<group>/<name>`, where there is one.
     const PER_AGENT: Option<&'static str> = None;
 
     /// Creates the networks and their parameters.
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self;
 
-    /// How fast a set of parameters learns in the pass over the rollout of this number; `None` where it rests.
+    /// Returns the learning rate of a parameter group in pass `epoch` over the rollout; `None`
+    /// where that pass does not train the group.
     fn rate(_set: Set, _epoch: usize, learning_rate: f64, _settings: &Settings) -> Option<f64> {
         Some(learning_rate)
     }
 
-    /// The policy's head.
+    /// Returns the policy's head.
     fn head(&self) -> &GaussianHead;
 
-    /// Memory of the policy per agent, M.
+    /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> i64;
 
-    /// Whether that memory is learned through time, in sequences.
+    /// Whether the memory is trained through time, on sequences.
     fn is_recurrent(&self) -> bool {
         self.memory() > 0
     }
 
-    /// Memory of the value per agent, where it has one of its own.
+    /// Returns the width of the value function's memory per agent; 0 where it has none of its own.
     fn value_memory(&self) -> i64 {
         0
     }
@@ -79,13 +84,14 @@ pub(super) trait Networks: Sized + Send {
     /// Chooses actions.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
 
-    /// Width of what agents send at run time; 0 for methods without messages.
+    /// Returns the width of the messages that agents send at run time; 0 for methods without
+    /// messages.
     fn message_width(&self) -> i64 {
         0
     }
 
-    /// Deterministic actions where what agents send passes through a channel. Those who send nothing let its part of the
-    /// memory, which follows their own, pass by.
+    /// Chooses deterministic actions where messages pass through a channel. Methods without
+    /// messages leave the channel's part of the memory, which follows their own, unchanged.
     fn act_through(
         &self,
         input: &Observation,
@@ -102,38 +108,42 @@ pub(super) trait Networks: Sized + Send {
         Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
     }
 
-    /// Values (normalised) at one decision, `[E, N]`; `None` where the value has a memory.
+    /// Returns the values (normalised) at one decision, `[E, N]`; `None` where the value function
+    /// has a memory.
     fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor>;
 
-    /// Who listens to whom at run time, `[E, N, N]`; `None` for methods without messages.
+    /// Returns the communication graph at run time, `[E, N, N]`, row = listener; `None` for methods
+    /// without messages.
     fn graph(&self, _input: &Observation) -> Option<Tensor> {
         None
     }
 
-    /// Values (normalised) of all rows of sequences of `length` steps, `[rows, N]`, and the memory after each step,
-    /// `[length, C · N, M]`, if there is one; `memory` is that before the first, `[C · N, M]`.
+    /// Returns the values (normalised) of all rows of C sequences of `length` steps, `[rows, N]`,
+    /// and the memory after each step, `[length, C · N, M]`, if there is one. `memory` is the
+    /// memory before the first step, `[C · N, M]`.
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>);
 
-    /// What is lost on the active samples of a shard.
+    /// Returns the loss on the active samples of a shard.
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss;
 
-    /// What the latent says about the world and about the messages, beside the truth; nothing for methods without one.
+    /// Returns the decoders' predictions of the privileged state and of the messages from the
+    /// latent, with their targets; empty for methods without a latent.
     fn reconstruct(&self, _input: &Observation, _state: &Tensor) -> Vec<Reconstruction> {
         Vec::new()
     }
 }
 
-/// A loss, means over samples.
+/// A loss and its diagnostics, all means over samples.
 pub(super) struct Loss {
-    /// What is differentiated.
+    /// The loss that is differentiated.
     pub(super) total: Tensor,
     /// Named scalars to report.
     pub(super) report: Vec<(&'static str, Tensor)>,
 }
 
-/// An algorithm made of networks that are trained by proximal policy optimisation.
+/// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
-    /// One copy per shard.
+    /// One copy of the networks per shard.
     copies: Vec<N>,
     pool: Option<rayon::ThreadPool>,
     settings: Settings,
@@ -145,7 +155,7 @@ pub(super) struct ActorCritic<N> {
 }
 
 impl<N: Networks> ActorCritic<N> {
-    /// A learner with weights drawn from `seed`.
+    /// Creates a learner with initial weights drawn from `seed`.
     pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
         let build = || {
             let mut places = Places::new(seed, device);
@@ -155,7 +165,7 @@ impl<N: Networks> ActorCritic<N> {
         let (networks, places) = build();
         let mut weights = Weights::new(places, settings.ppo.average > 0.0);
         let mut copies = vec![networks];
-        // One device does one thing at a time.
+        // A GPU works on one shard at a time, so that a second one would bring nothing.
         let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
         for _ in 1..shards {
             let (networks, places) = build();
@@ -165,7 +175,7 @@ impl<N: Networks> ActorCritic<N> {
         let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(shards)
             .thread_name(|k| format!("shard{k}"));
-        // Libtorch counts its threads per thread.
+        // Libtorch keeps its number of threads for each calling thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
         Self {
             copies,
@@ -178,7 +188,8 @@ impl<N: Networks> ActorCritic<N> {
         }
     }
 
-    /// Applies `work` to each item with a copy of the networks of its own, in parallel; results in order.
+    /// Applies `work` in parallel to each item, each with its own copy of the networks. Returns the
+    /// results in order.
     fn parallel<T: Send, R: Send>(
         &mut self,
         items: Vec<T>,
@@ -196,7 +207,8 @@ impl<N: Networks> ActorCritic<N> {
         }
     }
 
-    /// Values (normalised) of all rows, `[(T + 1) · E, N]`; fills in the value's memory before each.
+    /// Returns the values (normalised) of all rows, `[(T + 1) · E, N]`, and writes the value
+    /// function's memory before each row into `batch`.
     fn values(&mut self, batch: &mut Batch, rollout: &Rollout) -> Tensor {
         let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
         let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].value_memory());
@@ -242,14 +254,15 @@ impl<N: Networks> ActorCritic<N> {
         joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
     }
 
-    /// One gradient step on a minibatch; gives what to report. `rate` as [`Networks::rate`].
+    /// Makes one gradient step on a minibatch and returns the diagnostics. `rate` is
+    /// [`Networks::rate`] of this pass.
     fn step(
         &mut self,
         batch: &Batch,
         shards: Vec<Shard>,
         rate: impl Fn(Set) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
-        // The reference updates the normalisation in every evaluation of the loss.
+        // The reference updates the normalisation in every evaluation of the value loss.
         let returns: Vec<Tensor> =
             shards.iter().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));
@@ -341,7 +354,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         batch.imitation = pace.imitation;
-        // The noise of sampled graphs follows the schedule, in the policy and in the value alike.
+        // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
+        // and in the value function.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { pace.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
@@ -381,7 +395,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             passes += 1;
             let moved = pass.mean(APPROX_KL);
             means.merge(pass);
-            // Who imitates is to move.
+            // Early stopping is off while the imitation loss is active: its updates exceed
+            // `target_kl` by design.
             if ppo.target_kl > 0.0 && moved > ppo.target_kl && pace.imitation == 0.0 {
                 break;
             }
@@ -434,7 +449,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 }
 
-/// One decision without gradients, on the device where the networks are.
+/// Makes one decision without gradients, on the device that holds the networks.
 pub(super) fn act_on(
     device: Device,
     input: &Observation,
@@ -478,7 +493,7 @@ impl Means {
         self.count += 1.0;
     }
 
-    /// Takes in those of other steps, of the same diagnostics.
+    /// Adds the sums of other gradient steps, which have the same diagnostics.
     fn merge(&mut self, other: Self) {
         if self.sums.is_empty() {
             *self = other;
@@ -490,13 +505,16 @@ impl Means {
         self.count += other.count;
     }
 
-    /// The mean of one of them so far; 0 where there is none.
+    /// Returns the mean of one diagnostic so far; 0 where there is none of this name.
     fn mean(&self, name: &str) -> f64 {
         let sum = self.sums.iter().find(|(found, _)| *found == name).map_or(0.0, |(_, sum)| *sum);
         sum / self.count.max(1.0)
     }
 
-    /// The means; an error when one is not finite.
+    /// Returns the means and the `extra` diagnostics.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] when a diagnostic is not finite.
     pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
         let mut losses: Losses =
             self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
@@ -508,7 +526,7 @@ impl Means {
     }
 }
 
-/// The scalar of a tensor.
+/// Returns the value of a tensor with one element.
 pub(super) fn scalar(tensor: &Tensor) -> f64 {
     tensor.double_value(&[])
 }

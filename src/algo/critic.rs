@@ -1,4 +1,5 @@
-//! Value functions of an agent's features: its own observation, and, where a method's value is told it, the privileged state.
+//! Value functions that read an agent's own observation and, for most methods, the privileged
+//! state.
 
 use tch::Tensor;
 
@@ -9,7 +10,7 @@ use super::settings::Network;
 use crate::env::{EnvSpec, Features};
 use crate::nn::{Init, Linear, Path};
 
-/// An encoder and a linear layer.
+/// A value function: an encoder and a linear layer.
 #[derive(Debug)]
 pub(super) struct Critic {
     encoder: Encoder,
@@ -24,20 +25,20 @@ impl Critic {
         }
     }
 
-    /// Memory per agent.
+    /// Returns the width of the memory per agent.
     pub(super) fn memory(&self) -> i64 {
         self.encoder.memory()
     }
 
-    /// Values (normalised) of `features: [E, N, ..]` at one decision, `[E, N]`; only without memory, as that of the value is not
-    /// kept outside training.
+    /// Returns the values (normalised) of `features: [E, N, ..]` at one decision, `[E, N]`; `None`
+    /// where the critic has a memory, because that memory is not kept outside training.
     pub(super) fn value(&self, features: &Tensor, input: &Observation) -> Option<Tensor> {
         let nothing = input.memory.narrow(2, 0, 0);
         (self.encoder.memory() == 0).then(|| self.values(features, &input.keep(), 1, &nothing).0)
     }
 
-    /// Values (normalised) of sequences of `length` steps, `features: [rows, N, ..]` to `[rows, N]`, and the memory after each
-    /// step.
+    /// Returns the values (normalised) of sequences of `length` steps, `features: [rows, N, ..]` to
+    /// `[rows, N]`, and the memory after each step.
     pub(super) fn values(
         &self,
         features: &Tensor,
@@ -50,8 +51,9 @@ impl Critic {
     }
 }
 
-/// V(o, s) of each agent's own observation and its own view of the privileged state, own first, so that agents with individual
-/// rewards get individual values from one network.
+/// V(o, s) of each agent's own observation and its own view of the privileged state. Both views
+/// begin with the agent itself, so that one network gives agents with individual rewards individual
+/// values.
 #[derive(Debug)]
 pub(super) struct PrivilegedCritic(Critic);
 
@@ -60,17 +62,17 @@ impl PrivilegedCritic {
         Self(Critic::new(path, &spec.observation.join(&spec.state), network))
     }
 
-    /// Memory per agent.
+    /// Returns the width of the memory per agent.
     pub(super) fn memory(&self) -> i64 {
         self.0.memory()
     }
 
-    /// As [`Critic::value`].
+    /// Returns the values at one decision, as [`Critic::value`] does.
     pub(super) fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
         self.0.value(&Tensor::cat(&[&input.observation, state], -1), input)
     }
 
-    /// As [`Critic::values`], of all rows of a batch.
+    /// Returns the values of all rows of a batch, as [`Critic::values`] does.
     pub(super) fn values(
         &self,
         batch: &Batch,
@@ -85,7 +87,7 @@ impl PrivilegedCritic {
         )
     }
 
-    /// Values (normalised) of a shard's active samples, `[B]`.
+    /// Returns the values (normalised) of a shard's active samples, `[B]`.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
         let privileged = [&batch.observation, &batch.state];
         let f =

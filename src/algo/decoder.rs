@@ -1,4 +1,4 @@
-//! Decoders: what a latent must predict, so that it comes to hold it.
+//! Decoders that predict a target from a latent, so that the latent comes to contain it.
 
 use tch::{Kind, Tensor};
 
@@ -8,7 +8,7 @@ use super::{Observation, Reconstruction};
 use crate::env::EnvSpec;
 use crate::nn::{Init, Linear, Path};
 
-/// A three-layer decoder, optionally ending in tanh.
+/// A decoder of three layers, optionally with a tanh at its end.
 pub(super) struct Decoder {
     layers: [Linear; 3],
     tanh: bool,
@@ -36,40 +36,42 @@ impl Decoder {
         if self.tanh { output.tanh() } else { output }
     }
 
-    /// Mean squared error against `target`, over samples and dimensions.
+    /// Returns the mean squared error against `target`, over samples and dimensions.
     pub(super) fn loss(&self, x: &Tensor, target: &Tensor) -> Tensor {
         (self.forward(x) - target).square().mean(Kind::Float)
     }
 }
 
-/// Predicts the privileged state (or what `iwol.world_target` says) from a latent.
+/// A decoder that predicts the privileged state, or what `iwol.world_target` sets, from a latent.
 pub(super) struct WorldDecoder {
     decoder: Decoder,
     target: WorldTarget,
-    /// Share of the samples from which it learns.
+    /// Share of the samples from which the decoder learns.
     share: f64,
 }
 
 impl WorldDecoder {
-    /// A decoder of latents of width `inputs`.
+    /// Creates a decoder of latents of width `inputs`.
     pub(super) fn new(path: Path<'_>, spec: &EnvSpec, settings: &Settings, inputs: i64) -> Self {
         let target = settings.iwol.world_target;
         let decoder = Decoder::new(path, inputs, settings.network.hidden, target.width(spec), true);
         Self { decoder, target, share: settings.iwol.decoded }
     }
 
-    /// Mean squared error on a part of a shard's active samples, whose latents are `x: [B, D]`.
+    /// Returns the mean squared error on a part of a shard's active samples, whose latents are
+    /// `x: [B, D]`.
     pub(super) fn loss(&self, batch: &Batch, shard: &Shard, x: &Tensor) -> Tensor {
         let truth = shard.active(self.target.of(&batch.observation, &batch.state));
         self.decoder.loss(&shard.part(x, self.share), &shard.part(&truth, self.share))
     }
 
-    /// Mean squared error on samples, latents `[B, D]`, whose observations and states are these.
+    /// Returns the mean squared error on samples with latents `x: [B, D]` and these observations
+    /// and states.
     pub(super) fn error(&self, x: &Tensor, observation: &Tensor, state: &Tensor) -> Tensor {
         self.decoder.loss(x, self.target.of(observation, state))
     }
 
-    /// What latents `[E, N, D]` say, beside the truth.
+    /// Returns the predictions from latents `x: [E, N, D]`, with their targets.
     pub(super) fn reconstruct(
         &self,
         x: &Tensor,

@@ -1,20 +1,20 @@
-//! Where networks are computed.
+//! The device that computes the networks.
 
 use serde::{Deserialize, Serialize};
 use tch::{Cuda, Device};
 
-/// Where networks are computed.
+/// The device that computes the networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum ComputeDevice {
-    /// The processor.
+    /// The CPU.
     Cpu,
-    /// A graphics processor, by its number.
+    /// A CUDA GPU, by its number.
     Cuda(usize),
 }
 
 impl ComputeDevice {
-    /// The device, if this libtorch has it.
+    /// Returns the device, if this build of libtorch sees it.
     ///
     /// # Errors
     /// [`NoDevice`].
@@ -57,7 +57,7 @@ impl From<ComputeDevice> for String {
     }
 }
 
-/// The device that was asked for is not there.
+/// The requested device does not exist.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "there is no device cuda:{number}: libtorch sees {present}; `scripts/bootstrap --gpu` installs a libtorch with CUDA, and \

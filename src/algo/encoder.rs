@@ -1,4 +1,4 @@
-//! The observation encoder that every method shares: features in, embedding f out.
+//! The observation encoder that every method shares: features to embedding f.
 
 use tch::Tensor;
 
@@ -8,7 +8,7 @@ use super::settings::{EncoderKind, Network};
 use crate::env::Features;
 use crate::nn::{Entity, Gru, LayerNorm, Mlp, Path, TokenGroup};
 
-/// From a feature vector to an embedding of width H.
+/// An encoder from a feature vector to an embedding of width H.
 #[derive(Debug)]
 pub struct Encoder {
     kind: Kind,
@@ -23,7 +23,7 @@ enum Kind {
 }
 
 impl Encoder {
-    /// An encoder of these features.
+    /// Creates an encoder of these features.
     pub fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
         let (inputs, hidden) = (features.len() as i64, network.hidden);
         let kind = match network.encoder {
@@ -58,13 +58,14 @@ impl Encoder {
         Self { kind, hidden }
     }
 
-    /// Width of the memory per agent; 0 without one.
+    /// Returns the width of the memory per agent; 0 for an encoder without memory.
     pub fn memory(&self) -> i64 {
         if matches!(self.kind, Kind::Gru { .. }) { self.hidden } else { 0 }
     }
 
-    /// Embeds sequences: `x [L, R, O]`, `memory [R, M]` before the first step, `keep [L, R, 1]` (0 clears the memory
-    /// before a step). Gives `f [L, R, H]` and the memory after each step, `[L, R, M]`, if there is one.
+    /// Embeds sequences `x [L, R, O]`, with `memory [R, M]` before the first step and
+    /// `keep [L, R, 1]` (0 clears the memory before a step). Returns embeddings `f [L, R, H]` and
+    /// the memory after each step, `[L, R, M]`, if there is one.
     pub fn forward(&self, x: &Tensor, memory: &Tensor, keep: &Tensor) -> (Tensor, Option<Tensor>) {
         match &self.kind {
             Kind::Mlp(mlp) => (mlp.forward(x), None),
@@ -81,8 +82,9 @@ impl Encoder {
     }
 }
 
-/// Embeddings of rows of all N agents, features `[L · C, N, O]` to `[L · C, N, H]`, from the `memory` before the first of L steps
-/// (`C · N · M` numbers), with `keep: [L · C, N]`; and the memory after each step, `[L, C · N, M]`, if there is one.
+/// Embeds rows of all N agents, features `[L · C, N, O]` to `[L · C, N, H]`. `memory` (`C · N · M`
+/// numbers) is that before the first of L steps, and `keep` is `[L · C, N]`. Also returns the
+/// memory after each step, `[L, C · N, M]`, if there is one.
 pub(super) fn encode_rows(
     encoder: &Encoder,
     features: &Tensor,
@@ -98,8 +100,8 @@ pub(super) fn encode_rows(
     (f.view([rows, agents, -1]), after)
 }
 
-/// Embeddings of a shard's active samples, `[B, H]`, of one or more features side by side, by an encoder with the given
-/// memory before each row.
+/// Embeds a shard's active samples, `[B, H]`, from one or more feature tensors side by side.
+/// `memory` is the encoder's memory before each row of the batch.
 pub(super) fn encode_active(
     encoder: &Encoder,
     shard: &Shard,
@@ -112,7 +114,8 @@ pub(super) fn encode_active(
     encode_shard(encoder, shard, &x, memory, keep)
 }
 
-/// As [`encode_active`], of features that are of the shard's rows only, `[L · C, N, O]`; memory and `keep` are for all rows.
+/// Embeds a shard's active samples, as [`encode_active`], from features of the shard's rows only,
+/// `[L · C, N, O]`. `memory` and `keep` hold all rows of the batch.
 pub(super) fn encode_shard(
     encoder: &Encoder,
     shard: &Shard,
@@ -121,14 +124,15 @@ pub(super) fn encode_shard(
     keep: &Tensor,
 ) -> Tensor {
     if encoder.memory() == 0 {
-        // Without memory, inactive samples need not be computed at all.
+        // Without memory, inactive samples do not influence the others and are left out.
         return encoder.forward(&shard.pick(x).unsqueeze(0), memory, keep).0.squeeze_dim(0);
     }
     let first = memory.index_select(0, &shard.first);
     shard.pick(&encode_rows(encoder, x, &first, &shard.take(keep), shard.length).0)
 }
 
-/// One decision of an encoder on local observations: embeddings `[E, N, H]` and the memory after it, `[E, N, M]`.
+/// Embeds the local observations of one decision, `[E, N, H]`. Also returns the memory after the
+/// decision, `[E, N, M]`.
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
     let memory =

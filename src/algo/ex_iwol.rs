@@ -1,8 +1,10 @@
-//! Ex-IWoL: agents exchange messages at run time. The message m is the latent z: policy and value both read [m; f], and the
-//! world decoder shapes m (paper: eq. for L_Ex; DongsuLeeTech/IWoL, `ExIWoL_net.py`, `ExIWoL.py`).
+//! Ex-IWoL: agents exchange messages at run time. The message m is the latent z: policy and value
+//! function both read [m; f], and the world decoder shapes m (paper: eq. for L_Ex;
+//! DongsuLeeTech/IWoL, `ExIWoL_net.py`, `ExIWoL.py`).
 //!
-//! Policy and value have a message path each. The graph of the policy is sampled once per decision; its noise is kept with
-//! the rollout, so that the update sees the graph that acted. Deployed policies take the most likely graph.
+//! Policy and value function each have their own message path. The policy's graph is sampled once
+//! per decision, and its noise is stored with the rollout, so that the update sees the graph that
+//! acted. A deployed policy uses the most likely graph.
 
 use tch::{Kind, Tensor};
 
@@ -20,18 +22,19 @@ use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 use crate::nn::graph::edge_rate;
 
-/// Explicit IWoL.
+/// The networks of explicit IWoL.
 pub(super) struct ExIwol {
     trunk: MessageTrunk,
     head: GaussianHead,
     world: WorldDecoder,
-    /// Whether that learns.
+    /// Whether the world decoder is trained.
     told: bool,
     critic: MessageCritic,
 }
 
 impl ExIwol {
-    /// The message path at one decision.
+    /// Computes the messages of one decision. `graph` is the noise of the graph; without it, the
+    /// graph is the most likely one.
     fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
         self.trunk.forward(&Scene::of(input, graph))
     }

@@ -8,24 +8,26 @@ use super::{ActMode, ppo};
 use crate::env::ActionDimension;
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
-/// How far the policy is from the one that acted: a mean of (ρ - 1) - ln ρ.
+/// Name of a diagnostic: the distance of the policy from the policy that acted, as the mean of
+/// `(ρ - 1) - ln ρ`.
 pub(super) const APPROX_KL: &str = "ppo/approx_kl";
 
-/// Mean and standard deviation of the actions.
+/// A policy head that gives mean and standard deviation of the actions.
 #[derive(Debug)]
 pub(super) struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
-    /// Added to the scheduled logarithm of the standard deviation in each dimension, `[A]`.
+    /// Offset of each dimension's logarithm of the standard deviation from the scheduled one,
+    /// `[A]`.
     relative: Tensor,
     mode: NoiseMode,
-    /// Whether means are within -1 to 1.
+    /// Whether a tanh bounds the means to -1 to 1.
     bounded: bool,
 }
 
 impl GaussianHead {
-    /// A head for actions of these dimensions, which say where their means begin and how much
-    /// noise they have beside the scheduled one.
+    /// Creates a head for actions of these dimensions, each of which sets its initial mean and its
+    /// factor on the scheduled noise.
     pub(super) fn new(
         mut path: Path<'_>,
         inputs: i64,
@@ -50,19 +52,19 @@ impl GaussianHead {
         no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative + log_std)));
     }
 
-    /// With the tanh of its means.
+    /// Returns the head with a tanh on its means.
     pub(super) fn bounded(self) -> Self {
         Self { bounded: true, ..self }
     }
 
-    /// Imposes the logarithm of the standard deviation, unless it is learned.
+    /// Sets the logarithm of the standard deviation, unless it is learned.
     pub(super) fn impose(&self, log_std: f64) {
         if self.mode == NoiseMode::Schedule {
             self.set(log_std);
         }
     }
 
-    /// Mean `[.., A]` and logarithm of the standard deviation `[A]`.
+    /// Returns the mean, `[.., A]`, and the logarithm of the standard deviation, `[A]`.
     pub(super) fn forward(&self, x: &Tensor) -> (Tensor, Tensor) {
         let log_std = if self.mode == NoiseMode::Schedule {
             self.log_std.detach()
@@ -73,12 +75,12 @@ impl GaussianHead {
         (if self.bounded { mean.tanh() } else { mean }, log_std)
     }
 
-    /// Means before they are bounded, `[.., A]`.
+    /// Returns the means before the tanh, `[.., A]`.
     pub(super) fn unbounded(&self, x: &Tensor) -> Tensor {
         self.mean.forward(x)
     }
 
-    /// Actions and the log-probabilities of their dimensions, both `[E, N, A]`.
+    /// Returns actions and the log-probabilities of their dimensions, both `[E, N, A]`.
     pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
         let (mean, action, log_std) = match mode {
@@ -94,24 +96,24 @@ impl GaussianHead {
         (action, log_prob)
     }
 
-    /// Current standard deviation, averaged over action dimensions.
+    /// Returns the current standard deviation, averaged over action dimensions.
     pub(super) fn std(&self) -> f64 {
         self.log_std.exp().mean(Kind::Float).double_value(&[])
     }
 }
 
-/// The mean of an action given the noise of earlier steps, which is `carried` over in units of the
-/// scheduled standard deviation (empty: none).
+/// Returns the mean of an action given the noise of earlier steps: `carried` is the shift by that
+/// noise, in units of the scheduled standard deviation, or empty if there is none.
 fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
     if carried.numel() == 0 { mean.shallow_clone() } else { mean + log_std.exp() * carried }
 }
 
-/// Which probability the clipped ratio is one of.
+/// The probability whose ratio is clipped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ratio {
-    /// That of the whole action.
+    /// The probability of the whole action.
     Joint,
-    /// That of each dimension of it by itself (MAT, CommFormer).
+    /// The probability of each dimension of the action (MAT, CommFormer).
     PerDimension,
 }
 
@@ -163,7 +165,8 @@ impl PolicyTerms {
         });
         let earned =
             &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
-        // The negative logarithm of the probability of what pursuit does, but for a constant.
+        // The imitation loss is the negative log-probability of the teacher's action, up to a
+        // constant.
         let loss = match imitation {
             Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,
             None => earned,
@@ -171,7 +174,7 @@ impl PolicyTerms {
         Self { loss, policy, entropy, approx_kl, clip_fraction }
     }
 
-    /// What to report of them.
+    /// Returns the diagnostics to report.
     pub(super) fn report(&self) -> [(&'static str, Tensor); 4] {
         [
             ("loss/policy", self.policy.detach()),

@@ -1,18 +1,26 @@
-//! ICP: an implicit channel. What an agent does shows a symbol, and those who see it read the symbol a step later (Wang et al. 2025,
-//! "Implicit communication protocol", arXiv 2411.01553, for discrete actions; as adapted to continuous control in IWoL's
-//! appendix, "Comparison with ICP", which leaves most open; there is no public code).
+//! ICP (implicit channel protocol): implicit communication through actions. An agent's action shows
+//! a symbol, and agents that see it read the symbol one step later (Wang et al. 2025, "Learning to
+//! Communicate Through Implicit Communication Channels", arXiv 2411.01553, for discrete actions; as
+//! adapted to continuous control in IWoL's appendix, "Comparison with ICP", which leaves most
+//! details open; there is no public code).
 //!
-//! 1. each agent shows one of K symbols with every action, chosen from its embedding, with the gradient of the softmax
-//! 2. one encoder and one decoder for all agents: the decoder tells from a symbol what its sender saw (its embedding) and did
-//!    (its action), and both learn that from everyone's samples
-//! 3. in the next step an agent reads, beside its observation, the mean of what the decoder tells of those within range
-//! 4. three values: `icp-dec` has one for each agent, from its own observation, and its own return; `icp-sum` adds them up to
-//!    one of the team, and `icp-monotonic` mixes them as QMIX does, told the privileged state; these two learn from the team's
-//!    return, and their agents share its advantage
+//! 1. with every action, each agent shows one of K symbols, chosen from its embedding, with the
+//!    gradient of the softmax
+//! 2. all agents share one encoder and one decoder: from a symbol, the decoder predicts what the
+//!    sender saw (its embedding) and did (its action); both learn this from the samples of all
+//!    agents
+//! 3. in the next step, an agent reads, besides its observation, the mean of the decoded symbols of
+//!    the agents within range
+//! 4. three value functions: `icp-dec` has one value for each agent, from its own observation, and
+//!    its own return; `icp-sum` adds these values up to one value of the team; `icp-monotonic`
+//!    mixes them as QMIX does, with the privileged state; these two learn from the team's return,
+//!    and their agents share its advantage
 //!
-//! It differs from the original on purpose: a continuous action has none to spare for scouting, so that the symbol rides on
-//! it and moves nothing; the most likely symbol is shown always (original: Gumbel noise); a mean has a place for any number
-//! of others (adaptation: a place for each). Proximal policy optimisation and the Gaussian head are those of all methods.
+//! Differences from the original on purpose: a continuous action space has no spare scouting
+//! actions, so that the symbol accompanies the action and has no physical effect; the most likely
+//! symbol is always shown (original: Gumbel noise); the mean of decoded symbols serves any number
+//! of other agents (adaptation: one input for each). Proximal policy optimisation and the Gaussian
+//! head are those of all methods.
 
 use std::marker::PhantomData;
 
@@ -30,21 +38,21 @@ use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
 use crate::nn::{Init, Linear, Mixer, ValueNorm};
 
-/// How the agents' values make the one that is learned.
+/// The way in which the agents' values form the value that is trained.
 pub(super) trait Decomposition: Send + 'static {
     /// Name of the method.
     const NAME: &'static str;
-    /// Whether the team has one value, and one return.
+    /// Whether the team has one value and one return.
     const TEAM: bool;
-    /// Whether that value is mixed, and not a sum.
+    /// Whether the team's value is a monotonic mix of the agents' values instead of their sum.
     const MIXED: bool;
 }
 
-/// A value for each agent.
+/// One value for each agent.
 pub(super) struct Separate;
-/// Their sum.
+/// One value for the team: the sum of the agents' values.
 pub(super) struct Sum;
-/// A function that rises with each of them.
+/// One value for the team: a function that increases with each agent's value.
 pub(super) struct Monotonic;
 
 impl Decomposition for Separate {
@@ -65,7 +73,7 @@ impl Decomposition for Monotonic {
     const MIXED: bool = true;
 }
 
-/// Implicit channel with a decomposition of the value.
+/// The networks of implicit communication, with a decomposition of the value.
 pub(super) struct Icp<D> {
     encoder: Encoder,
     head: GaussianHead,
@@ -73,19 +81,21 @@ pub(super) struct Icp<D> {
     decoder: Decoder,
     critic: Critic,
     mixer: Option<Mixer>,
-    /// Symbols K.
+    /// Number K of symbols.
     symbols: i64,
     decomposition: PhantomData<D>,
 }
 
 impl<D: Decomposition> Icp<D> {
-    /// Symbols `[.., K]` that embeddings `[.., H]` show: 0 or 1, with the gradient of the softmax.
+    /// Returns the symbols `[.., K]` that embeddings `[.., H]` show: 0 or 1, with the gradient of
+    /// the softmax.
     fn show(&self, f: &Tensor) -> Tensor {
         sample_best(&self.symbol.forward(f), 1, 1.0)
     }
 
-    /// What agents read beside their observation, `[rows, N, H + A]`: `memory [rows, N, M]` ends with the symbols of the last
-    /// step, forgotten where `keep [rows, N]` is 0, and `comm [rows, N, N]` says who is within range.
+    /// Returns what agents read besides their observation, `[rows, N, H + A]`.
+    /// `memory [rows, N, M]` ends with the symbols of the last step, which are cleared where
+    /// `keep [rows, N]` is 0; `comm [rows, N, N]` is 1 within range.
     fn heard(&self, memory: &Tensor, keep: &Tensor, comm: &Tensor) -> Tensor {
         let shown = memory.narrow(2, self.encoder.memory(), self.symbols) * keep.unsqueeze(-1);
         let others = comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2);
@@ -94,7 +104,7 @@ impl<D: Decomposition> Icp<D> {
         (others / count).matmul(&shown).matmul(&self.decoder.forward(&all).detach())
     }
 
-    /// What one decision's encoder reads, and the encoder's own memory.
+    /// Returns the encoder's input at one decision, and the encoder's own memory.
     fn read(&self, input: &Observation) -> (Tensor, Tensor) {
         let heard = self.heard(&input.memory, &input.keep(), &input.comm);
         (
@@ -103,7 +113,8 @@ impl<D: Decomposition> Icp<D> {
         )
     }
 
-    /// The learned value of rows from those of all agents, `[rows, N]` each; `comm [rows, N, N]` says who is there.
+    /// Returns the trained values of rows, `[rows, N]`, from the values of all agents, `[rows, N]`.
+    /// The diagonal of `comm [rows, N, N]` is 1 where an agent is present.
     fn decomposed(&self, values: Tensor, state: &Tensor, comm: &Tensor) -> Tensor {
         if !D::TEAM {
             return values;
@@ -217,7 +228,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         let own = batch.memory.narrow(2, 0, self.encoder.memory());
         let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        // Others see what an action does, which ends at its bounds.
+        // Other agents see the executed action, which is clipped to its bounds.
         let told = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
         let message = (self.decoder.forward(&self.show(&f)) - told).square().mean(Kind::Float);
 

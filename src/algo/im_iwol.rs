@@ -1,12 +1,12 @@
-//! Im-IWoL: communication in training only. The policy acts on the local observation through the interaction-world latent
-//! z; messages reach the value function alone (paper: take-away box, eq. for L_Im; DongsuLeeTech/IWoL, `ImIWoL_net.py`,
-//! `ImIWoL.py`).
+//! Im-IWoL: communication in training only. The policy acts on the local observation through the
+//! interaction-world latent z; messages reach only the value function (paper: take-away box, eq.
+//! for L_Im; DongsuLeeTech/IWoL, `ImIWoL_net.py`, `ImIWoL.py`).
 //!
 //! - policy: encoder f, z = Enc_IW(f), Gaussian head on [z; f]
-//! - value: message path m of its own, V(m, f)
-//! - world decoder: z predicts the privileged state; interaction decoder: z predicts the agent's message m, which is a
-//!   target and gets no gradient
-//! - deployed: encoder, Enc_IW and head; no message path
+//! - value function: V(m, f), with its own message path for m
+//! - world decoder: predicts the privileged state from z
+//! - interaction decoder: predicts the agent's message m from z; m is a target and gets no gradient
+//! - deployed policy: encoder, Enc_IW and head, without a message path
 
 use tch::Tensor;
 
@@ -22,13 +22,14 @@ use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::{Linear, ValueNorm};
 
-/// Implicit IWoL.
+/// The networks of implicit IWoL.
 pub(super) struct ImIwol {
     policy: LatentPolicy,
     critic: MessageCritic,
 }
 
-/// A policy on the latent of its own observation, from which the privileged state and a message are predicted.
+/// A policy on the latent of an agent's own observation, from which decoders predict the privileged
+/// state and a message.
 pub(super) struct LatentPolicy {
     pub(super) encoder: Encoder,
     latent: Latent,
@@ -36,7 +37,7 @@ pub(super) struct LatentPolicy {
     pub(super) world: WorldDecoder,
     pub(super) interaction: Decoder,
     input: PolicyInput,
-    /// Which of both decoders learn.
+    /// Whether the world decoder and the interaction decoder are trained.
     told: [bool; 2],
 }
 
@@ -92,12 +93,12 @@ impl LatentPolicy {
         }
     }
 
-    /// With the tanh of its mean actions.
+    /// Returns the policy with a tanh on its mean actions.
     pub(super) fn bounded(self) -> Self {
         Self { head: self.head.bounded(), ..self }
     }
 
-    /// Latent z and what the policy head reads.
+    /// Returns the latent z and the input of the policy head.
     pub(super) fn read(&self, f: &Tensor) -> (Tensor, Tensor) {
         let z = self.latent.forward(f);
         let input = match self.input {
@@ -107,7 +108,8 @@ impl LatentPolicy {
         (z, input)
     }
 
-    /// What latents `z: [E, N, Z]` say of the world and of the agents' messages, where they are known; not of what none of them learns.
+    /// Returns the predictions of the world and of the agents' `messages` (where they are given)
+    /// from latents `z: [E, N, Z]`, with their targets. Decoders that are not trained are left out.
     pub(super) fn reconstruct(
         &self,
         z: &Tensor,

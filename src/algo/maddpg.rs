@@ -1,24 +1,30 @@
-//! MADDPG: deterministic policies by the gradient of a centralised critic, from replayed steps (Lowe et al. 2017;
-//! marlbenchmark/off-policy, `maddpg.py`, `MADDPGPolicy.py`, `actor_critic.py`), and IWoL inside of it (paper, appendix on
-//! off-policy learning: `maddpg-iwol`).
+//! MADDPG: deterministic policies trained with the gradient of a centralised critic, from a replay
+//! buffer (Lowe et al. 2017; marlbenchmark/off-policy, `maddpg.py`, `MADDPGPolicy.py`,
+//! `actor_critic.py`), and the same with IWoL inside (`maddpg-iwol`; paper, appendix on off-policy
+//! learning).
 //!
-//! 1. target y = r + γ Q'(s', μ'(o')), by copies of both networks that follow slowly (`soft_update`, τ = 0.005); here with the
-//!    rewards of ten steps (`maddpg.n_step`, as D4PG: Barth-Maron et al. 2018), as at ten decisions a second what a decision brings is
-//!    seconds away
-//! 2. the policy is moved up the critic's gradient by its own action, those of the others being what was done
-//! 3. an agent's own reward and end; reference: agent 0's reward for a shared policy
-//! 4. actions are tanh of a linear layer, and Gaussian noise; reference: no tanh, noise of deviation 0.1
-//!    (what comes before the tanh is held small, as in the code of Lowe et al.)
-//! 5. IWoL: the critic reads message and embedding, Q(m, f, a), of a message path of its own; the policy acts on [z; f], and its
-//!    latent z is shaped by both reconstruction losses
+//! 1. target: y = r + γ Q'(s', μ'(o')), from copies of both networks that follow slowly
+//!    (`soft_update`, τ = 0.005); here the target contains the rewards of ten steps
+//!    (`maddpg.n_step`; as in D4PG, Barth-Maron et al. 2018), because at ten decisions per second
+//!    the effects of a decision come seconds later
+//! 2. policy: follows the critic's gradient with respect to the agent's own action; the other
+//!    agents' actions are those in the buffer
+//! 3. reward and end of the trajectory are the agent's own (reference: agent 0's reward for a
+//!    shared policy)
+//! 4. actions: tanh of a linear layer, plus Gaussian noise (reference: no tanh, noise of standard
+//!    deviation 0.1); a penalty keeps the values before the tanh small, as in the code of Lowe et
+//!    al.
+//! 5. IWoL: the critic is Q(m, f, a), with message m and embedding f from its own message path; the
+//!    policy acts on [z; f], and both decoder losses shape its latent z
+//! 6. values are normalised as in all methods; both critics are rescaled when the statistics change
+//!    (PopArt), because their targets contain values
 //!
-//! 6. values are normalised as those of all methods are, and both critics are rescaled as the statistics move (PopArt), since their
-//!    targets are made of values
-//!
-//! It differs on purpose: the observation encoder (without memory: single steps are replayed), the noise schedule, learning rates,
-//! value normalisation and averaged weights are those of all methods; the critic attends to the others' observations, privileged
-//! states and actions (reference: reads all side by side), so that any number may be there and who is gone does not count; it is told
-//! the privileged state as every method's value is, but for IWoL's, whose messages are there for that.
+//! Differences on purpose: the observation encoder, the noise schedule, learning rates, value
+//! normalisation and averaged weights are those of all methods (the encoder has no memory, because
+//! single steps are replayed); the critic attends to the other agents' observations, privileged
+//! states and actions (reference: reads all of them side by side), so that any number of agents may
+//! be present and absent agents have no influence; the critic reads the privileged state, as the
+//! value functions of most methods do, except with IWoL, where messages take its place.
 
 use std::f64::consts::SQRT_2;
 
@@ -48,7 +54,7 @@ pub(super) const MADDPG: Method =
     method("maddpg", &[], &["maddpg"], |spec, settings, seed, device| {
         Box::new(Maddpg::new(spec, settings, seed, device, false))
     });
-/// The same with IWoL's latent and messages.
+/// MADDPG with IWoL's latent and messages.
 pub(super) const MADDPG_IWOL: Method = method(
     "maddpg-iwol",
     &["world", "interaction"],
@@ -112,7 +118,7 @@ impl Actor {
         }
     }
 
-    /// What the head reads, from embeddings `[.., H]`.
+    /// Returns the head's input for embeddings `[.., H]`.
     fn read(&self, f: &Tensor) -> Tensor {
         match self {
             Self::Plain { .. } => f.shallow_clone(),
@@ -120,27 +126,28 @@ impl Actor {
         }
     }
 
-    /// Embeddings of observations `[R, N, O]`.
+    /// Embeds observations `[R, N, O]`.
     fn embed(&self, observation: &Tensor) -> Tensor {
         let nothing = Tensor::zeros([0], (Kind::Float, observation.device()));
         self.encoder().forward(observation, &nothing, &nothing).0
     }
 
-    /// Mean actions `[R, N, A]` for observations `[R, N, O]`.
+    /// Returns the mean actions `[R, N, A]` for observations `[R, N, O]`.
     fn mean(&self, observation: &Tensor) -> Tensor {
         self.head().forward(&self.read(&self.embed(observation))).0
     }
 }
 
-/// What the critic sees of each agent.
+/// What the critic reads of each agent.
 enum Eyes {
-    /// Its observation and its view of the privileged state.
+    /// The agent's observation and its view of the privileged state.
     Privileged(Encoder),
-    /// Its embedding, and the message that reaches it.
+    /// The agent's embedding and the message that it receives.
     Messages(Box<MessageTrunk>),
 }
 
-/// Q of each agent, from what is seen of it, its own action, and by attention what is seen of the others and what they do.
+/// The critic: Q of each agent, from its features and its own action, and by attention from the
+/// features and actions of the other agents.
 struct Critic {
     eyes: Eyes,
     join: Linear,
@@ -193,8 +200,9 @@ impl Critic {
         }
     }
 
-    /// What is seen of everyone, `[R, N, W]`, and the messages in it, `[R, N, D]`, where there are any; `noise` is the graph's,
-    /// `[R, N, N]`: without it, the most likely one.
+    /// Returns the features of all agents, `[R, N, W]`, and the messages among them, `[R, N, D]`,
+    /// if there are any. `noise` is that of the graph, `[R, N, N]`; without it, the graph is the
+    /// most likely one.
     fn look(&self, view: &View, noise: Option<Tensor>) -> (Tensor, Option<Tensor>) {
         let nothing = Tensor::zeros([0], (Kind::Float, view.comm.device()));
         match &self.eyes {
@@ -222,15 +230,16 @@ impl Critic {
         }
     }
 
-    /// Values (normalised) `[R, N]` of each agent's own `action`, where the others do what was `done`, both `[R, N, A]`; `comm`
-    /// says who is there.
+    /// Returns the values (normalised) `[R, N]` of each agent's own `action`, while the other
+    /// agents do what was `done`, both `[R, N, A]`. The diagonal of `comm` is 1 where an agent is
+    /// present.
     fn value(&self, seen: &Tensor, action: &Tensor, done: &Tensor, comm: &Tensor) -> Tensor {
         let agents = comm.size()[1];
         let together = |act: &Tensor| {
             self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu())
         };
         let (own, others) = (together(action), together(done));
-        // The first place is nobody's, so that there is always something to attend to.
+        // The first key belongs to no agent, so that an agent alone has something to attend to.
         let others = others.constant_pad_nd([0, 0, 1, 0]);
         let there = comm.diagonal(0, 1, 2).unsqueeze(1).expand([-1, agents, -1], false);
         let reached =
@@ -266,7 +275,7 @@ struct Maddpg {
     device: Device,
     networks: Networks,
     weights: Weights,
-    /// The same networks with weights that follow.
+    /// Target networks: copies whose weights follow those of `networks` slowly.
     targets: Networks,
     target_weights: Weights,
     value_norm: ValueNorm,
@@ -293,7 +302,11 @@ impl Maddpg {
         }
     }
 
-    /// What the networks lose and learn on some steps; gives what to report: nothing where nobody acted in them.
+    /// Updates critic, policy and target networks from sampled transitions. Returns the
+    /// diagnostics; none if no agent acted in these transitions.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] when a gradient is not finite.
     fn step(
         &mut self,
         steps: &Transitions,
@@ -301,7 +314,8 @@ impl Maddpg {
         seed: Seed,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, discount } = steps;
-        // Graphs are sampled ever more quietly, as those of policies.
+        // The noise of the graphs falls with the schedule, as the noise of the policies' graphs
+        // does.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
         let quiet = if imposed { pace.log_std.exp() } else { 1.0 };
         let noise = |of: &str| {
@@ -322,7 +336,8 @@ impl Maddpg {
         }
         let old = self.value_norm;
         self.value_norm.update(&of_active(&target));
-        // Targets hold values themselves: if these grew with the statistics, both would feed each other.
+        // Targets contain values. If values grew with the statistics, each would increase the
+        // other.
         if let Some((scale, shift)) = self.value_norm.rescaling(&old) {
             for networks in [&self.networks, &self.targets] {
                 networks.critic.value.rescale(scale, shift);
@@ -339,11 +354,12 @@ impl Maddpg {
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
         let mean = unbounded.tanh();
-        // What the critic saw before its step saves it another look.
+        // Features from before the critic's step are reused, which saves another forward pass.
         let value = self.networks.critic.value(&seen.detach(), &mean, action, &before.comm);
         let policy_loss = -ppo::masked_mean(&value, active);
         report.extend([("loss/value", scalar(&value_loss)), ("loss/policy", scalar(&policy_loss))]);
-        // Means that a wrong value has driven far beyond the bound would stay there: no gradient passes the tanh.
+        // Without a penalty, means that a wrong value has driven far beyond the bounds would stay
+        // there, because the tanh passes no gradient.
         let far = ppo::masked_mean(&unbounded.square().mean_dim(-1, false, Kind::Float), active);
         let mut total = policy_loss + self.settings.maddpg.action_penalty * far;
         if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
@@ -397,7 +413,7 @@ impl Algorithm for Maddpg {
         _channel: &Channel,
         _noise: &ChannelNoise,
     ) -> Decision {
-        // Nothing is sent: what the channel remembers passes by.
+        // No messages are sent, so that the channel's part of the memory stays unchanged.
         let own = Observation {
             memory: input.memory.narrow(2, 0, 0),
             ..input.map(Tensor::shallow_clone)

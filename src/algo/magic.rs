@@ -1,20 +1,29 @@
-//! MAGIC: two rounds of graph attention, each over a learned graph of its own (Niu et al. 2021, "Multi-agent graph-attention
-//! communication and teaming"; CORE-Robotics-Lab/MAGIC, `magic.py`, `gnn_layers.py`).
+//! MAGIC: two rounds of graph attention, each over its own learned graph (Niu et al. 2021,
+//! "Multi-agent graph-attention communication and teaming"; CORE-Robotics-Lab/MAGIC, `magic.py`,
+//! `gnn_layers.py`).
 //!
-//! 1. a scheduler for each round decides on the edges between the agents' embeddings by a hard Gumbel-softmax
-//!    (`sub_scheduler_mlp1`, `sub_scheduler_mlp2`)
-//! 2. first round: attention with four heads, side by side (traffic junction's and predator-prey's scripts; football's has one),
-//!    ELU; second round: one head (`sub_processor1`, `sub_processor2`)
+//! 1. in each round, a scheduler decides on the edges from the agents' embeddings, by a hard
+//!    Gumbel-softmax (`sub_scheduler_mlp1`, `sub_scheduler_mlp2`)
+//! 2. the first round has attention with four heads side by side (scripts of traffic junction and
+//!    predator-prey; football's has one) and an ELU; the second round has one head
+//!    (`sub_processor1`, `sub_processor2`)
 //! 3. attention weights are normalised over the edges (`GATLayer`)
 //! 4. the policy reads [f; m] (`action_head`)
 //!
-//! It differs on purpose: the observation encoder, proximal policy optimisation and the Gaussian head that all methods share
-//! (reference: LSTM, REINFORCE, discrete actions); a value of its own that is told the privileged state, as every method's is
-//! (reference: from hidden state and message); agents always listen to themselves (reference: with complete graphs they do; where graphs are learned, as learned); schedulers
-//! read the embeddings themselves, and messages go as they are (football's script: another attention before the schedulers, and layers
-//! that encode and decode messages); edges beyond the radio range do not exist; the noise of the graphs is kept
-//! with the rollout, and there is none in evaluation (reference: always new noise). `magic.lambda_world` adds IWoL's world decoder.
-//! `experiments/magic_reinforce.toml` learns as the reference does, by REINFORCE with the value as baseline.
+//! Differences on purpose:
+//!
+//! - Observation encoder, proximal policy optimisation and Gaussian head are those of all methods
+//!   (reference: LSTM, REINFORCE, discrete actions). `experiments/magic_reinforce.toml` trains by
+//!   REINFORCE with the value as baseline, as the reference does.
+//! - A separate value function reads the privileged state (reference: hidden state and message).
+//! - Agents always listen to themselves (reference: with complete graphs they do; with learned
+//!   graphs this is learned as well).
+//! - Schedulers read the embeddings directly, and messages are sent as they are (football's script:
+//!   another attention before the schedulers, and layers that encode and decode messages).
+//! - Edges beyond the radio range do not exist.
+//! - The noise of the graphs is stored with the rollout, and evaluation has none (reference: always
+//!   new noise).
+//! - `magic.lambda_world` adds IWoL's world decoder.
 
 use tch::{Kind, Tensor};
 
@@ -34,10 +43,10 @@ use crate::env::EnvSpec;
 use crate::nn::graph::edge_rate;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
 
-/// Heads of the first round.
+/// Attention heads of the first round.
 const HEADS: i64 = 4;
 
-/// Multi-agent graph-attention communication.
+/// The networks of MAGIC (multi-agent graph-attention communication).
 pub(super) struct Magic {
     encoder: Encoder,
     schedulers: [Scheduler; 2],
@@ -48,21 +57,22 @@ pub(super) struct Magic {
     hidden: i64,
 }
 
-/// What comes of a scene, for the P agents who are there.
+/// Result of the message path for the P present agents of a scene.
 struct Heard {
-    /// `[P, H]`
+    /// Messages, `[P, H]`.
     message: Tensor,
-    /// `[P, H]`
+    /// Embeddings, `[P, H]`.
     embedding: Tensor,
-    /// Who listens to whom in either round, `[rows, N, N]`.
+    /// Edges that are open in at least one round, `[rows, N, N]`, row = listener.
     graph: Tensor,
     packing: Packing,
     memory: Option<Tensor>,
 }
 
 impl Magic {
-    /// Messages `[P, H]` and the graphs of both rounds, from embeddings `f: [P, H]`; `physical: [rows, N, N]` is who can hear
-    /// whom, `noise: [rows, N, 2 N]`.
+    /// Returns messages `[P, H]` and the graphs of both rounds, from embeddings `f: [P, H]`.
+    /// `physical: [rows, N, N]` is 1 where an agent can hear another one, `noise` is
+    /// `[rows, N, 2 N]`.
     fn communicate(
         &self,
         f: &Tensor,
@@ -101,7 +111,7 @@ impl Networks for Magic {
 
     fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
         let (network, hidden) = (&settings.network, settings.network.hidden);
-        // Four heads of a quarter each.
+        // Four heads, each with a quarter of the width.
         let width = (hidden / HEADS).max(1);
         let exploration = &settings.exploration;
         let world = |places: &mut Places| {

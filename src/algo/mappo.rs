@@ -1,4 +1,5 @@
-//! MAPPO: shared parameters, local policy, centralised value (marlbenchmark/on-policy, `r_mappo.py`, `r_actor_critic.py`).
+//! MAPPO: shared parameters, local policy, centralised value function (marlbenchmark/on-policy,
+//! `r_mappo.py`, `r_actor_critic.py`).
 
 use tch::Tensor;
 
@@ -12,7 +13,7 @@ use super::{ActMode, Decision, Observation, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 
-/// Multi-agent proximal policy optimisation.
+/// The networks of MAPPO (multi-agent proximal policy optimisation).
 pub(super) struct Mappo {
     encoder: Encoder,
     head: GaussianHead,

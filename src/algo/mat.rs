@@ -1,21 +1,25 @@
-//! MAT: the agents of an environment as a sequence, whose actions are decoded one after another (Wen et al. 2022, "Multi-agent
-//! reinforcement learning is a sequence modeling problem"; PKU-MARL/Multi-Agent-Transformer, `ma_transformer.py`,
-//! `transformer_act.py`, `mat_trainer.py`).
+//! MAT: the agents of an environment as a sequence whose actions are decoded one after another (Wen
+//! et al. 2022, "Multi-agent reinforcement learning is a sequence modeling problem";
+//! PKU-MARL/Multi-Agent-Transformer, `ma_transformer.py`, `transformer_act.py`, `mat_trainer.py`).
 //!
-//! 1. encoder: post-norm blocks of attention among all agents, no place or name of an agent (`EncodeBlock`, `Encoder`)
+//! 1. encoder: post-norm blocks of attention among all agents, without an embedding of an agent's
+//!    position or identity (`EncodeBlock`, `Encoder`)
 //! 2. value of each agent from its representation (`Encoder.head`)
-//! 3. decoder: an agent reads the action before its own, zeros for the first; attention among the actions so far, then from its
-//!    representation to those, whose residual is the representation (`DecodeBlock`, `Decoder`)
-//! 4. acting decodes one agent after another, an update all at once from the actions taken
-//!    (`continuous_autoregreesive_act`, `continuous_parallel_act`)
-//! 5. a clipped ratio for each dimension of the action, whose surrogates are added (`mat_trainer.py`)
-//! 6. one optimiser for everything; the gradient of the value reaches the encoder
+//! 3. decoder: each agent reads the previous agent's action (zeros for the first agent); attention
+//!    goes among the actions so far, then from the agent's representation to them, with the
+//!    representation as residual (`DecodeBlock`, `Decoder`)
+//! 4. acting decodes one agent after another; an update decodes all agents at once from the actions
+//!    taken (`continuous_autoregreesive_act`, `continuous_parallel_act`)
+//! 5. each dimension of the action has its own clipped ratio, and the surrogates are added
+//!    (`mat_trainer.py`)
+//! 6. one optimiser for all parameters; the value's gradient reaches the encoder
 //!
-//! It differs on purpose: the observation encoder that all methods share comes first; the value also reads the privileged
-//! state, as every method's does; the Gaussian head and its noise are the common ones (reference: deviation ½ σ(parameter));
-//! agents who are gone are left out of attention and sequence (reference: of the loss alone).
+//! Differences on purpose: the observation encoder of all methods comes first; the value also reads
+//! the privileged state, as in most methods; the Gaussian head and its noise are those of all
+//! methods (reference: standard deviation ½ σ(parameter)); absent agents are left out of attention
+//! and sequence (reference: of the loss alone).
 //!
-//! One place decides for all: every agent's observation is needed there.
+//! Execution is central: one place needs the observations of all agents.
 
 use tch::Tensor;
 
@@ -31,7 +35,7 @@ use crate::nn::graph::with_self_loops;
 use crate::nn::transformer::Block;
 use crate::nn::{Decoder, Mask, Packing, Reach, ValueNorm};
 
-/// Multi-agent transformer.
+/// The networks of MAT (multi-agent transformer).
 pub(super) struct Mat {
     input: Input,
     blocks: Vec<Block>,
@@ -40,7 +44,8 @@ pub(super) struct Mat {
 }
 
 impl Mat {
-    /// Representations of everyone, `[rows, N, H]`, the order in which they decide, and the memory after the last step.
+    /// Returns the representations of all agents, `[rows, N, H]`, the order in which agents decide,
+    /// and the memory after the last step.
     fn represent(&self, scene: &Scene) -> (Tensor, Order, Option<Tensor>) {
         let (rows, agents) = scene.size();
         let (x, memory) = self.input.forward(scene);
@@ -111,7 +116,8 @@ impl Networks for Mat {
     }
 
     fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        // The policy's own memory is known before each row.
+        // The rollout holds the policy's memory before each row, so that every row is a sequence of
+        // its own.
         let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
         let values = rows.in_parts(&batch.state, |scene, state| {
             self.value.forward(&self.represent(scene).0, state)

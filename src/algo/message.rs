@@ -1,5 +1,6 @@
-//! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and rounds of attention over it
-//! (paper: "Graph-attention Communication Protocol"; DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
+//! The communication protocol of IWoL: embeddings, a learned graph cut by the physical mask, and
+//! rounds of attention over the graph (paper: "Graph-attention Communication Protocol";
+//! DongsuLeeTech/IWoL, `scheduler.py` and `transformer_comm.py`).
 
 use tch::{Kind, Tensor};
 
@@ -13,7 +14,7 @@ use crate::env::Features;
 use crate::nn::graph::edge_rate;
 use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 
-/// Observations of all agents in, messages m and embeddings f out.
+/// The message path: from the observations of all agents to embeddings f and messages m.
 #[derive(Debug)]
 pub(super) struct MessageTrunk {
     encoder: Encoder,
@@ -21,21 +22,21 @@ pub(super) struct MessageTrunk {
     transformer: GraphTransformer,
     hidden: i64,
     physical_mask: bool,
-    /// Whether agents who are gone still influence others, as in the released code.
+    /// Whether agents that are absent or cut off still influence others, as in the released code.
     leaks: bool,
 }
 
-/// Result of the message path for the P agents who are there.
+/// Result of the message path for the P present agents.
 pub(super) struct Messages {
-    /// `[P, D]`
+    /// Messages m, `[P, D]`.
     pub(super) message: Tensor,
-    /// `[P, H]`
+    /// Embeddings f, `[P, H]`.
     pub(super) embedding: Tensor,
-    /// Who listens to whom, `[L · C, N, N]`.
+    /// Communication graph, `[L · C, N, N]`, row = listener.
     pub(super) graph: Tensor,
-    /// Where they belong among `[L · C, N]`.
+    /// Positions of the present agents among `[L · C, N]`.
     pub(super) packing: Packing,
-    /// Memory after each step of the encoder, `[L, C · N, M]`.
+    /// Memory of the encoder after each step, `[L, C · N, M]`.
     pub(super) memory: Option<Tensor>,
 }
 
@@ -71,23 +72,24 @@ impl MessageTrunk {
         self.encoder.memory()
     }
 
-    /// Width of an embedding, which is what agents send.
+    /// Returns the width of an embedding, which is what agents send.
     pub(super) fn width(&self) -> i64 {
         self.hidden
     }
 
-    /// One decision where embeddings pass through a channel: messages `[E, N, D]`, own embeddings `[E, N, H]`, memory. Each
-    /// agent computes a graph and messages of its own, from what it heard.
+    /// Computes one decision in which embeddings pass through a channel. Returns messages
+    /// `[E, N, D]`, the agents' own embeddings `[E, N, H]` and the memory. Each agent computes its
+    /// own graph and messages from the embeddings that it received.
     pub(super) fn through(
         &self,
         input: &Observation,
         channel: &Channel,
         noise: &ChannelNoise,
     ) -> (Tensor, Tensor, Tensor) {
-        // In one round nobody passes on what it heard.
+        // With one round, no agent passes on what it heard.
         let one = self.transformer.rounds() == 1;
         if one && channel.only_loses() && !self.leaks {
-            // Who heard what is but a mask on everyone's graph.
+            // A channel that only loses messages is a mask on the graph that all agents share.
             let scene = Scene::of(input, None);
             let heard =
                 self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
@@ -123,10 +125,10 @@ impl MessageTrunk {
         })
     }
 
-    /// The message path, where every message arrives as it was sent.
+    /// Computes the message path where every message arrives as it was sent.
     pub(super) fn forward(&self, scene: &Scene) -> Messages {
         let (rows, agents) = scene.size();
-        // Where cut edges leak, everyone is heard.
+        // Where cut edges leak, absent agents influence the others as well.
         let packing = if scene.pack && !self.leaks {
             Packing::of(&scene.present())
         } else {
@@ -141,7 +143,8 @@ impl MessageTrunk {
     }
 }
 
-/// A critic on the message path: V(m, f), local observations and messages only (paper: decentralised value).
+/// A critic on the message path: V(m, f) from local observations and messages only (paper:
+/// decentralised value).
 #[derive(Debug)]
 pub(super) struct MessageCritic {
     trunk: MessageTrunk,
@@ -166,13 +169,13 @@ impl MessageCritic {
         }
     }
 
-    /// Memory per agent.
+    /// Returns the width of the memory per agent.
     pub(super) fn memory(&self) -> i64 {
         self.trunk.memory()
     }
 
-    /// Values (normalised) of a shard's active samples, `[B]`, the messages behind them, `[B, D]`,
-    /// and the share of possible edges that were open.
+    /// Returns the values (normalised) of a shard's active samples, `[B]`, the messages that they
+    /// read, `[B, D]`, and the share of possible edges that are open.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
@@ -183,8 +186,8 @@ impl MessageCritic {
         (values, message, edges)
     }
 
-    /// The messages at one decision, over the most likely graph, `[E, N, D]`. Only without memory: that of the value is
-    /// not kept outside training.
+    /// Returns the messages at one decision, over the most likely graph, `[E, N, D]`; `None` where
+    /// the critic has a memory, because that memory is not kept outside training.
     pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
         let messages = || {
             let messages = self.trunk.forward(&Scene::of(input, None));
@@ -193,7 +196,8 @@ impl MessageCritic {
         (self.trunk.memory() == 0).then(messages)
     }
 
-    /// Values (normalised) at one decision, over the most likely graph, `[E, N]`; only without memory.
+    /// Returns the values (normalised) at one decision, over the most likely graph, `[E, N]`;
+    /// `None` where the critic has a memory.
     pub(super) fn value(&self, input: &Observation) -> Option<Tensor> {
         (self.trunk.memory() == 0).then(|| self.rows(&self.trunk.forward(&Scene::of(input, None))))
     }
@@ -204,12 +208,13 @@ impl MessageCritic {
             .squeeze_dim(-1)
     }
 
-    /// Values (normalised) of everyone, `[rows, N]`.
+    /// Returns the values (normalised) of all agents, `[rows, N]`.
     fn rows(&self, messages: &Messages) -> Tensor {
         messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1)
     }
 
-    /// Values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory after each step.
+    /// Returns the values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory
+    /// after each step.
     pub(super) fn values(
         &self,
         batch: &Batch,

@@ -1,6 +1,9 @@
-//! The learners. An algorithm is one file: networks that decide and say what they lose. [`ppo`] holds the losses as pure
-//! functions, `core` the passes over a rollout; a method that does not fit them implements [`Algorithm`] itself. Another one
-//! is a file, its `mod`, and its line among the `METHODS` below, from which all else follows: commands, messages and tests.
+//! The learning algorithms. Each algorithm is one file with networks that act and compute their
+//! loss. [`ppo`] holds the losses as pure functions, `core` the passes over a rollout; a method
+//! that does not fit them implements [`Algorithm`] itself.
+//!
+//! A new method needs a file, its `mod` line and an entry in `METHODS` below. Commands, messages
+//! and tests follow from that entry.
 
 mod batch;
 mod channel;
@@ -39,7 +42,7 @@ use crate::nn;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// The methods, in the order in which they are named.
+/// All methods, in the order in which commands and messages list them.
 const METHODS: [Method; 11] = [
     Method::of::<mappo::Mappo>(),
     Method::of::<im_iwol::ImIwol>(),
@@ -65,7 +68,7 @@ pub const NAMES: [&str; METHODS.len()] = {
     names
 };
 
-/// What is known of a method before it is built.
+/// The static description of a method, and the function that builds it.
 struct Method {
     name: &'static str,
     capabilities: Capabilities,
@@ -73,7 +76,7 @@ struct Method {
 }
 
 impl Method {
-    /// One of networks that are trained by proximal policy optimisation.
+    /// A method whose networks are trained by proximal policy optimisation.
     const fn of<N: Networks + 'static>() -> Self {
         let capabilities = Capabilities {
             hears: N::HEARS,
@@ -100,42 +103,47 @@ impl Method {
     }
 }
 
-/// What a method can do.
+/// The properties of a method that are known before it is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(clippy::struct_excessive_bools, reason = "any of them may be without the others")]
 pub struct Capabilities {
-    /// Whose observations can change an agent's action at run time.
+    /// The agents whose observations can change an agent's action at run time.
     pub hears: Hears,
-    /// Whether agents send messages, each of which its receiver reads by itself, so that a [`Channel`] can disturb them.
+    /// Whether agents send messages that each receiver reads by itself, so that a [`Channel`] can
+    /// disturb them.
     pub messages: bool,
     /// Whether one policy serves any number of agents.
     pub any_number: bool,
-    /// Whether agents learn from the return of their team, and not each from its own.
+    /// Whether agents learn from the return of their team instead of each from its own return.
     pub team: bool,
     /// Whether the encoder may have a memory (`network.encoder = "gru"`).
     pub recurrent: bool,
-    /// Whether it learns from the last rollout alone, by the probabilities of its actions (proximal policy optimisation).
+    /// Whether the method learns from the last rollout alone, by the probabilities of its actions
+    /// (proximal policy optimisation).
     pub on_policy: bool,
-    /// What its latent is trained to tell, by default: `world` (the privileged state), `interaction` (messages).
+    /// What the latent is trained to predict by default: `world` (the privileged state),
+    /// `interaction` (messages).
     pub latent: &'static [&'static str],
-    /// Groups of settings that it is told of, beside those of all methods: what others say makes no difference to it.
+    /// Groups of settings that the method reads, besides those common to all methods. Settings in
+    /// other groups have no effect on it.
     pub settings: &'static [&'static str],
 }
 
-/// Whose observations can change an agent's action at run time, besides its own.
+/// The agents, besides itself, whose observations can change an agent's action at run time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Hears {
-    /// Nobody's: no radio is needed.
+    /// No other agent. The policy needs no radio.
     Nobody,
-    /// Of those within range: messages. In several rounds, or along a sequence, also of those within range of these.
+    /// Agents within range, by messages. With several rounds, or along a sequence, agents within
+    /// range of those as well.
     InRange,
-    /// Of those within range, a step later: what they do shows it.
+    /// Agents within range, one step later, because their actions show it.
     InRangeLater,
-    /// Everyone's: one place decides for all.
+    /// All agents: one central policy decides for everyone.
     Everyone,
 }
 
-/// What an algorithm can do, by its name.
+/// Returns what the algorithm called `name` can do.
 ///
 /// # Errors
 /// [`Error::UnknownAlgorithm`].
@@ -143,7 +151,9 @@ pub fn capabilities(name: &str) -> Result<Capabilities, Error> {
     Ok(Method::named(name)?.capabilities)
 }
 
-/// Whether the channel can disturb what the agents of an algorithm tell each other, or there is nothing to disturb.
+/// Checks that the algorithm called `name` can be evaluated with `channel`: the channel is perfect,
+/// or the agents send messages that it can disturb, or actions depend on no other agent, so that
+/// there is nothing to disturb.
 ///
 /// # Errors
 /// [`Error::NoMessages`], [`Error::UnknownAlgorithm`].
@@ -153,7 +163,8 @@ pub fn check_channel(name: &str, channel: &Channel) -> Result<(), Error> {
     if fits { Ok(()) } else { Err(Error::NoMessages { algorithm: name }) }
 }
 
-/// Whether a policy of an algorithm that was trained among some agents can be used among others.
+/// Checks that a policy of the algorithm called `name` that was trained with `trained` agents can
+/// be used with `agents` agents.
 ///
 /// # Errors
 /// [`Error::FixedAgents`], [`Error::UnknownAlgorithm`].
@@ -163,55 +174,56 @@ pub fn check_agents(name: &str, trained: i64, agents: i64) -> Result<(), Error> 
     if fits { Ok(()) } else { Err(Error::FixedAgents { algorithm: name, trained, agents }) }
 }
 
-/// What a policy sees at one decision of E environments with N agents each.
+/// The input of a policy at one decision of E environments with N agent slots each.
 #[derive(Debug)]
 pub struct Observation {
-    /// `[E, N, O]`
+    /// Observation features, `[E, N, O]`.
     pub observation: Tensor,
-    /// Physical mask, `[E, N, N]`.
+    /// Physical mask, `[E, N, N]`; the diagonal is 1 where an agent is present.
     pub comm: Tensor,
-    /// `[E]`, 1 where a trajectory starts.
+    /// 1 where a trajectory starts, else 0, `[E]`.
     pub start: Tensor,
-    /// Memory after the last decision, `[E, N, M]`.
+    /// Memory of the policy after the last decision, `[E, N, M]`.
     pub memory: Tensor,
 }
 
 impl Observation {
-    /// 0 where memories are cleared before the decision, 1 elsewhere, `[E, N]`.
+    /// Returns 0 where memories are cleared before the decision and 1 elsewhere, `[E, N]`.
     fn keep(&self) -> Tensor {
         let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
         (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
     }
 }
 
-/// How to choose actions.
+/// The way to choose actions.
 #[derive(Debug)]
 pub enum ActMode<'a> {
-    /// The mean, with the most likely communication graph.
+    /// The mean action, with the most likely communication graph.
     Deterministic,
-    /// A sample from the given noise, so that the caller owns all randomness.
+    /// A sample from noise that the caller provides, so that the caller owns all randomness.
     Sample {
-        /// Standard normal, `[E, N, A]`.
+        /// Standard normal noise, `[E, N, A]`.
         action: &'a Tensor,
         /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
         /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
         carried: &'a Tensor,
-        /// Standard logistic, `[E, N, G · N]` for G graphs side by side; empty for policies without one.
+        /// Noise of G graphs side by side, standard logistic times the noise scale,
+        /// `[E, N, G · N]`; empty for policies without a graph.
         graph: &'a Tensor,
-        /// Logarithm of the share of the standard deviation that is drawn anew, `[A]` or `[1]`: 0
+        /// Logarithm of the share of the standard deviation that is drawn anew, `[A]` or `[1]`; 0
         /// where noise is independent from step to step.
         log_fresh: &'a Tensor,
     },
 }
 
-/// What a policy decided.
+/// The output of a policy at one decision.
 #[derive(Debug)]
 pub struct Decision {
-    /// `[E, N, A]`, not clipped.
+    /// Action, not clipped, `[E, N, A]`.
     pub action: Tensor,
-    /// Of each dimension of the action, `[E, N, A]`.
+    /// Log-probability of each dimension of the action, `[E, N, A]`.
     pub log_prob: Tensor,
-    /// `[E, N, M]`
+    /// Memory of the policy after the decision, `[E, N, M]`.
     pub memory: Tensor,
 }
 
@@ -236,50 +248,54 @@ impl Decision {
     }
 }
 
-/// What a latent says about something, beside the truth.
+/// A decoder's prediction from a latent, and its target.
 #[derive(Debug)]
 pub struct Reconstruction {
-    /// Of what: `world` or `interaction`.
+    /// Name of the target: `world` or `interaction`.
     pub name: &'static str,
-    /// What the decoder makes of the latent, `[E, N, K]`.
+    /// The decoder's prediction, `[E, N, K]`.
     pub found: Tensor,
-    /// The truth, `[E, N, K]`.
+    /// The target of the prediction, `[E, N, K]`.
     pub truth: Tensor,
 }
 
-/// What a policy thinks at one decision.
+/// Diagnostics of a policy at one decision.
 #[derive(Debug, Default)]
 pub struct Insight {
-    /// Value of each agent's future, in units of the reward, `[E, N]`; `None` where that needs a memory of its own.
+    /// Value of each agent, in units of the reward, `[E, N]`; `None` where the value function needs
+    /// a memory of its own.
     pub value: Option<Tensor>,
-    /// Who listens to whom at run time, `[E, N, N]`; `None` for methods without messages.
+    /// Communication graph at run time, `[E, N, N]`, row = listener; `None` for methods without
+    /// messages.
     pub graph: Option<Tensor>,
 }
 
-/// How fast to learn, and how much to explore afterwards.
+/// Parameters of one update, and the noise of the actions after it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
     /// Learning rate of this update.
     pub learning_rate: f64,
-    /// Logarithm of the standard deviation of the actions from this update on, where it is imposed.
+    /// Logarithm of the actions' standard deviation that the update leaves in the policy, where a
+    /// schedule imposes it. Its exponential also scales the graph noise that the update draws.
     pub log_std: f64,
     /// Discount per step.
     pub gamma: f64,
-    /// Weight of imitating the rollout's teacher in the policy's loss, 0 to 1; what it earns has the rest.
+    /// Weight of imitating the rollout's teacher in the policy's loss, 0 to 1. The loss of proximal
+    /// policy optimisation has the rest of the weight.
     pub imitation: f64,
-    /// Minibatches have so many times the samples that are set.
+    /// Factor on the number of samples per minibatch.
     pub growth: usize,
 }
 
-/// Named diagnostics of an update, in the field's usual names.
+/// Named diagnostics of an update, under the names that are usual in the field.
 pub type Losses = Vec<(&'static str, f64)>;
 
 /// A learner: policy, value function and their optimisers.
 pub trait Algorithm {
-    /// Name, as on the command line.
+    /// Returns the algorithm's name, as on the command line.
     fn name(&self) -> &'static str;
 
-    /// Memory of the policy per agent, M.
+    /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> usize;
 
     /// Whether a world keeps the noise of its graphs for a whole rollout.
@@ -287,60 +303,66 @@ pub trait Algorithm {
         false
     }
 
-    /// Communication graphs G that the policy samples at each decision.
+    /// Returns the number G of communication graphs that the policy samples at each decision.
     fn graphs(&self) -> usize {
         0
     }
 
-    /// Chooses actions; no gradients, nothing of the learner changes.
+    /// Chooses actions, without gradients and without changing the learner.
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
 
-    /// Width of the messages that agents send at run time; 0 for methods without.
+    /// Returns the width of the messages that agents send at run time; 0 for methods without
+    /// messages.
     fn message_width(&self) -> usize;
 
-    /// Deterministic actions where messages pass through `channel`; the observation's memory, and the decision's, are
-    /// [`Channel::memory`] numbers wider than [`Algorithm::memory`]. For methods without messages the same as
+    /// Chooses deterministic actions where messages pass through `channel`. The memory in the
+    /// observation and in the decision is [`Channel::memory`] numbers wider than
+    /// [`Algorithm::memory`]. Methods without messages choose the same actions as in
     /// [`Algorithm::act`].
     fn act_through(&self, input: &Observation, channel: &Channel, noise: &ChannelNoise)
     -> Decision;
 
-    /// What the policy thinks, given `state [E, N, S]`.
+    /// Returns diagnostics of the policy, given the privileged `state [E, N, S]`.
     fn inspect(&self, input: &Observation, state: &Tensor) -> Insight;
 
-    /// What the latent says about `state [E, N, S]` and about messages; empty for methods without a latent.
+    /// Returns the decoders' predictions of `state [E, N, S]` and of messages from the latent, with
+    /// their targets; empty for methods without a latent.
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction>;
 
-    /// Learns from one rollout; `seed` is the source of all noise.
+    /// Updates policy and value from one rollout. `seed` is the source of all noise.
     ///
     /// # Errors
     /// [`Error::NonFinite`] when a loss is not finite.
     fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error>;
 
-    /// Exchanges the policy's weights with their average, if one is kept: once before [`Algorithm::act`] in an evaluation,
-    /// once more before training goes on.
+    /// Exchanges the policy's weights with their average, if one is kept. An evaluation calls it
+    /// once before [`Algorithm::act`] and once more before training continues.
     fn swap_average(&mut self);
 
-    /// Weights, optimiser moments, value normalisation: everything that [`Algorithm::load`] needs to go on bit for bit.
+    /// Returns weights, optimiser moments and value normalisation: everything that
+    /// [`Algorithm::load`] needs to continue bit for bit.
     fn state(&self) -> Vec<(String, Tensor)>;
 
-    /// Takes over a state.
+    /// Loads a state that [`Algorithm::state`] returned.
     ///
     /// # Errors
-    /// [`Error::State`] when it is of another network.
+    /// [`Error::State`] when the state belongs to another network.
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error>;
 
-    /// Takes over the weights (the averaged ones, where there are any) and the value normalisation of a state, and nothing
-    /// else: training starts from them.
+    /// Loads only the weights (the averaged ones, where the state has any) and the value
+    /// normalisation of a state, as the start of a new training.
     ///
     /// # Errors
-    /// [`Error::State`] when they are of another network.
+    /// [`Error::State`] when the weights belong to another network, [`Error::FixedAgents`] when
+    /// they belong to another number of agents to which the algorithm is bound.
     fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error>;
 
-    /// Number of parameters that a deployed policy needs, and of all.
+    /// Returns the number of parameters that a deployed policy needs, and the number of all
+    /// parameters.
     fn parameters(&self) -> (i64, i64);
 }
 
-/// Builds an algorithm by name on `device`, with weights drawn from `seed`.
+/// Builds an algorithm by name on `device`, with initial weights drawn from `seed`.
 ///
 /// # Errors
 /// [`Error::UnknownAlgorithm`].
@@ -355,45 +377,45 @@ pub fn build(
     Ok((method.build)(spec, &settings.only(method.capabilities.settings), seed, device))
 }
 
-/// What can go wrong in a learner.
+/// Errors of a learner.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// No algorithm has this name.
     #[error("there is no algorithm `{name}`; choose one of {}", NAMES.join(", "))]
     UnknownAlgorithm {
-        /// The name.
+        /// The unknown name.
         name: String,
     },
     /// Training diverged.
     #[error("training diverged: {what} is not finite; try a lower ppo.learning_rate")]
     NonFinite {
-        /// Which quantity.
+        /// The quantity that is not finite.
         what: &'static str,
     },
-    /// A stored state is of another number of agents, which the algorithm cannot do without.
+    /// A stored state was trained with another number of agents, to which the algorithm is bound.
     #[error(
         "{algorithm} learned something about each of {trained} agents and cannot be used among {agents}; let as many vehicles learn as in \
          its training (--agents, env.penetration), or choose a method for any number: {}",
         METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
     )]
     FixedAgents {
-        /// The algorithm.
+        /// Name of the algorithm.
         algorithm: &'static str,
-        /// Of the state.
+        /// Number of agents of the stored state.
         trained: i64,
-        /// Of the task.
+        /// Number of agents of the task.
         agents: i64,
     },
-    /// A channel is to disturb messages that the algorithm does not have.
+    /// A channel is set for an algorithm whose agents send no messages that it could disturb.
     #[error(
         "[channel] is for messages that agents send at once and each receiver reads by itself; {algorithm} has none: leave it out"
     )]
     NoMessages {
-        /// The algorithm.
+        /// Name of the algorithm.
         algorithm: &'static str,
     },
-    /// A stored state is of another network.
+    /// A stored state belongs to another network.
     #[error(transparent)]
     State(#[from] nn::Error),
 }

@@ -1,4 +1,4 @@
-//! A learner's parameters, in sets that each have an optimiser of their own.
+//! The parameters of a learner, in groups that each have their own optimiser.
 
 use tch::{Device, Kind, Tensor, no_grad};
 
@@ -6,27 +6,27 @@ use super::Error;
 use crate::nn::{self, Adam, AdamConfig, Params, Path, ValueNorm, named_views};
 use crate::rng::{Rng, Seed};
 
-/// What a set of parameters is called.
+/// The names of a parameter group, and the coefficients of its optimiser.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Set {
-    /// In checkpoints; its optimiser's state stands below `<name>_adam`.
+    /// Name in checkpoints; the state of the group's optimiser is stored under `<name>_adam`.
     pub(super) name: &'static str,
-    /// Its gradient, in messages.
+    /// Name of the group's gradient in messages.
     pub(super) gradient: &'static str,
-    /// The norm of its gradient, in reports.
+    /// Name of the gradient norm in reports.
     pub(super) norm: &'static str,
     /// Adam's coefficients.
     pub(super) adam: AdamConfig,
 }
 
-/// Of the policy, and of all that is trained together with it.
+/// The group of the policy and of everything that is trained together with it.
 pub(super) const ACTOR: Set = Set {
     name: "actor",
     gradient: "the policy's gradient",
     norm: "ppo/grad_norm_actor",
     adam: AdamConfig::MAPPO,
 };
-/// Of a value function that is trained by itself.
+/// The group of a value function that is trained separately.
 pub(super) const CRITIC: Set = Set {
     name: "critic",
     gradient: "the value's gradient",
@@ -34,8 +34,8 @@ pub(super) const CRITIC: Set = Set {
     adam: AdamConfig::MAPPO,
 };
 
-/// Where networks create their parameters. A set begins to exist when it is first asked for; the first one must be
-/// [`ACTOR`].
+/// A builder of parameters, which networks use to create theirs. A group is created at its first
+/// request; the first one must be [`ACTOR`].
 pub(super) struct Places {
     device: Device,
     seed: Seed,
@@ -43,12 +43,13 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// No set yet. The values of each are drawn from a stream of its own, below `seed`.
+    /// Creates a builder without groups. The initial values of each group are drawn from a stream
+    /// of its own, derived from `seed`.
     pub(super) fn new(seed: Seed, device: Device) -> Self {
         Self { device, seed, sets: Vec::new() }
     }
 
-    /// The root of a set.
+    /// Returns the root path of a group.
     pub(super) fn of(&mut self, set: Set) -> Path<'_> {
         let at = self.sets.iter().position(|(own, ..)| *own == set).unwrap_or_else(|| {
             self.sets.push((set, Params::new(self.device), self.seed.child(set.name).rng()));
@@ -58,7 +59,7 @@ impl Places {
         params.root(rng)
     }
 
-    /// Makes the sets share the weights of those of another copy of the same networks.
+    /// Makes the groups share the weights of another copy of the same networks.
     pub(super) fn replicate(mut self, weights: &mut Weights) {
         for (other, (_, params, _)) in weights.sets.iter_mut().zip(&mut self.sets) {
             other.adam.replica(params);
@@ -66,23 +67,24 @@ impl Places {
     }
 }
 
-/// A set and its optimiser.
+/// A parameter group and its optimiser.
 struct Optimised {
     set: Set,
     params: Params,
     adam: Adam,
 }
 
-/// All sets of a learner, and the average of the policy's.
+/// All parameter groups of a learner, and the average of the policy's weights.
 pub(super) struct Weights {
-    /// The first one is the policy's.
+    /// The groups; the first one is the policy's.
     sets: Vec<Optimised>,
-    /// Averaged weights of the first set, `[count]`.
+    /// Averaged weights of the first group, `[count]`.
     average: Option<Tensor>,
 }
 
 impl Weights {
-    /// Those of all sets, whose networks must be complete; with an average of the policy's, if it is wanted.
+    /// Takes over all groups, whose networks must be complete. Keeps an average of the policy's
+    /// weights if `average` is true.
     pub(super) fn new(places: Places, average: bool) -> Self {
         let optimised = |(set, mut params, _): (Set, Params, Rng)| {
             let adam = Adam::with_config(&mut params, set.adam);
@@ -93,10 +95,11 @@ impl Weights {
         Self { sets, average }
     }
 
-    /// Clips the gradient of every set to the norm `limit` and moves it at its `rate`, if it has one. Gives the norms before.
+    /// Clips the gradient of every group to the norm `limit`, and steps every group that has a
+    /// learning rate by `rate`. Returns the norms before clipping.
     ///
     /// # Errors
-    /// [`Error::NonFinite`], with nothing moved.
+    /// [`Error::NonFinite`] when a gradient is not finite; then no weight has changed.
     pub(super) fn step_all(
         &mut self,
         limit: f64,
@@ -112,7 +115,7 @@ impl Weights {
         Ok(norms)
     }
 
-    /// As [`Weights::step_all`], of one set; the gradients of the others are dropped.
+    /// Steps one group, as [`Weights::step_all`] does, and drops the gradients of the others.
     pub(super) fn step(
         &mut self,
         set: Set,
@@ -131,14 +134,14 @@ impl Weights {
         Ok(norms)
     }
 
-    /// Moves the average towards the policy's weights, of which it keeps `decay` of itself.
+    /// Moves the average towards the policy's weights; the old average keeps the weight `decay`.
     pub(super) fn follow_average(&mut self, decay: f64) {
         if let Some(average) = &mut self.average {
             let _ = no_grad(|| average.lerp_(self.sets[0].adam.weights(), 1.0 - decay));
         }
     }
 
-    /// Moves all weights towards those of other copies of the same networks, by the share `rate`.
+    /// Moves all weights towards those of another copy of the same networks, by the share `rate`.
     pub(super) fn follow(&mut self, others: &Self, rate: f64) {
         for (own, other) in self.sets.iter().zip(&others.sets) {
             let _ =
@@ -158,7 +161,7 @@ impl Weights {
         }
     }
 
-    /// The values of all sets, as `<set><suffix>/<name>`.
+    /// Returns the values of all groups, named `<group><suffix>/<name>`.
     pub(super) fn values(&self, suffix: &str) -> Vec<(String, Tensor)> {
         self.sets
             .iter()
@@ -166,7 +169,7 @@ impl Weights {
             .collect()
     }
 
-    /// Takes over what [`Weights::values`] gave.
+    /// Loads values that [`Weights::values`] returned.
     ///
     /// # Errors
     /// [`Error::State`].
@@ -181,7 +184,7 @@ impl Weights {
         Ok(())
     }
 
-    /// Values, average and the optimisers' moments.
+    /// Returns the values, the average and the optimisers' moments.
     pub(super) fn state(&self) -> Vec<(String, Tensor)> {
         let mut state = self.values("");
         if let Some(average) = &self.average {
@@ -193,7 +196,7 @@ impl Weights {
         state
     }
 
-    /// Takes over what [`Weights::state`] gave.
+    /// Loads a state that [`Weights::state`] returned.
     ///
     /// # Errors
     /// [`Error::State`].
@@ -211,13 +214,14 @@ impl Weights {
         Ok(())
     }
 
-    /// As [`Algorithm::load_weights`](super::Algorithm::load_weights), of weights alone.
+    /// Loads only the weights of a state, as
+    /// [`Algorithm::load_weights`](super::Algorithm::load_weights) does.
     ///
     /// # Errors
     /// [`Error::State`].
     pub(super) fn load_weights(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         let averaged = part(state, "actor_average");
-        // What is evaluated is what is gone on from. The noise is this run's own matter.
+        // Training continues from the weights that are evaluated, but with the new run's own noise.
         let mut actor = if averaged.is_empty() { part(state, "actor") } else { averaged };
         let (policy, others) = self.sets.split_first().expect("a learner has a policy");
         for (name, tensor) in &mut actor {
@@ -237,7 +241,8 @@ impl Weights {
         Ok(())
     }
 
-    /// Number of the policy's weights, without the parts that only training needs, and of all.
+    /// Returns the number of the policy's weights, without the parts that only training needs, and
+    /// the number of all weights.
     pub(super) fn parameters(&self, training_only: &[&str]) -> (i64, i64) {
         let needed = |name: &str| !training_only.iter().any(|part| name.starts_with(part));
         let policy = self.sets[0].params.named().iter().filter(|(name, _)| needed(name));
@@ -245,7 +250,7 @@ impl Weights {
         (deployed, self.sets.iter().map(|own| own.params.count()).sum())
     }
 
-    /// Rows of the parameter at `<set>/<name>`.
+    /// Returns the number of rows of the parameter `<group>/<name>`.
     pub(super) fn rows(&self, path: &str) -> Option<i64> {
         let named = self.values("");
         named.iter().find(|(name, _)| name == path).map(|(_, t)| t.size()[0])
@@ -253,7 +258,7 @@ impl Weights {
 }
 
 impl Optimised {
-    /// Clips the gradient; gives its norm before.
+    /// Clips the gradient. Returns the name and the value of its norm before clipping.
     fn clip(&mut self, limit: f64) -> Result<(&'static str, f64), Error> {
         let norm = self.adam.clip_grad_norm(limit);
         if norm.is_finite() {
@@ -264,13 +269,13 @@ impl Optimised {
     }
 }
 
-/// Copies of tensors under `prefix/`, for a state.
+/// Returns copies of tensors, named `prefix/<name>`, for a state.
 fn prefixed(prefix: &str, tensors: &[(String, Tensor)]) -> Vec<(String, Tensor)> {
     let copy = |tensor: &Tensor| tensor.detach().to_device(Device::Cpu).copy();
     tensors.iter().map(|(name, tensor)| (format!("{prefix}/{name}"), copy(tensor))).collect()
 }
 
-/// The tensors of a state below `prefix/`.
+/// Returns the tensors of a state whose names begin with `prefix/`, under the rest of their names.
 pub(super) fn part(state: &[(String, Tensor)], prefix: &str) -> Vec<(String, Tensor)> {
     let strip = |(name, t): &(String, Tensor)| {
         Some((name.strip_prefix(prefix)?.strip_prefix('/')?.to_owned(), t.shallow_clone()))
@@ -278,12 +283,12 @@ pub(super) fn part(state: &[(String, Tensor)], prefix: &str) -> Vec<(String, Ten
     state.iter().filter_map(strip).collect()
 }
 
-/// The value normalisation, for a state.
+/// Returns the value normalisation, for a state.
 pub(super) fn value_norm_entry(norm: &ValueNorm) -> (String, Tensor) {
     ("value_norm/statistics".to_owned(), Tensor::from_slice(&norm.state()))
 }
 
-/// Takes over what [`value_norm_entry`] gave.
+/// Loads the entry that [`value_norm_entry`] returned.
 ///
 /// # Errors
 /// [`Error::State`].

@@ -1,4 +1,5 @@
-//! Proximal policy optimisation as pure functions: what MAPPO and IWoL share (marlbenchmark/on-policy, `r_mappo.py`).
+//! Proximal policy optimisation as pure functions, which MAPPO and IWoL share
+//! (marlbenchmark/on-policy, `r_mappo.py`).
 
 use tch::{Kind, Tensor};
 
@@ -6,8 +7,9 @@ use super::batch::{Batch, Shard};
 use super::settings::Ppo;
 use crate::nn::ValueNorm;
 
-/// Clipped surrogate: −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active. Log-probabilities are `[B, K]`: the surrogates of a
-/// sample's K ratios are added. The other arguments are `[B]`.
+/// Returns the clipped surrogate loss −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active.
+/// Log-probabilities are `[B, K]`, and the surrogates of a sample's K ratios are added. The other
+/// arguments are `[B]`.
 pub fn policy_loss(
     log_prob: &Tensor,
     old_log_prob: &Tensor,
@@ -21,7 +23,8 @@ pub fn policy_loss(
     -masked_mean(&surrogate.sum_dim_intlist(-1, false, Kind::Float), active)
 }
 
-/// Clipped Huber loss, the larger of the plain and the clipped one, in normalised value space. All tensors `[B]`.
+/// Returns the clipped Huber loss of normalised values: per sample, the larger one of the plain and
+/// the clipped loss. All tensors are `[B]`.
 pub fn value_loss(
     value: &Tensor,
     old_value: &Tensor,
@@ -36,14 +39,15 @@ pub fn value_loss(
     masked_mean(&loss, active)
 }
 
-/// How far means `[B, A]` lie beyond -1 to 1: half the squared excess, in units of the noise whose logarithm is given, added over
-/// dimensions and averaged over samples. The noise gets no gradient of it.
+/// Returns the penalty on means `[B, A]` beyond -1 to 1: half the squared excess, in units of the
+/// standard deviation, added over dimensions and averaged over samples. No gradient reaches
+/// `log_std`.
 pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
     let excess = (mean.abs() - 1.0).relu() / log_std.detach().exp();
     excess.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
 }
 
-/// Value loss of a shard from the critic's outputs for its active samples.
+/// Returns the value loss of a shard from the critic's outputs for its active samples.
 pub(super) fn value_terms(
     batch: &Batch,
     shard: &Shard,
@@ -62,7 +66,7 @@ pub(super) fn value_terms(
     )
 }
 
-/// e²/2 up to `delta`, linear beyond.
+/// Returns e²/2 up to an error of `delta`, and a linear function beyond.
 fn huber(error: &Tensor, delta: f64) -> Tensor {
     let size = error.abs();
     // min(e, δ) · (e − min(e, δ)/2) equals both branches.
@@ -70,12 +74,13 @@ fn huber(error: &Tensor, delta: f64) -> Tensor {
     &inner * (size - &inner * 0.5)
 }
 
-/// Σ x · weight / Σ weight (0 where nothing has weight).
+/// Returns Σ x · weight / Σ weight, and 0 where all weights are 0.
 pub fn masked_mean(x: &Tensor, weight: &Tensor) -> Tensor {
     (x * weight).sum(Kind::Float) / weight.sum(Kind::Float).clamp_min(1e-8)
 }
 
-/// Normalises to mean 0 and standard deviation 1 over entries with `active > 0`; the others become 0.
+/// Normalises to mean 0 and standard deviation 1 over entries with `active > 0`; the others become
+/// 0.
 pub fn normalize_advantages(advantage: &mut [f32], active: &[f32]) {
     let chosen = || {
         advantage
@@ -92,7 +97,8 @@ pub fn normalize_advantages(advantage: &mut [f32], active: &[f32]) {
     }
 }
 
-/// Share of the returns' variance that the values explain, over active entries; 0 where returns do not vary.
+/// Returns the share of the returns' variance that the values explain, over active entries; 0 where
+/// returns do not vary.
 pub fn explained_variance(values: &[f32], returns: &[f32], active: &[f32]) -> f64 {
     let variance = |of: &dyn Fn(usize) -> f64| {
         let chosen: Vec<f64> = (0..active.len()).filter(|&i| active[i] > 0.0).map(of).collect();
@@ -115,7 +121,8 @@ mod tests {
         assert!((advantage[0] + 1.224_7).abs() < 1e-3 && advantage[1].abs() < 1e-6);
     }
 
-    /// One step on a whole rollout is REINFORCE with a baseline (`experiments/magic_reinforce.toml`).
+    /// The first gradient step on a whole rollout is that of REINFORCE with a baseline
+    /// (`experiments/magic_reinforce.toml`).
     #[test]
     fn the_first_step_follows_the_policy_gradient() {
         let old = Tensor::from_slice(&[-0.3_f32, -2.0, 0.4, -1.0]).view([4, 1]);
@@ -123,7 +130,7 @@ mod tests {
         let advantage = Tensor::from_slice(&[0.5_f32, -8.0, 9.0, 3.0]);
         let active = Tensor::from_slice(&[1.0_f32, 1.0, 1.0, 0.0]);
         policy_loss(&new, &old, &advantage, &active, 0.2).backward();
-        // -A ∇ log π, averaged over who acts.
+        // -A ∇ log π, averaged over the active samples.
         let expected = Tensor::from_slice(&[-0.5_f32 / 3.0, 8.0 / 3.0, -3.0, 0.0]);
         let difference = (new.grad().view([-1]) - expected).abs().max().double_value(&[]);
         assert!(difference < 1e-6, "{:?}", new.grad());

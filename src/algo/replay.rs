@@ -1,4 +1,4 @@
-//! Replayed steps: the last rollouts, of which steps are drawn at random.
+//! The replay buffer: the last rollouts, from which steps are drawn at random.
 
 use tch::{Device, Kind, Tensor, no_grad};
 
@@ -6,54 +6,55 @@ use crate::nn;
 use crate::rng::{self, Rng};
 use crate::rollout::{Rollout, Sizes};
 
-/// The last rollouts.
+/// A buffer of the last rollouts.
 pub(super) struct Replay {
     device: Device,
-    /// Most rollouts that are kept.
+    /// Largest number of rollouts that are kept.
     capacity: i64,
-    /// Rollouts so far.
+    /// Number of rollouts stored so far, including those that were overwritten.
     stored: i64,
     sizes: Option<Sizes>,
-    /// Per array of [`NAMES`], `[capacity, (T + 1) · E, N, width]`.
+    /// One tensor per array of [`NAMES`], `[capacity, (T + 1) · E, N, width]`.
     arrays: Vec<Tensor>,
 }
 
-/// What is kept of each row.
+/// Names of the arrays that are stored for each row.
 const NAMES: [&str; 7] = ["observation", "state", "comm", "action", "reward", "active", "ended"];
 
-/// Steps that were drawn, `R` rows of all N agents, each with up to n steps that followed it.
+/// Sampled transitions: `R` rows of all N agents, each over up to n steps.
 pub(super) struct Transitions {
-    /// Before the step.
+    /// View before the first step.
     pub(super) before: View,
-    /// After n steps, or where the rollout or the trajectories were cut off before, or the last of them ended.
+    /// View after n steps, or earlier: where the rollout ended, where trajectories were truncated,
+    /// or where the last agent's trajectory ended.
     pub(super) after: View,
-    /// `[R, N, A]`, as the environment took them.
+    /// Actions of the first step as the environment took them, `[R, N, A]`.
     pub(super) action: Tensor,
-    /// What these steps brought, discounted, `[R, N]`.
+    /// Discounted sum of the rewards of these steps, `[R, N]`.
     pub(super) reward: Tensor,
-    /// 1 where an agent acted, `[R, N]`.
+    /// 1 where an agent acted in the first step, `[R, N]`.
     pub(super) active: Tensor,
-    /// What a value after them counts for: 0 where the agent's trajectory ended for good, `[R, N]`.
+    /// Factor on the value of `after`; 0 where the agent's trajectory ended for good, `[R, N]`.
     pub(super) discount: Tensor,
 }
 
-/// What is seen at a time.
+/// What the critic reads at one step.
 pub(super) struct View {
-    /// `[R, N, O]`
+    /// Observations, `[R, N, O]`.
     pub(super) observation: Tensor,
-    /// `[R, N, S]`
+    /// Privileged states, `[R, N, S]`.
     pub(super) state: Tensor,
-    /// `[R, N, N]`
+    /// Physical masks, `[R, N, N]`.
     pub(super) comm: Tensor,
 }
 
 impl Replay {
-    /// Keeps up to `capacity` rollouts.
+    /// Creates a buffer that keeps up to `capacity` rollouts.
     pub(super) fn new(capacity: usize, device: Device) -> Self {
         Self { device, capacity: capacity as i64, stored: 0, sizes: None, arrays: Vec::new() }
     }
 
-    /// Takes a rollout in, in place of the oldest if there is no room.
+    /// Stores a rollout, in place of the oldest one if the buffer is full.
     pub(super) fn add(&mut self, rollout: &Rollout) {
         let s = rollout.sizes;
         self.prepare(s);
@@ -72,7 +73,7 @@ impl Replay {
         ];
         for (to, from) in self.arrays.iter().zip(arrays) {
             let from = Tensor::from_slice(from).view([-1, n, to.size()[3]]).to_device(self.device);
-            // The last row was not acted upon.
+            // Actions, rewards and ends have no closing row, in which no agent acts.
             let count = from.size()[0].min(rows);
             no_grad(|| to.get(self.stored % self.capacity).narrow(0, 0, count).copy_(&from));
         }
@@ -94,7 +95,8 @@ impl Replay {
         (self.arrays, self.sizes, self.stored) = (widths.map(array).into(), Some(sizes), 0);
     }
 
-    /// Draws `count` steps, with replacement, and up to `following` steps from each on, discounted by `gamma`.
+    /// Draws `count` transitions, with replacement, each over up to `following` steps with discount
+    /// `gamma`.
     pub(super) fn draw(
         &self,
         count: usize,
@@ -129,7 +131,8 @@ impl Replay {
         for step in 0..following.min(s.steps) as i64 {
             let rows = &before + (left.clamp_max(step + 1) - 1) * s.envs as i64;
             let acts = &going * one(5, &rows) * left.gt(step).unsqueeze(-1);
-            // Whoever is still there and does not act was cut off: that row is what all of them end at.
+            // An agent whose trajectory goes on but who does not act was truncated. The transitions
+            // of all agents end at that row.
             let acts = &acts * (&going - &acts).amax([-1], true).le(0.0);
             reward += &discount * &acts * one(4, &rows);
             after += acts.amax([-1], false).gt(0.0).to_kind(Kind::Int64) * s.envs as i64;
@@ -141,7 +144,7 @@ impl Replay {
         Transitions { before: view(&before), after, action, reward, active, discount }
     }
 
-    /// For a checkpoint.
+    /// Returns the state for a checkpoint.
     pub(super) fn state(&self) -> Vec<(String, Tensor)> {
         let Some(s) = self.sizes else {
             return Vec::new();
@@ -158,10 +161,11 @@ impl Replay {
         arrays.chain([("counts".to_owned(), Tensor::from_slice(&counts))]).collect()
     }
 
-    /// Takes over what [`Replay::state`] gave; of more rollouts than have room, the newest.
+    /// Loads a state that [`Replay::state`] returned. If it holds more rollouts than have room, the
+    /// newest are kept.
     ///
     /// # Errors
-    /// [`nn::Error`] when it is of another shape.
+    /// [`nn::Error`] when the state has another shape.
     pub(super) fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), nn::Error> {
         let Some((_, counts)) = state.iter().find(|(name, _)| name == "counts") else {
             (self.sizes, self.stored) = (None, 0);
@@ -185,7 +189,8 @@ impl Replay {
             memory: size(memory),
             graphs: size(graphs),
         });
-        // It holds as many rollouts as there were, or as had room; which is the oldest follows from the count.
+        // The state holds all rollouts stored before, or as many as had room. In a full buffer the
+        // number stored tells which one is the oldest.
         let rows = |array: &Tensor| array.size().first().copied().unwrap_or(0);
         let had =
             state.iter().find(|(name, _)| name == NAMES[0]).map_or(0, |(_, array)| rows(array));
@@ -226,7 +231,8 @@ mod tests {
     const ENVS: usize = 2;
     const AGENTS: usize = 3;
 
-    /// Episodes that end one agent after the other, or are cut off for all; what is observed is the number of the row.
+    /// Returns a rollout of episodes that end one agent after another or are truncated for all
+    /// agents. Every observation is the number of its row.
     fn rollout(events: &[u8]) -> Rollout {
         let sizes = Sizes {
             steps: STEPS,
@@ -243,7 +249,7 @@ mod tests {
             let mut there = [true; AGENTS];
             for t in 0..=STEPS {
                 let row = t * ENVS + env;
-                // After an end for all, one row in which nobody acts.
+                // After all agents have ended, there is one row in which no agent acts.
                 let begins = !there.contains(&true)
                     && t > 0
                     && rollout.active[(row - ENVS) * AGENTS..][..AGENTS].iter().all(|a| *a == 0.0);
@@ -269,7 +275,7 @@ mod tests {
         rollout
     }
 
-    /// The first reward of each rollout that is kept, sorted.
+    /// Returns the first reward of each rollout that is kept, sorted.
     fn kept(replay: &Replay) -> Vec<f64> {
         let count = replay.stored.min(replay.capacity);
         let mut rewards =
@@ -282,7 +288,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// A run that goes on with another size keeps the newest rollouts, and the oldest make room first.
+        /// A buffer that is loaded with another capacity keeps the newest rollouts and overwrites
+        /// the oldest first.
         #[test]
         fn the_newest_move_into_another_size(had in 0usize..9, before in 1usize..5, after in 1usize..7, more in 0usize..6) {
             let numbered = |k: usize| {
@@ -301,7 +308,8 @@ mod tests {
             }
         }
 
-        /// As one walks from each step of each agent on.
+        /// Rewards and discounts of drawn transitions are those of a walk from the step on, agent
+        /// by agent.
         #[test]
         fn rewards_count_until_the_end_or_the_cut(events in prop::collection::vec(0u8..24, 72..100), n in 1usize..6, draw in 0u64..1000) {
             const GAMMA: f64 = 0.9;
@@ -317,7 +325,7 @@ mod tests {
                 prop_assert_eq!(f64::from(active[k]), weight);
                 for _ in 0..n {
                     let cell = at * AGENTS + k % AGENTS;
-                    // Cut off in the step before, or the rollout is over.
+                    // The agent was truncated in the step before, or the rollout is over.
                     if weight == 0.0 || at >= STEPS * ENVS || rollout.active[cell] == 0.0 {
                         break;
                     }

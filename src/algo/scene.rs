@@ -1,4 +1,4 @@
-//! What networks that look across agents read: rows with all N agents of an environment.
+//! The input of networks that look across agents: rows with all N agents of an environment.
 
 use tch::Tensor;
 
@@ -7,27 +7,29 @@ use super::batch::{Batch, Shard};
 use super::encoder::{Encoder, encode_rows};
 use crate::nn::Packing;
 
-/// Rows of C sequences of L steps, `[L · C]`, of all N agents.
+/// Rows `[L · C]` of C sequences of L steps, with all N agents.
 pub(super) struct Scene {
-    /// `[L · C, N, O]`
+    /// Observations, `[L · C, N, O]`.
     pub(super) observation: Tensor,
-    /// Before the first step, `[C, N, M]`.
+    /// Memory before the first step, `[C, N, M]`.
     pub(super) memory: Tensor,
-    /// `[L · C, N]`
+    /// 0 where memories are cleared before the step, else 1, `[L · C, N]`.
     pub(super) keep: Tensor,
-    /// `[L · C, N, N]`
+    /// Physical masks, `[L · C, N, N]`.
     pub(super) comm: Tensor,
-    /// Of the communication graphs, `[L · C, N, G · N]`; without it, the most likely ones.
+    /// Noise of the communication graphs, `[L · C, N, G · N]`; without it, graphs are the most
+    /// likely ones.
     pub(super) noise: Option<Tensor>,
-    /// Steps L.
+    /// Number of steps L.
     pub(super) length: i64,
-    /// Whether to leave out those whom nobody can hear. One decision computes everyone, so that its rounding does not depend
-    /// on who is there in other environments.
+    /// Whether to leave out absent agents, whom no agent can hear. A single decision computes all
+    /// slots, so that its rounding does not depend on which agents are present in other
+    /// environments.
     pub(super) pack: bool,
 }
 
 impl Scene {
-    /// One decision, with everyone.
+    /// Returns the scene of one decision, with all slots.
     pub(super) fn of(input: &Observation, noise: Option<&Tensor>) -> Self {
         Self {
             observation: input.observation.shallow_clone(),
@@ -40,7 +42,8 @@ impl Scene {
         }
     }
 
-    /// The rows of a shard; `memory` and `noise` are for all rows of the batch, the latter empty for networks without a graph.
+    /// Returns the rows of a shard. `memory` and `noise` hold all rows of the batch; `noise` is
+    /// empty for networks without a graph.
     pub(super) fn of_shard(batch: &Batch, shard: &Shard, memory: &Tensor, noise: &Tensor) -> Self {
         Self {
             observation: shard.take(&batch.observation),
@@ -53,7 +56,8 @@ impl Scene {
         }
     }
 
-    /// All rows of a batch as sequences of `length` steps, from `memory` before the first, `[C, N, M]`.
+    /// Returns all rows of a batch as C sequences of `length` steps, with `memory` before the first
+    /// step, `[C, N, M]`.
     pub(super) fn of_batch(batch: &Batch, length: i64, memory: &Tensor, noise: &Tensor) -> Self {
         Self {
             observation: batch.observation.shallow_clone(),
@@ -66,30 +70,32 @@ impl Scene {
         }
     }
 
-    /// Rows and agents.
+    /// Returns the numbers of rows and of agent slots.
     pub(super) fn size(&self) -> (i64, i64) {
         let (rows, agents, _) = self.observation.size3().expect("observations are [rows, N, O]");
         (rows, agents)
     }
 
-    /// Who is there, `[L · C, N]`.
+    /// Returns 1 where an agent is present, else 0, `[L · C, N]`.
     pub(super) fn present(&self) -> Tensor {
         self.comm.diagonal(0, 1, 2)
     }
 
-    /// Embeddings of everyone, `[L · C, N, H]`, and the memory after each step, `[L, C · N, M]`, if there is one.
+    /// Returns the embeddings of all slots, `[L · C, N, H]`, and the memory after each step,
+    /// `[L, C · N, M]`, if there is one.
     pub(super) fn embed(&self, encoder: &Encoder) -> (Tensor, Option<Tensor>) {
         encode_rows(encoder, &self.observation, &self.memory, &self.keep, self.length)
     }
 
-    /// Embeddings of those who are there, `[P, H]`, as `packing` says, and the memory after each step.
+    /// Returns the embeddings of the present agents, `[P, H]`, packed by `packing`, and the memory
+    /// after each step.
     pub(super) fn embed_packed(
         &self,
         encoder: &Encoder,
         packing: &Packing,
     ) -> (Tensor, Option<Tensor>) {
         if encoder.memory() == 0 {
-            // Those who are left out need not be embedded.
+            // Without memory, only the present agents need to be embedded.
             let x = packing.pack(&self.observation).unsqueeze(0);
             return (encoder.forward(&x, &self.memory, &self.keep).0.squeeze_dim(0), None);
         }
@@ -97,7 +103,7 @@ impl Scene {
         (packing.pack(&f), memories)
     }
 
-    /// `count` rows from `first` on, of single steps.
+    /// Returns `count` rows from row `first` on; rows must be single steps.
     fn part(&self, first: i64, count: i64) -> Self {
         debug_assert_eq!(self.length, 1);
         let cut = |tensor: &Tensor| tensor.narrow(0, first, count);
@@ -115,8 +121,8 @@ impl Scene {
         }
     }
 
-    /// What `work` makes of single steps and of `others`, which have as many rows, row by row: in parts that bound the peak
-    /// of memory, and change nothing else.
+    /// Applies `work` to single steps and to `others`, which has as many rows, and returns the
+    /// joined results. The rows are processed in parts, which only bounds the peak memory.
     pub(super) fn in_parts(
         &self,
         others: &Tensor,

@@ -1,8 +1,10 @@
-//! What the methods share that treat the agents of an environment as a sequence (MAT, CommFormer): what goes into the
-//! transformer, the value that comes out of its encoder, and acting one after another.
+//! The parts shared by the methods that treat the agents of an environment as a sequence (MAT,
+//! CommFormer): the transformer's input, the value from its encoder, and acting one agent after
+//! another.
 //!
-//! Who is gone is left out of the sequence: the next one reads the action of the last one who is there, and nobody attends to an
-//! empty place, so that a crew with gaps decides as one without them.
+//! Absent agents are left out of the sequence. An agent reads the action of the last present agent
+//! before it, and no agent attends to an empty slot, so that agents with empty slots among them
+//! decide as they would without these slots.
 
 use std::f64::consts::SQRT_2;
 
@@ -16,7 +18,8 @@ use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::{Decoded, Decoder, Init, LayerNorm, Linear, Path, Reach};
 
-/// The observation encoder and the input layer of the transformer: normalisation, linear, GELU, normalisation.
+/// The observation encoder and the transformer's input layer: normalisation, linear, GELU,
+/// normalisation.
 pub(super) struct Input {
     encoder: Encoder,
     norm: LayerNorm,
@@ -35,20 +38,21 @@ impl Input {
         }
     }
 
-    /// Memory per agent.
+    /// Returns the width of the memory per agent.
     pub(super) fn memory(&self) -> i64 {
         self.encoder.memory()
     }
 
-    /// Everyone as the transformer takes them, `[L · C, N, H]`, and the memory after each step, `[L, C · N, M]`.
+    /// Returns the transformer's input for all agents, `[L · C, N, H]`, and the memory after each
+    /// step, `[L, C · N, M]`.
     pub(super) fn forward(&self, scene: &Scene) -> (Tensor, Option<Tensor>) {
         let (f, memory) = scene.embed(&self.encoder);
         (self.out_norm.forward(&self.linear.forward(&self.norm.forward(&f)).gelu("none")), memory)
     }
 }
 
-/// The value of an agent from what the transformer's encoder makes of everyone, and from the privileged state: linear, GELU,
-/// normalisation, linear with gain 0.01.
+/// The value of each agent from its representation in the transformer's encoder and from the
+/// privileged state: linear, GELU, normalisation, linear with gain 0.01.
 pub(super) struct ValueHead {
     first: Linear,
     norm: LayerNorm,
@@ -65,41 +69,43 @@ impl ValueHead {
         }
     }
 
-    /// `representation: [.., H]` and `state: [.., S]` to values (normalised), `[..]`.
+    /// Returns the values (normalised), `[..]`, for `representation: [.., H]` and `state: [.., S]`.
     pub(super) fn forward(&self, representation: &Tensor, state: &Tensor) -> Tensor {
         let x = self.first.forward(&Tensor::cat(&[representation, state], -1)).gelu("none");
         self.second.forward(&self.norm.forward(&x)).squeeze_dim(-1)
     }
 }
 
-/// Decodes agents in the order of their slots.
+/// A decoder of actions, agent by agent in the order of slots.
 pub(super) struct Sequence {
     pub(super) decoder: Decoder,
     pub(super) head: GaussianHead,
-    /// Action dimensions A.
+    /// Number of action dimensions A.
     pub(super) actions: i64,
 }
 
-/// Who is there and reaches whom, of rows `[B]`.
+/// The order of decisions in rows `[B]`: present agents, and who reads whose action.
 pub(super) struct Order {
-    /// `[B, N]`, true where an agent is there.
+    /// True where an agent is present, `[B, N]`.
     present: Tensor,
-    /// How many agents stand before each up to the last one there, itself not counted, `[B, N]`: 0 for the first.
+    /// Number, counted from 1, of the slot of the last present agent before each slot, `[B, N]`; 0
+    /// where there is none.
     before: Tensor,
-    /// 1 where an agent hears the one there before it, `[B, N]`.
+    /// 1 where an agent hears the last present agent before it, `[B, N]`.
     heard: Tensor,
-    /// Among those up to oneself.
+    /// Attention among the agents up to and including each agent.
     reach: Reach,
 }
 
 impl Order {
-    /// `present: [B, N]`; `graph: [B, N, N]` is who hears whom, and `reach` the same for attention.
+    /// Creates the order. In `present: [B, N]` and `graph: [B, N, N]` (row = listener) 1 is present
+    /// and hears; `reach` is the graph for attention.
     pub(super) fn new(present: &Tensor, graph: &Tensor, reach: &Reach) -> Self {
         let agents = present.size()[1];
         let present = present.gt(0.5);
         let numbers = Tensor::arange(agents, (Kind::Int64, present.device())) + 1;
         let last = (numbers * present.to_kind(Kind::Int64)).cummax(1).0;
-        // The first place has nobody before it.
+        // No slot comes before the first one.
         let before = last.narrow(1, 0, agents - 1).constant_pad_nd([1, 0]);
         let heard = graph
             .detach()
@@ -111,7 +117,8 @@ impl Order {
 }
 
 impl Sequence {
-    /// What the head reads for actions that were taken, `[B, N, A]`: all agents at once, `[B, N, W]`.
+    /// Returns the head's input for all agents at once, `[B, N, W]`, given the actions taken,
+    /// `[B, N, A]`.
     pub(super) fn of_actions(
         &self,
         representation: &Tensor,
@@ -126,7 +133,8 @@ impl Sequence {
         self.decoder.forward(&previous, representation, &order.reach, &mut Decoded::default())
     }
 
-    /// Actions and the log-probabilities of their dimensions, `[E, N, A]`, one agent after another in all environments at once.
+    /// Returns actions and the log-probabilities of their dimensions, `[E, N, A]`, decided agent by
+    /// agent in all environments at once.
     pub(super) fn act(
         &self,
         representation: &Tensor,

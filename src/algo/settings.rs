@@ -1,4 +1,5 @@
-//! Settings of the learners. Each field says meaning, unit and what turning it does; `Default` is what docs/settings.md reports.
+//! Settings of the learning algorithms. Each field states its meaning, unit and effect; `Default`
+//! has the values that docs/settings.md lists.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,36 +8,37 @@ use tch::Tensor;
 use crate::env::EnvSpec;
 use crate::nn::MaskMode;
 
-/// Everything a learner can be told.
+/// All settings of a learner.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Networks, the same for every method.
+    /// Networks, common to all methods.
     pub network: Network,
-    /// Proximal policy optimisation, the same for every method.
+    /// Proximal policy optimisation, common to all methods.
     pub ppo: Ppo,
     /// Exploration noise of the Gaussian policy.
     pub exploration: Exploration,
-    /// IWoL's own.
+    /// Settings of IWoL.
     pub iwol: Iwol,
     /// The transformer of MAT and CommFormer.
     pub transformer: Transformer,
-    /// MAGIC's own.
+    /// Settings of MAGIC.
     pub magic: Magic,
-    /// CommFormer's own.
+    /// Settings of CommFormer.
     pub commformer: CommFormer,
-    /// ICP's own.
+    /// Settings of ICP.
     pub icp: Icp,
-    /// MADDPG's own.
+    /// Settings of MADDPG.
     pub maddpg: Maddpg,
 }
 
 impl Settings {
-    /// Names of the groups that not every method is told of.
+    /// Names of the groups that only some methods read.
     pub const OWN: [&'static str; 6] =
         ["iwol", "transformer", "magic", "commformer", "icp", "maddpg"];
 
-    /// Those of all methods, and of the others the `groups` that are named; the rest by default.
+    /// Returns these settings with all groups at their defaults, except those common to all methods
+    /// and those named in `groups`.
     #[must_use]
     pub fn only(&self, groups: &[&str]) -> Self {
         fn part<T: Clone + Default>(told: bool, group: &T) -> T {
@@ -62,16 +64,16 @@ impl Settings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    /// Observation encoder: `mlp` (fastest, and enough where observations come in a fixed order), `attention` over entity
-    /// tokens (paper) or `gru` (released code).
+    /// Observation encoder: `mlp` (fastest, and sufficient where observations come in a fixed
+    /// order), `attention` over entity tokens (paper) or `gru` (released code).
     pub encoder: EncoderKind,
-    /// Width H of embeddings, policy and value layers.
+    /// Width H of embeddings and of policy and value layers.
     pub hidden: i64,
-    /// Layers after the first in the encoder's perceptron.
+    /// Number of layers after the first one in the encoder's perceptron.
     pub extra_layers: usize,
     /// Width of an entity token (attention encoder).
     pub token_width: i64,
-    /// Heads of the entity attention.
+    /// Number of heads of the entity attention.
     pub token_heads: i64,
     /// Steps per sequence in the update of a recurrent encoder.
     pub chunk_length: usize,
@@ -90,13 +92,13 @@ impl Default for Network {
     }
 }
 
-/// Kind of observation encoder.
+/// The kind of observation encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EncoderKind {
     /// Self-attention over entity tokens.
     Attention,
-    /// Perceptron and gated recurrent unit with memory.
+    /// Perceptron followed by a gated recurrent unit, which has a memory.
     Gru,
     /// Perceptron.
     Mlp,
@@ -106,48 +108,56 @@ pub enum EncoderKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ppo {
-    /// Adam's learning rate for policy and value.
+    /// Adam's learning rate for policy and value function.
     pub learning_rate: f64,
-    /// Whether that rate is for a standard deviation of 1 of the actions, and falls with the imposed one: a step of the same
-    /// size changes a policy with less noise by more.
+    /// Whether the learning rate is proportional to the imposed standard deviation of the actions,
+    /// and `learning_rate` is that for a standard deviation of 1. A step of the same size changes a
+    /// policy more if the policy has less noise.
     pub learning_rate_follows_noise: bool,
-    /// Share of the rate that is left when annealing is over.
+    /// Share of the learning rate that is left when annealing is over.
     pub learning_rate_end: f64,
-    /// Passes over a rollout, at most.
+    /// Largest number of passes over a rollout.
     pub epochs: usize,
-    /// A pass in which the policy has moved further than this from the one that acted (mean approximate KL divergence of the pass) is the
-    /// last over its rollout, unless it imitates then; 0: never. For policies whose steps turn out too large at the common learning rate.
+    /// Limit of a pass's mean approximate KL divergence from the policy that acted: a pass above
+    /// the limit is the last one over its rollout; 0: no limit. Early stopping is off while the
+    /// imitation loss is active. It serves policies whose steps are too large at the common
+    /// learning rate.
     pub target_kl: f64,
-    /// Samples (agent × step) per minibatch (half as many for methods that replay); more gradient steps with smaller ones.
+    /// Samples (agent × step) per minibatch; by default half as many for off-policy methods.
+    /// Smaller minibatches give more gradient steps.
     pub minibatch: usize,
-    /// Parts of a minibatch that are worked on at the same time, each on a thread of its own with a copy of the networks.
-    /// As many as there are cores is fastest. Another number gives other roundings, and lets decoders learn from other
-    /// samples, so that it is a setting, and not found out from the machine. A graphics processor does everything at once.
+    /// Number of parts of a minibatch that are processed in parallel, each on its own thread with
+    /// its own copy of the networks. One per core is fastest. Another number changes rounding and
+    /// the samples from which decoders learn; therefore it is a setting and not read from the
+    /// machine. On a GPU there is one part.
     pub shards: usize,
-    /// Decay per update of the averaged policy weights that validation, evaluation and a finished run use (not of CommFormer's scores, which
-    /// are the newest); 0: the last weights are used.
+    /// Decay per update of the averaged policy weights, which validation, evaluation and a finished
+    /// run use (but not of CommFormer's scores, of which the latest are used); 0: the latest
+    /// weights are used.
     pub average: f64,
     /// Discount per step.
     pub gamma: f64,
-    /// Discount once [`Exploration::explore_steps`] are over; 0: as before. A short view finds a way sooner, among vehicles that
-    /// move; a long one then makes it safe: at 0.99, arriving ten steps earlier is worth a crash in ten.
+    /// Discount after [`Exploration::explore_steps`]; 0: [`Ppo::gamma`] throughout. A low discount
+    /// keeps vehicles moving early in training; a high one afterwards makes driving safe. At 0.99,
+    /// arriving ten steps earlier outweighs a crash risk of one in ten
+    /// (docs/lab/0.1.0.md#vehicles-that-steer).
     pub gamma_explored: f64,
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
-    /// ε of the clipped ratio and of the clipped value.
+    /// Clip range ε of the ratio and of the value.
     pub clip: f64,
-    /// Weight in the loss of how far the actions' means lie beyond -1 to 1, where actions are clipped: half the square, in units of
-    /// their noise. Beyond, noise changes nothing that is done, and the policy learns nothing from it: among 4 vehicles, one way of 70
-    /// to begin failed for a million steps, in which both drove at full throttle. In worlds with less noise it weighs more, as it is not
-    /// divided among them like the policy's loss: at a spread of 1.2 its gradient is four times that without, on average. 0: not at all.
+    /// Weight of the penalty on mean actions beyond -1 to 1, where actions are clipped: half the
+    /// squared excess, in units of the noise's standard deviation; 0: no penalty. Beyond the bounds
+    /// noise changes no action, so that the policy learns nothing from it
+    /// (docs/lab/0.1.0.md#few-vehicles).
     pub bounds: f64,
-    /// Where the Huber loss of the (normalised) value turns linear.
+    /// Error of the normalised value at which the Huber loss becomes linear.
     pub huber_delta: f64,
-    /// Weight of the entropy bonus; 0 where the noise is imposed by a schedule.
+    /// Weight of the entropy bonus; 0 where a schedule imposes the noise.
     pub entropy: f64,
-    /// Largest gradient norm, policy and value separately.
+    /// Largest gradient norm, of policy and value function separately.
     pub max_grad_norm: f64,
-    /// Decay of the value normalisation's running statistics.
+    /// Decay of the running statistics that normalise values.
     pub value_norm_beta: f64,
 }
 
@@ -179,25 +189,28 @@ impl Default for Ppo {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Exploration {
-    /// `schedule`: the logarithm of the standard deviation is imposed; `learned`: it is a parameter (released code).
+    /// `schedule`: the logarithm of the standard deviation is imposed; `learned`: it is a parameter
+    /// (released code).
     pub mode: NoiseMode,
-    /// Logarithm of the standard deviation at the beginning (of the parameter, when learned). An imposed one scales the noise
-    /// of sampled communication graphs, too (not of Im-IWoL's, which its value alone has).
+    /// Logarithm of the standard deviation at the beginning (initial value of the parameter where
+    /// it is learned). An imposed standard deviation also scales the noise of sampled communication
+    /// graphs, except that of Im-IWoL, whose graph only the value function has.
     pub log_std_start: f64,
-    /// … after [`Exploration::explore_steps`], held until annealing begins. Too low freezes a run that has not found the
-    /// way yet.
+    /// Logarithm of the standard deviation after [`Exploration::explore_steps`], kept until
+    /// annealing begins. A value that is too low freezes a run that has not succeeded by then.
     pub log_std_explore: f64,
-    /// … when annealing is over.
+    /// Logarithm of the standard deviation when annealing is over.
     pub log_std_end: f64,
-    /// Environment steps over which it falls linearly from the first to the second.
+    /// Environment steps over which the logarithm of the standard deviation falls linearly from
+    /// `log_std_start` to `log_std_explore`.
     pub explore_steps: u64,
-    /// Correlation of the noise of throttle and brake with that of the step before (first-order
-    /// autoregressive, of the same variance), until annealing begins; none after it. Such noise
-    /// moves a vehicle further from where it would be, and so finds other orders of going first;
-    /// but vehicles that must reckon with it drive slowly (Hollenstein et al., AAAI 2024).
-    /// Probabilities of actions are those given the noise of the step before.
+    /// Correlation of the noise of throttle and brake from step to step (first-order
+    /// autoregressive, of constant variance) until annealing begins; then there is none. Correlated
+    /// noise moves a vehicle further from its mean trajectory and so finds other orders of passing;
+    /// but vehicles that must allow for it drive slowly (Hollenstein et al., AAAI 2024).
+    /// Probabilities of actions are conditional on the noise of the step before.
     pub correlation: f64,
-    /// Environment steps over which it falls to 0; 0: it stays.
+    /// Environment steps over which the correlation falls to 0; 0: it stays constant.
     pub correlation_steps: u64,
 }
 
@@ -215,52 +228,56 @@ impl Default for Exploration {
     }
 }
 
-/// Where the standard deviation comes from.
+/// The source of the actions' standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NoiseMode {
-    /// Imposed.
+    /// A schedule imposes it.
     Schedule,
-    /// A parameter.
+    /// It is a parameter and is learned.
     Learned,
 }
 
-/// IWoL's own settings. Defaults follow the paper; each alternative that the released code uses is named.
+/// Settings of IWoL. Defaults follow the paper; alternatives of the released code are named.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Iwol {
-    /// Width D of Im-IWoL's latent z (paper: 32).
+    /// Width Z of Im-IWoL's latent z (paper: 32).
     pub latent: i64,
-    /// Width of a message, and of the graph transformer that makes it (paper: 128).
+    /// Width D of a message and of the graph transformer that computes it (paper: 128).
     pub message: i64,
-    /// Rounds L of the graph transformer (released scripts: 4).
+    /// Number of rounds L of the graph transformer (released scripts: 4).
     pub rounds: usize,
-    /// Attention heads of the graph transformer (paper: 4).
+    /// Number of attention heads of the graph transformer (paper: 4).
     pub heads: i64,
     /// λ_W, weight of the world decoder's loss (paper: 0.05).
     pub lambda_world: f64,
     /// λ_I, weight of the interaction decoder's loss (paper: 0.05).
     pub lambda_interaction: f64,
-    /// Share of a minibatch's samples (at random) from which the decoders learn. All of them would cost more than the policy
-    /// itself does, for a mean that a part estimates as well.
+    /// Share of a minibatch's samples, chosen at random, from which the decoders learn. All samples
+    /// would cost more than the policy itself, for a mean that a part estimates as well.
     pub decoded: f64,
     /// Slope of the leaky rectifier in the additive attention (released: 1.2 for driving).
     pub slope: f64,
-    /// Added to the score of every edge: with 3, nineteen of twenty edges exist at the beginning of training, and learning
-    /// cuts them (released: 0, where about half of them exist).
+    /// Number added to the score of every edge. With 3, nineteen of twenty edges are open at the
+    /// beginning of training, and learning closes some of them; with 0 (released) about half of
+    /// them are open.
     pub graph_bias: f64,
     /// Temperature of the Gumbel-softmax.
     pub temperature: f64,
-    /// How the graph enters attention: `hard` lets nothing through a cut edge; `logit-mul` multiplies logits (released).
+    /// Effect of the graph on attention: `hard` lets nothing pass a closed edge; `logit-mul`
+    /// multiplies logits (released).
     pub mask: MaskMode,
-    /// Whether the physical mask applies (released: no).
+    /// Whether the physical mask cuts edges (released: no).
     pub physical_mask: bool,
-    /// Noise of sampled graphs (also MAGIC's and CommFormer's) in the update: `stored` keeps the sampled graph through all epochs, `resampled` draws anew in
-    /// each (released).
+    /// Noise of sampled graphs in the update, also of MAGIC and CommFormer: `stored` keeps the
+    /// sampled graph through all epochs, `resampled` draws new noise in each epoch (released).
     pub graph_noise: GraphNoise,
-    /// What Im-IWoL's policy head reads: `latent-embedding` (z and f; released) or `latent` (z alone; Algorithm 1).
+    /// Input of Im-IWoL's policy head: `latent-embedding` (z and f; released) or `latent` (z alone;
+    /// Algorithm 1).
     pub policy_input: PolicyInput,
-    /// What the world decoder predicts: the privileged `state` (paper) or the agent's own `observation` (released scripts).
+    /// Target of the world decoder: the privileged `state` (paper) or the agent's own `observation`
+    /// (released scripts).
     pub world_target: WorldTarget,
     /// Whether the interaction decoder ends in tanh (released) or is linear.
     pub interaction_tanh: bool,
@@ -293,9 +310,10 @@ impl Default for Iwol {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Transformer {
-    /// Blocks of its encoder, and of its decoder.
+    /// Number of blocks of the encoder, and of the decoder.
     pub blocks: usize,
-    /// Attention heads (MAT's and CommFormer's scripts: 1; the paper has 4 for every method).
+    /// Number of attention heads (scripts of MAT and CommFormer: 1; the paper has 4 for every
+    /// method).
     pub heads: i64,
 }
 
@@ -305,28 +323,32 @@ impl Default for Transformer {
     }
 }
 
-/// MAGIC's own settings.
+/// Settings of MAGIC.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Magic {
-    /// Weight of the loss of a world decoder on the messages, as Ex-IWoL has one (paper, RQ3); 0: no decoder.
+    /// Weight of the loss of a world decoder on the messages, as in Ex-IWoL (paper, RQ3); 0: no
+    /// decoder.
     pub lambda_world: f64,
 }
 
-/// CommFormer's own settings.
+/// Settings of CommFormer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommFormer {
-    /// Share of the agents that each one listens to.
+    /// Share of the agents that each agent listens to.
     pub sparsity: f64,
-    /// Of so many passes over a rollout, the last trains the graph, and nothing else.
+    /// Period of graph training in passes over a rollout: the last pass of each period trains the
+    /// graph alone, the others train everything else.
     pub graph_every: usize,
-    /// Learning rate of the graph, as a share of the others' (reference: 1e-4 beside 5e-4).
+    /// Learning rate of the graph, as a share of that of the other parameters (reference: 1e-4 and
+    /// 5e-4, a share of 0.2).
     pub graph_rate: f64,
-    /// Weight of the loss of a world decoder on the representations, as Ex-IWoL has one (paper, RQ3); 0: no decoder.
+    /// Weight of the loss of a world decoder on the representations, as in Ex-IWoL (paper, RQ3); 0:
+    /// no decoder.
     pub lambda_world: f64,
-    /// Share of what encoder blocks bring that is dropped in updates, and in updates alone, so that ratios compare different
-    /// networks (reference: 0.1).
+    /// Dropout rate of the encoder blocks in updates (reference: 0.1). Acting has no dropout, so
+    /// that with a rate above 0 ratios compare different networks.
     pub dropout: f64,
 }
 
@@ -336,13 +358,13 @@ impl Default for CommFormer {
     }
 }
 
-/// ICP's own settings.
+/// Settings of ICP.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Icp {
-    /// Symbols K that an action can show.
+    /// Number K of symbols that an action can show.
     pub symbols: i64,
-    /// Weight of the loss of the decoder, which tells from a symbol what its sender saw and did.
+    /// Weight of the loss of the decoder, which predicts from a symbol what its sender saw and did.
     pub lambda_message: f64,
 }
 
@@ -352,21 +374,26 @@ impl Default for Icp {
     }
 }
 
-/// MADDPG's own settings. Of the common ones it takes learning rates, minibatch, discounts, value normalisation, largest gradient norm and
-/// averaging.
+/// Settings of MADDPG. Of the common settings, MADDPG reads learning rates, minibatch, discounts,
+/// value normalisation, largest gradient norm and averaging.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Maddpg {
-    /// Rollouts that are kept and replayed. They stand in checkpoints, whose size grows with them.
+    /// Number of rollouts in the replay buffer. Checkpoints contain the buffer, so that their size
+    /// grows with this number.
     pub replay: usize,
-    /// Minibatches of replayed steps that are learned from after each rollout.
+    /// Number of minibatches drawn from the replay buffer after each rollout.
     pub updates: usize,
-    /// Steps whose rewards are counted before the critic's value of the last: multi-step returns (Lowe et al., 2017: 1), not corrected for
-    /// the policy being another by now. With one, vehicles learned to stop before the crossing for good.
+    /// Number of steps whose rewards are added before the critic's value of the last one:
+    /// multi-step returns (Lowe et al., 2017: 1), without a correction for changes of the policy
+    /// since. With one step, vehicles learned to stop before the crossing permanently
+    /// (docs/lab/0.1.0.md#maddpg).
     pub n_step: usize,
-    /// Share τ of their distance by which target networks follow after each.
+    /// Share τ of the distance to the trained networks by which target networks move after each
+    /// minibatch.
     pub target_rate: f64,
-    /// Weight of the squared mean actions before the tanh in the policy's loss (Lowe et al., 2017: 1e-3).
+    /// Weight in the policy's loss of the squared mean actions before the tanh (Lowe et al., 2017:
+    /// 1e-3).
     pub action_penalty: f64,
 }
 
@@ -376,38 +403,38 @@ impl Default for Maddpg {
     }
 }
 
-/// See [`Iwol::graph_noise`].
+/// The noise of sampled graphs in the update; see [`Iwol::graph_noise`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum GraphNoise {
-    /// One graph per step, kept.
+    /// The noise of the rollout, in all epochs.
     Stored,
-    /// A new graph in each epoch.
+    /// New noise in each epoch.
     Resampled,
 }
 
-/// See [`Iwol::policy_input`].
+/// The input of Im-IWoL's policy head; see [`Iwol::policy_input`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PolicyInput {
-    /// z and f.
+    /// Latent z and embedding f.
     LatentEmbedding,
-    /// z.
+    /// Latent z alone.
     Latent,
 }
 
-/// See [`Iwol::world_target`].
+/// The target of the world decoder; see [`Iwol::world_target`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WorldTarget {
-    /// Privileged state.
+    /// The privileged state.
     State,
-    /// Own observation.
+    /// The agent's own observation.
     Observation,
 }
 
 impl WorldTarget {
-    /// Features of the target.
+    /// Returns the number of features of the target.
     pub(super) fn width(self, spec: &EnvSpec) -> i64 {
         match self {
             Self::State => spec.state.len() as i64,
@@ -415,7 +442,7 @@ impl WorldTarget {
         }
     }
 
-    /// The target among the two.
+    /// Returns the one of `observation` and `state` that is the target.
     pub(super) fn of<'a>(self, observation: &'a Tensor, state: &'a Tensor) -> &'a Tensor {
         match self {
             Self::State => state,

@@ -1,5 +1,6 @@
-//! `iwol doctor`: what this machine has of what the program needs, and what is wrong with it. It tries things out
-//! rather than trust their presence: SUMO is started and asked for its TraCI version, libtorch computes a sum.
+//! `iwol doctor`: shows which of the program's requirements this machine meets, and what is wrong.
+//! Each check is a trial: SUMO is started and asked for its TraCI version, and libtorch computes a
+//! sum.
 
 use std::env;
 use std::fmt::{self, Display, Write as _};
@@ -11,15 +12,13 @@ use iwol_sumo::provenance::{Program, libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
 
-/// The libtorch that the `tch` crate is made for.
+/// The libtorch version that the `tch` crate is made for.
 const TORCH: &str = "2.13.0";
-/// A small net of our own to start SUMO with, so that the check does not hang on the current folder.
+/// A small net to start SUMO with; it is compiled in, so the check does not depend on the current
+/// folder.
 const NET: &str = include_str!("../../sumo_nets/intersection/arm30.net.xml");
 
-/// Prints what was found; `true` if nothing is wrong.
-///
-/// # Errors
-/// Only if the check itself cannot be carried out; what it finds wrong is part of what it prints.
+/// Runs all checks and prints what they found; returns `true` if nothing is wrong.
 pub fn run() -> bool {
     let mut findings = Findings::default();
     findings.row("iwol", format!("{}, {}", Program::current().describe(), program()));
@@ -31,14 +30,14 @@ pub fn run() -> bool {
     findings.faults.is_empty()
 }
 
-/// What was found, in the order of printing.
+/// The results of all checks, in the order of printing.
 #[derive(Default)]
 struct Findings {
     rows: Vec<(&'static str, String)>,
     faults: Vec<Fault>,
 }
 
-/// Something that is wrong, and what can be done about it.
+/// Something that is wrong, and a hint on how to fix it.
 struct Fault {
     what: String,
     hint: Option<String>,
@@ -49,7 +48,7 @@ impl Findings {
         self.rows.push((name, value.into()));
     }
 
-    /// A fault, with a row that says so in the place where a value was expected.
+    /// Adds a fault, and a row that refers to it in place of a value.
     fn fault(&mut self, name: &'static str, what: impl Into<String>, hint: Option<&str>) {
         self.row(name, "see below");
         self.faults.push(Fault {
@@ -119,7 +118,7 @@ fn check_sumo(findings: &mut Findings) {
         .row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
 }
 
-/// Starts SUMO, makes one step, and says which protocol it speaks and how long the start took.
+/// Starts SUMO, makes one step, and returns the protocol version and the start-up time as text.
 fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
     let config = SimulationConfig {
         net,
@@ -149,7 +148,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
 fn check_torch(findings: &mut Findings) {
     let library = loaded_library("libtorch_cpu.so");
     let folder = library.as_deref().and_then(Path::parent);
-    // A libtorch of another origin may lack the file; then its version was checked by nobody, and we say no more.
+    // A libtorch from another source may lack the version file; its version is then not checked.
     let version = libtorch_version().unwrap_or_else(|| "version unknown".to_owned());
     let place =
         folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
@@ -201,11 +200,12 @@ fn check_threads(findings: &mut Findings) {
     );
 }
 
-/// The scenarios and nets of the current folder. That there are none is no fault: the program may run anywhere.
+/// Checks the scenarios and counts the nets below the current folder. Finding none is not a fault:
+/// the program may run in any folder.
 fn check_files(findings: &mut Findings) {
     let mut good = String::new();
     for path in files_below(Path::new("scenarios"), ".xml") {
-        // Route files lie there as well.
+        // The folder contains route files as well.
         let text = fs::read_to_string(&path).unwrap_or_default();
         if !text.contains("<scenario") && !text.is_empty() {
             continue;
@@ -227,12 +227,13 @@ fn check_files(findings: &mut Findings) {
     findings.row("nets", format!("{nets} in the folder ./sumo_nets"));
 }
 
-/// Files whose name ends so, in a folder and the folders in it, sorted; none where the folder cannot be read.
+/// Returns all files below a folder whose name ends with `ending`, sorted; none if the folder
+/// cannot be read.
 fn files_below(folder: &Path, ending: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        // A link to a folder is not followed: it may lead in a circle.
+        // Links to folders are not followed: they may form a cycle.
         if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
             found.extend(files_below(&path, ending));
         } else if entry.file_name().to_string_lossy().ends_with(ending) {
@@ -243,7 +244,7 @@ fn files_below(folder: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
-/// An error and its causes in one line.
+/// Formats an error and its causes in one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

@@ -31,7 +31,9 @@ pub(super) struct Args {
     /// Run folder (its best checkpoint) or checkpoint file
     #[arg(value_name = "RUN_OR_CHECKPOINT", required_unless_present = "policy")]
     run: Option<PathBuf>,
-    /// Policy without training: throttle:A with A in -1..1, pursuit:SPEED (of its route, in m/s), fcfs:SPEED (the same, giving way first come, first served), gaussian, uniform or sumo; may be repeated
+    /// Policy without training: throttle:A with A in -1..1, pursuit:SPEED (of its route, in m/s),
+    /// fcfs:SPEED (the same, giving way first come, first served), gaussian, uniform or sumo; may
+    /// be repeated
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]
@@ -69,29 +71,30 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-/// What is printed with `--json`.
+/// One evaluated policy, as printed with `--json`.
 #[derive(Debug, Serialize)]
 struct Row {
     scenario: String,
     agents: u32,
-    /// How many of these vehicles the policy drives, where SUMO drives some.
+    /// Number of vehicles that the policy controls; present only if SUMO drives some of the
+    /// vehicles at start places.
     #[serde(skip_serializing_if = "Option::is_none")]
     learners: Option<usize>,
-    /// Whether SUMO looked for collisions everywhere.
+    /// Whether SUMO checked for collisions inside junctions as well (`simulation.audit`).
     #[serde(skip)]
     audited: bool,
     policy: String,
     episodes: u64,
     seed: u64,
-    /// The checkpoint's file name, where there is one.
+    /// File name of the checkpoint; present only for a learned policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     checkpoint: Option<String>,
-    /// `--set`, in order.
+    /// The values of `--set`, in order.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     set: Vec<String>,
-    /// What evaluated the policy.
+    /// The program that evaluated the policy.
     program: Program,
-    /// What the policy was trained with, of a learned one.
+    /// Provenance of the training; present only for a learned policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     run: Option<Training>,
     metrics: Metrics,
@@ -246,7 +249,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else {
         super::print(format_args!("{}", table(&rows)));
     }
-    // What was found is printed, whatever becomes of the files.
+    // Results are printed first, so that they are shown even if the files cannot be written.
     if let Some(path) = &args.out {
         record::write_atomic(path, json.as_bytes())?;
     }
@@ -275,10 +278,10 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     Ok(checkpoint)
 }
 
-/// How a metric is written.
+/// A function that formats one metric.
 type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
 
-/// What those met with that SUMO moved, if there were any.
+/// Formats a metric of background traffic and pedestrians; a dash if there was none.
 fn others(
     metrics: &Metrics,
     of: fn(&OthersMetrics) -> Option<Estimate>,
@@ -287,7 +290,8 @@ fn others(
     metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
 }
 
-/// What a latent explains of a target, and of what the observation does not determine of it.
+/// Describes how much of the variance of a target a latent explains: of the whole target, and of
+/// the features that the observation does not determine.
 fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let whole =
@@ -313,7 +317,7 @@ fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
     )
 }
 
-/// One block per policy set side by side: a metric per line, mean and 95 % interval per policy.
+/// Formats all policies side by side: one metric per line, with mean and 95 % interval per policy.
 fn table(rows: &[Row]) -> String {
     let percent: fn(&Estimate) -> String =
         |e| Estimate { mean: 100.0 * e.mean, low: 100.0 * e.low, high: 100.0 * e.high }.to_string();

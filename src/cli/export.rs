@@ -9,7 +9,8 @@ use iwol_sumo::train::RunDir;
 
 use super::Verdict;
 
-/// What is left out is what only `iwol train --resume` needs: the optimisers' moments and the worlds.
+/// What is left out is what only `iwol train --resume` needs: the optimisers' moments and the
+/// worlds.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// A run folder (its best checkpoint) or a checkpoint
@@ -31,7 +32,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     std::fs::create_dir_all(args.out.join("checkpoints"))
         .with_context(|| format!("cannot make the folder `{}`", args.out.display()))?;
     record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
-    // The policy takes along with what it was trained.
+    // The record of what the policy was trained with is copied along with the policy.
     let meta = RunDir::of(&args.run).map(|run| run.meta()).filter(|meta| meta.is_file());
     if let Some(meta) = meta {
         let bytes =

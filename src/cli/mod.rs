@@ -1,6 +1,8 @@
-//! The command line: one file per verb. Printing happens here only: data to stdout, everything else to stderr.
+//! The command line: one file per verb. All printing of the program happens here: results go to
+//! stdout, everything else to stderr.
 
-/// Says something to people, on stderr. Work goes on where nobody can hear it.
+/// Writes a message for the user to stderr. A write that fails, e.g. to a closed terminal, is
+/// ignored.
 macro_rules! say {
     ($($text:tt)*) => {{
         use std::io::Write as _;
@@ -8,7 +10,7 @@ macro_rules! say {
     }};
 }
 
-/// Prints a line of results, see [`print()`].
+/// Prints a line of results to stdout; see [`print()`].
 macro_rules! tell {
     ($($text:tt)*) => {
         $crate::cli::print(format_args!("{}\n", format_args!($($text)*)))
@@ -72,16 +74,16 @@ enum Verb {
     Doctor,
 }
 
-/// How a verb that did its work ended.
+/// Outcome of a verb that ran without an error.
 enum Verdict {
     Good,
-    /// The work was done, but its answer is no.
+    /// The work was done, and its result is negative, e.g. `doctor` found a fault.
     Bad,
-    /// Someone asked to stop.
+    /// The user asked the program to stop.
     Interrupted,
 }
 
-/// The exit code of a verb that was asked to stop, as shells have it for Ctrl-C.
+/// Exit code of a verb that was asked to stop: the code that shells use for Ctrl-C.
 const INTERRUPTED: u8 = 130;
 
 pub fn main() -> ExitCode {
@@ -100,14 +102,15 @@ pub fn main() -> ExitCode {
         .log_internal_errors(false)
         .init();
     if let Some(parent) = cli.die_with_parent {
-        // Only Linux can; elsewhere children of a killed sweep finish what they do.
+        // Only Linux supports this; on other systems the children of a killed sweep run to their
+        // end.
         let _ =
             rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
         if rustix::process::getppid().is_none_or(|now| now.as_raw_nonzero().get() != parent) {
             return ExitCode::from(INTERRUPTED);
         }
     }
-    // Learners work on shards in parallel; threads of libtorch's own would only get into their way.
+    // Learners work on shards in parallel; libtorch's own threads would compete with them.
     tch::set_num_threads(1);
     let result = match &cli.verb {
         Verb::Train(args) => train::run(args),
@@ -135,7 +138,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The first piece of advice along the chain of causes.
+/// Returns the first hint along the chain of causes of an error.
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
         if let Some(e) = cause.downcast_ref::<sumo::Error>() {
@@ -158,7 +161,8 @@ fn hint(error: &anyhow::Error) -> Option<String> {
     })
 }
 
-/// A flag that Ctrl-C (or a termination signal) raises; a second one ends the program at once.
+/// Installs a handler for Ctrl-C and termination signals and returns the flag that the first signal
+/// raises; a second signal ends the program at once.
 fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&flag);
@@ -175,11 +179,12 @@ fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(flag)
 }
 
-/// Whether this process was started to outlive its terminal (`nohup`).
+/// Returns whether this process was started to outlive its terminal (`nohup`).
 #[allow(unsafe_code, reason = "std does not tell what is done about a signal")]
 fn hangup_is_ignored() -> bool {
     let mut now = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
-    // SAFETY: with no new action the call only writes the present one, to memory that is ours and large enough; zeros are valid.
+    // SAFETY: without a new action the call only writes the present one, to memory that is ours and
+    // large enough; zeros are a valid value.
     let now = unsafe {
         libc::sigaction(libc::SIGHUP, std::ptr::null(), now.as_mut_ptr());
         now.assume_init()
@@ -189,11 +194,12 @@ fn hangup_is_ignored() -> bool {
 
 #[allow(unsafe_code, reason = "std cannot ignore a signal")]
 fn ignore_hangup() {
-    // SAFETY: to ignore a signal needs no handler.
+    // SAFETY: ignoring a signal needs no handler.
     unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
 }
 
-/// Prints a result to stdout. Where nobody reads it any more the program ends, as others do; where it cannot be written, with an error.
+/// Prints a result to stdout. If nobody reads stdout any more, the program ends with exit code 0;
+/// if the write fails for another reason, the program ends with an error.
 fn print(text: std::fmt::Arguments<'_>) {
     use std::io::Write as _;
     let mut out = std::io::stdout().lock();
@@ -206,9 +212,10 @@ fn print(text: std::fmt::Arguments<'_>) {
     }
 }
 
-/// Ends the program without C's exit handlers: they take down what libtorch's threads are working with, which was seen to crash.
+/// Ends the program without C's exit handlers: they release what libtorch's threads still use,
+/// which can crash the program.
 #[allow(unsafe_code, reason = "std ends a program by way of C's exit handlers only")]
 fn leave(code: i32) -> ! {
-    // SAFETY: it takes a number and does not return.
+    // SAFETY: the function takes a number and does not return.
     unsafe { libc::_exit(code) }
 }

@@ -12,17 +12,18 @@ use serde_json::Value;
 
 use super::Verdict;
 
-/// Points of a curve over time.
+/// Number of intervals at whose bounds a mean curve over time is sampled.
 const TIMES: usize = 60;
 
-/// Learning curves of validation: one run beside its training episodes, or several runs, where those that differ in their
-/// seed alone become one curve, their mean with a 95 % interval.
+/// Learning curves of validation: one run beside its training episodes, or several runs, where
+/// those that differ in their seed alone become one curve, their mean with a 95 % interval.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Run folders
     #[arg(value_name = "RUN", required = true)]
     runs: Vec<PathBuf>,
-    /// What lies along the horizontal axis: environment steps, or minutes of training (rollouts and updates)
+    /// What lies along the horizontal axis: environment steps, or minutes of training (rollouts and
+    /// updates)
     #[arg(long, value_enum, default_value_t = Axis::Steps)]
     x: Axis,
     /// Picture to write, or a folder for it [default: learning_curve.png in the first run folder]
@@ -39,7 +40,7 @@ enum Axis {
     Time,
 }
 
-/// What is drawn of each validation: key, factor, title, unit, range.
+/// A metric of the validations that is drawn: key, factor, title, unit, range.
 type Measure = (&'static str, f64, &'static str, &'static str, Option<(f64, f64)>);
 const MEASURES: [Measure; 3] = [
     ("validation/success", 100.0, "Success", "agents that arrive (%)", Some((0.0, 100.0))),
@@ -47,7 +48,7 @@ const MEASURES: [Measure; 3] = [
     ("validation/window_reward", 1.0, "Throughput", "reward per agent in 1000 steps", None),
 ];
 
-/// Runs that differ in their seed alone.
+/// Runs that differ only in their seed.
 struct Group {
     label: String,
     settings: toml::Table,
@@ -55,7 +56,8 @@ struct Group {
     runs: Vec<Curves>,
 }
 
-/// A run's curves: `(x, y)` for each of [`MEASURES`], and success of the training episodes.
+/// The curves of a run: `(x, y)` points of each of [`MEASURES`], and success in the training
+/// episodes.
 struct Curves {
     measures: Vec<Vec<(f64, f64)>>,
     exploring: Vec<(f64, f64)>,
@@ -65,7 +67,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let alone = args.runs.len() == 1;
     let mut panels: Vec<Panel> = MEASURES
         .iter()
-        // Safety of one run is all but its success.
+        // The safety panel of a single run is left out, because it nearly repeats the success
+        // panel.
         .filter(|measure| !alone || measure.2 != "Safety")
         .map(|measure| Panel {
             title: measure.2.to_owned(),
@@ -93,7 +96,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let labels: Vec<String> = groups.iter().map(|group| group.label.clone()).collect();
     for group in &mut groups {
-        // What the label does not tell apart, the folder does.
+        // Groups with the same label are told apart by their folders.
         if labels.iter().filter(|label| **label == group.label).count() > 1 {
             group.label = format!("{} {}", group.label, group.folder.display());
         }
@@ -120,7 +123,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
     }
     let exploring = groups[0].runs[0].exploring.clone();
-    // Kept runs have validations alone.
+    // Runs that `iwol report --keep` copied contain only validations.
     if alone && !exploring.is_empty() {
         panels[0].series.push(Series::curve(
             format!("{}, exploring", groups[0].label),
@@ -175,7 +178,7 @@ fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
     Ok(Curves { measures, exploring })
 }
 
-/// The mean over runs, each of which keeps its last value where it ended before the others.
+/// Returns the mean curve of several runs; a run that ended before the others keeps its last value.
 fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64, f64)>) -> Series {
     if let [only] = runs {
         return Series::curve(label, only.to_vec(), None);
@@ -185,7 +188,7 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
     places.sort_by(f64::total_cmp);
     places.dedup();
     if x == Axis::Time {
-        // No two runs are validated at the same time.
+        // Runs are validated at different times, so the curves are sampled at evenly spaced times.
         let (first, last) =
             (places.first().copied().unwrap_or(0.0), places.last().copied().unwrap_or(0.0));
         places = (0..=TIMES).map(|k| first + (last - first) * k as f64 / TIMES as f64).collect();
@@ -206,8 +209,8 @@ fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64
     Series::curve(label, points, Some(band))
 }
 
-/// What the run's own settings call it (the algorithm, and how others are seen where that is not the usual way), and those
-/// settings of which learning is made, without the seed.
+/// Returns the label of a run (the algorithm, and the observation if it is not `conflict`) and the
+/// settings that determine its training, without the seed.
 fn identity(run: &Path) -> (String, toml::Table) {
     let text = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
     let mut settings: toml::Table = toml::from_str(&text).unwrap_or_default();
@@ -220,9 +223,10 @@ fn identity(run: &Path) -> (String, toml::Table) {
     for key in ["seed", "device", "simulation"] {
         settings.remove(key);
     }
-    // What its method is not told makes no difference.
+    // Settings that the algorithm does not read make no difference.
     config::remove_untold(&mut settings, &algorithm);
-    // Wherever the scenario's file lies; and runs that begin with a policy of their own seed differ in their seed alone.
+    // The folder of the scenario file does not matter, and runs that start from a policy of their
+    // own seed differ only in their seed.
     shorten(&mut settings, "scenario", Path::file_name);
     shorten(&mut settings, "init_from", |path| {
         let of_seed =
@@ -240,7 +244,7 @@ fn identity(run: &Path) -> (String, toml::Table) {
     (label, settings)
 }
 
-/// Leaves of the path in a setting what `keep` says.
+/// Replaces the path in a setting by the part of it that `keep` returns.
 fn shorten(
     settings: &mut toml::Table,
     key: &str,
@@ -251,7 +255,7 @@ fn shorten(
     }
 }
 
-/// Policies that need no training, with their metrics.
+/// Returns the policies without training in a JSON file of `iwol evaluate`, with their metrics.
 fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("cannot read `{}`", path.display()))?;
@@ -269,7 +273,8 @@ fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
 mod tests {
     use super::*;
 
-    /// Seeds are one curve, wherever their scenario lies and whoever's policy each began with; tasks are not.
+    /// Runs that differ only in their seed form one group, whatever the folder of the scenario file
+    /// and the seed of the initial policy; runs of different tasks do not.
     #[test]
     fn runs_that_differ_in_their_seed_alone_are_the_same() {
         let folder = tempfile::tempdir().expect("a folder");

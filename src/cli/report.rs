@@ -7,7 +7,8 @@ use iwol_sumo::sweep::Sweep;
 
 use super::Verdict;
 
-/// Tables, figures, Markdown, HTML and JSON of a sweep, from the files of its runs; may be asked for while it runs.
+/// Tables, figures, Markdown, HTML and JSON of a sweep, from the files of its runs; may be asked
+/// for while it runs.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Sweep file
@@ -18,8 +19,9 @@ pub(super) struct Args {
     /// Folder to write [default: results/ and the name of the sweep]
     #[arg(long, short, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Copy what the report is made from to another folder of run folders: settings, validations and evaluations of every trained
-    /// run, without weights. `--runs DIR` makes the report from them
+    /// Copy what the report is made from to another folder of run folders: settings, validations
+    /// and evaluations of every trained run, without weights. `--runs DIR` makes the report from
+    /// them
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
 }

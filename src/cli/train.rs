@@ -33,7 +33,8 @@ pub(super) struct Args {
     /// Environment steps (of one world each), at most, rounded up to whole rollouts
     #[arg(long)]
     steps: Option<u64>,
-    /// Start from the weights of a run folder or checkpoint of the same method, of any number of vehicles (CommFormer: of as many)
+    /// Start from the weights of a run folder or checkpoint of the same method, of any number of
+    /// vehicles (CommFormer: of as many)
     #[arg(long, value_name = "CHECKPOINT")]
     init_from: Option<PathBuf>,
     /// Where the networks are computed
@@ -92,7 +93,7 @@ impl Args {
     }
 }
 
-/// Refuses a folder that holds files of a run's names, but is of no run.
+/// Refuses a folder that contains files with the names of a run's files but no run.
 fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     let own = |path: &Path| config.is_some_and(|config| same_file(config, path));
     let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
@@ -111,7 +112,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let document = match (&args.config, &args.out) {
         (Some(path), _) => Document::read(path)?,
-        // A run to resume brings its own settings.
+        // A resumed run uses its own settings.
         (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
         _ => Document::default(),
     };
@@ -127,7 +128,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .join(format!("seed_{}", config.seed))
     }));
     if args.resume && args.config.is_none() && args.out.is_none() {
-        // Only now is it known which run; it brings its own settings.
+        // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
         (config, scenario) = Config::resolve(&layers)?;
     }

@@ -1,4 +1,4 @@
-//! The defaults, which follow the number of agents: see [`Config::resolve`] for the rules in words.
+//! Defaults of settings, which depend on the number of agents; [`Config::resolve`] lists the rules.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,8 @@ use crate::algo::{self, settings};
 use crate::scenario::Scenario;
 
 impl Config {
-    /// Those of `algorithm` with so many agents; `trained`: it begins with a trained policy.
+    /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
+    /// trained policy.
     pub(super) fn defaults(
         scenario: &Scenario,
         algorithm: &str,
@@ -28,14 +29,17 @@ impl Config {
             maddpg,
         } = algo::Settings::default();
         let train = Train::default();
-        // Lengths are meant for 8 agents. A step of N brings N samples, so that more steps of fewer agents are needed, and fewer
-        // of more; but among more the way takes longer to find.
+        // Lengths are for 8 agents. A step with N agents brings N samples, so fewer agents need
+        // more steps, and more agents fewer; but with more agents, a successful policy takes longer
+        // to find.
         let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
         let at_least_half = |length: u64| scaled(length).max(length / 2);
         let envs = train.envs as u64;
-        // To stay on the road is imitated; what a vehicle that steers must find out is when to wait.
+        // Imitation teaches a vehicle to stay on the road; when to wait, it must learn from
+        // rewards.
         let steers = scenario.control.steering.is_some();
-        // Few who go straight start in one of many ways: in rollouts half as large a policy settled too early on a careful one.
+        // A few vehicles that do not steer can start in many ways: with rollouts of half the size,
+        // policies converged too early to careful driving.
         let few = agents < 8 && !steers;
         let on_policy = algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
         let imitates = steers && !trained && on_policy;
@@ -48,20 +52,20 @@ impl Config {
             } as usize,
             validate_every: scaled(train.validate_every).max(train.validate_every / 4),
             validation_episodes: scaled(train.validation_episodes).max(16),
-            // Vehicles become faster as long as annealing lasts: with a sixth of it, 48 drove at
-            // four fifths of their throughput.
+            // Throughput rises as long as annealing lasts, so annealing is not shortened further
+            // (docs/lab/decision-process.md).
             anneal_steps: at_least_half(if steers { 300_000 } else { train.anneal_steps }),
             imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
-            // Vehicles that steer reach more than this with less noise only.
+            // Vehicles that steer exceed this success only once there is less noise.
             anneal_success: if steers { 0.9 } else { train.anneal_success },
             ..train
         };
         let exploration = settings::Exploration {
-            // Of many routes, each meeting is seen seldom: noise that lasts makes one vehicle wait for the other more often, and is
-            // needed for longer.
+            // On many routes, each conflict is rare. Correlated noise makes one vehicle wait for
+            // another more often, and exploration takes longer (docs/lab/0.1.0.md).
             correlation: if steers { 0.8 } else { exploration.correlation },
-            // It fades, as agents must come to do without it; methods that replay get worse as it
-            // does.
+            // The correlation fades because agents must learn to do without it. Off-policy methods
+            // get worse as it fades (docs/lab/0.1.0.md).
             correlation_steps: if steers && on_policy {
                 scaled(exploration.explore_steps)
             } else {
@@ -69,7 +73,7 @@ impl Config {
             },
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps)
                 * if steers { 2 } else { 1 },
-            // At the noise of new weights a policy forgets what it knows.
+            // With the noise for new weights, a trained policy would forget what it has learned.
             log_std_start: if trained {
                 exploration.log_std_explore
             } else {
@@ -78,14 +82,16 @@ impl Config {
             ..exploration
         };
         let ppo = settings::Ppo {
-            // With a long view from the beginning, vehicles that steer learn to wait; without one in the end, that a crash is worth
-            // the time it saves.
+            // With a high discount from the beginning, vehicles that steer learn to wait; with a
+            // low one at the end, a crash is worth the time that it saves (docs/lab/0.1.0.md).
             gamma_explored: if steers { 0.995 } else { ppo.gamma_explored },
-            // What is replayed is learned from many times; half of it each time takes about half the time.
+            // Samples of a replay buffer are used many times; half as many at once take about half
+            // the time.
             minibatch: if on_policy { ppo.minibatch } else { ppo.minibatch / 2 },
             ..ppo
         };
-        // A team's return is the sum of its agents' own rewards; shares of those who are gone would be lost.
+        // A team's return is the sum of its agents' own rewards; shares of agents that have left
+        // would be lost.
         let (team, env) = (algo::capabilities(algorithm).is_ok_and(|c| c.team), Env::of(scenario));
         let config = Self {
             scenario: scenario.path.clone(),

@@ -1,10 +1,10 @@
-//! Configurations as settings by their full names.
+//! Configurations as flat maps from a setting's full name to its value.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use toml::{Table, Value};
 
-/// The settings of a table and of those in it, by names such as `ppo.gamma`.
+/// Returns the settings of a table and of its subtables, by full names such as `ppo.gamma`.
 pub fn flatten(table: &Table) -> BTreeMap<String, Value> {
     let mut flat = BTreeMap::new();
     collect(table, "", &mut flat);
@@ -21,19 +21,19 @@ fn collect(table: &Table, prefix: &str, out: &mut BTreeMap<String, Value>) {
     }
 }
 
-/// A value as people write it: strings without quotes.
+/// Returns a value as people write it: strings without quotes.
 pub fn plain(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-/// A setting that two configurations do not have in common.
+/// A setting in which two configurations differ.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Change {
-    /// Its full name.
+    /// Full name of the setting.
     pub key: String,
-    /// What it was, or `nothing`.
+    /// The old value, or `nothing`.
     pub was: String,
-    /// What it is, or `nothing`.
+    /// The new value, or `nothing`.
     pub is: String,
 }
 
@@ -43,13 +43,14 @@ impl std::fmt::Display for Change {
     }
 }
 
-/// How the TOML text `is` of a configuration differs from `was`, by name.
+/// Returns the settings in which a configuration `is` differs from `was`, both as TOML, sorted by
+/// name.
 pub fn changes(was: &str, is: &str) -> Vec<Change> {
     let flat = |text: &str| flatten(&text.parse().unwrap_or_default());
     between(&flat(was), &flat(is))
 }
 
-/// As [`changes`], of flat settings.
+/// Returns the same as [`changes`], for flat settings.
 pub(crate) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
     let keys: BTreeSet<_> =
         was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();

@@ -1,4 +1,4 @@
-//! From where settings come, in what order, and what is wrong with them.
+//! The sources of settings, their priority, and errors in them.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,15 @@ use crate::algo;
 use crate::scenario::{self, Scenario};
 use crate::suggest::nearest;
 
-/// A TOML text and what to call it in messages.
+/// A TOML text and its name in messages.
 #[derive(Debug, Clone, Default)]
 pub struct Document {
-    /// File name, or another description of where it is from.
+    /// File name, or another description of the source.
     pub name: String,
     /// The text.
     pub text: String,
-    /// Whether the text is made by the program, so that no line of it means anything to the reader of a message.
+    /// Whether the program made the text, so that its lines mean nothing to the reader of a
+    /// message.
     pub generated: bool,
 }
 
@@ -33,21 +34,21 @@ impl Document {
         Ok(Self { name: path.display().to_string(), text, generated: false })
     }
 
-    /// The configuration that a run was made with, from its text.
+    /// Returns the configuration with which a run was made, from its text.
     pub fn of_run(name: String, text: String) -> Self {
         Self { name, text, generated: false }
     }
 
-    /// Settings that are put together from several places, of which `name` tells.
+    /// Returns a document of settings that come from several sources, which `name` describes.
     pub fn of_table(name: String, settings: &Table) -> Self {
         Self { name, text: settings.to_string(), generated: true }
     }
 }
 
-/// Where settings come from, in rising priority.
+/// The sources of settings, in rising priority.
 #[derive(Debug, Clone, Default)]
 pub struct Layers {
-    /// `--config`, or the configuration that a checkpoint holds.
+    /// The file of `--config`, or the configuration in a checkpoint.
     pub document: Document,
     /// `--set key=value`, in order.
     pub sets: Vec<String>,
@@ -56,22 +57,28 @@ pub struct Layers {
 }
 
 impl Config {
-    /// Resolves the layers; gives the configuration and the scenario with the `[env]` table applied.
+    /// Resolves the layers and returns the configuration, and the scenario with the `[env]` table
+    /// applied.
     ///
-    /// Where they are not given, these follow the number of agents N (between 4 and 48):
-    /// `train.anneal_steps` in proportion to 8/N down to a half, as are `train.validate_every` and
-    /// `train.validation_episodes` down to a quarter, `steps` and `exploration.explore_steps` up
-    /// only; `train.envs` is 256/N, at least 8, but 16 from 8 to 16. Vehicles that steer imitate
-    /// pursuit at first (`train.imitate_steps`; not with `init_from`, nor by methods that replay),
-    /// their noise lasts (`exploration.correlation`; of methods that replay it does so until
-    /// annealing) and falls twice as slowly, after which batches grow (`train.growth`; not of
-    /// methods that replay) and the view gets longer (`ppo.gamma_explored`), in runs four times as
-    /// long; `train.envs` is 128/N below 8 and `train.anneal_success` 0.9. Minibatches of methods
-    /// that replay are half as large (`ppo.minibatch`). Training that begins with a trained policy
-    /// begins with the noise at which others wait for success.
+    /// Settings that no layer gives get defaults that depend on the number N of agents (between 4
+    /// and 48), on whether vehicles steer, and on the method (`docs/settings.md` lists the values):
+    ///
+    /// - Number of agents: `train.anneal_steps` × 8/N, but at least half; `train.validate_every`
+    ///   and `train.validation_episodes` × 8/N, but at least a quarter; `steps` and
+    ///   `exploration.explore_steps` × 8/N below 8 agents; `train.envs` 256/N, but at least 8, and
+    ///   16 from 8 to 16 agents.
+    /// - Vehicles that steer: imitation (`train.imitate_steps`, not with `init_from`); correlated
+    ///   noise (`exploration.correlation`); twice the `exploration.explore_steps`, and then larger
+    ///   batches (`train.growth`) and a higher discount (`ppo.gamma_explored`); four times the
+    ///   `steps`; more `train.anneal_steps`; `train.anneal_success` 0.9; `train.envs` 128/N below 8
+    ///   agents.
+    /// - Off-policy methods: half the `ppo.minibatch`; no `train.imitate_steps` and `train.growth`;
+    ///   correlation until annealing begins.
+    /// - Methods with a team's return: no `env.cooperation`.
+    /// - `init_from`: exploration begins at `exploration.log_std_explore`.
     ///
     /// # Errors
-    /// [`Error`], naming the place.
+    /// [`Error`], with the place of the setting.
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
         let document @ Document { name, text, .. } = &layers.document;
         let parsed = DeTable::parse(text).map_err(|e| {
@@ -79,8 +86,8 @@ impl Config {
             Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
-        // The scenario decides the defaults of `[env]` and of the number of agents; that number and the method decide those of
-        // learning. So they are looked up first.
+        // The scenario gives the defaults of `[env]` and of the number of agents, and that number
+        // and the method give those of learning. So these settings are looked up first.
         let first = |key: &str| {
             let bare =
                 |text: &str| parse_value(text).unwrap_or_else(|| Value::String(text.to_owned()));
@@ -137,7 +144,7 @@ impl Config {
                 message: e.message().to_owned(),
             })?;
         if let Some((keys, allowed)) = config.out_of_range() {
-            // The first key is the one that breaks the rule; another of the rule may be the one that was set.
+            // The first key breaks the rule, but the user may have set another key of the rule.
             let place = keys.iter().find_map(|key| places.get(*key)).unwrap_or(name);
             return Err(Error::Value {
                 place: place.clone(),
@@ -151,7 +158,7 @@ impl Config {
     }
 }
 
-/// Where a setting stands.
+/// The place where a setting is given.
 enum Place<'a> {
     At { document: &'a Document, offset: usize },
     Set(&'a str),
@@ -174,7 +181,7 @@ impl std::fmt::Display for Place<'_> {
     }
 }
 
-/// Where each key was set last.
+/// The place where each key was last set.
 type SetAt = HashMap<String, String>;
 
 fn merge(
@@ -209,7 +216,7 @@ fn parse_value(text: &str) -> Option<Value> {
     if table.len() == 1 { table.remove("v") } else { None }
 }
 
-/// The table of defaults knows every valid key.
+/// Checks that a key is valid: the table of defaults contains every valid key.
 fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
     let mut here = table;
     for (depth, key) in keys.iter().enumerate() {
@@ -234,8 +241,8 @@ fn check_key(table: &Table, keys: &[&str], place: &str) -> Result<(), Error> {
     Ok(())
 }
 
-/// Sets a key and checks its type, so that a bad value is reported where it stands; ranges are checked at the end, since
-/// some depend on other keys.
+/// Sets a key and checks its type, so that an error names the place of the value. Ranges are
+/// checked at the end, because some depend on other keys.
 fn assign(
     table: &mut Table,
     places: &mut SetAt,
@@ -272,8 +279,8 @@ fn assign(
     Ok(())
 }
 
-/// A message about a word that is none of those allowed, with the nearest of these: the message
-/// quotes the word and then them.
+/// Adds the nearest allowed word to a message about an unknown word. The message quotes first that
+/// word, then the allowed ones.
 fn with_nearest(message: &str) -> String {
     let mut quoted = message.split('`').skip(1).step_by(2);
     let word = quoted.next().filter(|_| message.starts_with("unknown variant"));
@@ -284,7 +291,7 @@ fn with_nearest(message: &str) -> String {
     )
 }
 
-/// What can be wrong with a configuration.
+/// An error in a configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -293,10 +300,10 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The file is not TOML.
+    /// The text is not valid TOML.
     #[error("{place}: {message}")]
     Syntax {
         /// File, line and column.
@@ -307,24 +314,24 @@ pub enum Error {
     /// No setting has this name.
     #[error("{place}: there is no setting `{key}`{}", nearest.as_ref().map(|n| format!("; did you mean `{n}`?")).unwrap_or_default())]
     UnknownKey {
-        /// Where it stands.
+        /// Place of the key.
         place: String,
-        /// The name.
+        /// The unknown name.
         key: String,
-        /// The nearest valid one.
+        /// The nearest valid name.
         nearest: Option<String>,
     },
-    /// The value does not fit.
+    /// The value is not allowed.
     #[error("{place}: bad value for `{key}`: {message}")]
     Value {
-        /// Where it stands.
+        /// Place of the value.
         place: String,
         /// The setting.
         key: String,
         /// What is wrong.
         message: String,
     },
-    /// Nothing says which scenario to run.
+    /// No source names a scenario.
     #[error(
         "no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml"
     )]
@@ -365,7 +372,8 @@ mod tests {
         resolve(text, sets).expect_err("must be refused").to_string()
     }
 
-    /// `docs/settings.md` has a row for each setting, with the default of 8 vehicles on the intersection.
+    /// `docs/settings.md` has a row for each setting, with the default for 8 vehicles on the
+    /// intersection.
     #[test]
     fn the_page_of_settings_has_all_of_them_with_their_defaults() {
         let defaults = flatten(&toml::from_str(&resolve("", &[]).unwrap().to_toml()).unwrap());
@@ -384,7 +392,7 @@ mod tests {
                         .unwrap_or_else(|| panic!("`{key}` of the page is no setting")),
                 );
                 let same = match &said {
-                    // A file has no default.
+                    // A setting that is a file has no default.
                     None => key == "scenario" || is.is_empty(),
                     Some(said) => {
                         *said == is || said.parse::<f64>().is_ok_and(|said| is.parse() == Ok(said))
@@ -432,9 +440,9 @@ mod tests {
         assert_eq!(most.exploration.explore_steps, eight.exploration.explore_steps);
         assert_eq!(most.train.validation_episodes, 16);
         assert_eq!(at(16).train.envs, eight.train.envs);
-        // What is written down is not changed.
+        // Defaults do not replace values that are given.
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
-        // All sizes search in the same way.
+        // These settings are the same for every number of agents.
         let searched = |c: &Config| {
             (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma)
         };
@@ -493,7 +501,8 @@ mod tests {
 
     #[test]
     fn the_resolved_configuration_is_a_configuration() {
-        // Some settings are valid only together: the order in which they are read must not matter.
+        // Some settings are valid only together, and the order in which they are read must not
+        // matter.
         for sets in [
             ["env.cooperation=0.25", "train.envs=3"],
             ["iwol.message=96", "iwol.heads=3"],

@@ -1,11 +1,12 @@
-//! What values settings may have.
+//! Allowed values of settings.
 
 use super::Config;
 use crate::algo::{self, settings};
 use crate::scenario::{Intention, Lidar, Observation};
 
 impl Config {
-    /// What is out of range: the keys of the broken rule, the offender first, and what is allowed.
+    /// Returns the first rule that is broken, as its keys, the offending key first, and the allowed
+    /// values; `None` if there is none.
     pub(super) fn out_of_range(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (t, n, p, x, i, e) =
             (&self.train, &self.network, &self.ppo, &self.exploration, &self.iwol, &self.env);
@@ -13,7 +14,7 @@ impl Config {
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let finite_positive = |v: f64| v.is_finite() && v > 0.0;
         let finite_range = |v: f64| v.is_finite() && v >= 0.0;
-        // A rollout's observations alone must fit into memory.
+        // The limit on samples keeps a rollout's observations within the machine's memory.
         let samples = t
             .envs
             .saturating_mul(t.segment)

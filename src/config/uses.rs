@@ -1,9 +1,9 @@
-//! What a run's settings are of use for: training, evaluating its policy, starting from that.
+//! Which settings can be used to train, to evaluate a policy, and to start from a policy.
 
 use super::Config;
 use crate::algo;
 
-/// Why a `--set` makes no sense in an evaluation, where it is of something that the program takes from elsewhere.
+/// Returns why a `--set` has no effect in an evaluation, if its setting comes from elsewhere there.
 pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
     let (key, _) = set.split_once('=')?;
     let where_from = match key.trim() {
@@ -17,18 +17,19 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
 }
 
 impl Config {
-    /// Why nothing can be trained with these settings.
+    /// Returns why these settings cannot be used for training, if they cannot.
     pub fn cannot_be_trained(&self) -> Option<&'static str> {
         let disturbed = !self.channel.is_perfect();
         disturbed.then_some("[channel] is for evaluation; in training messages arrive as they were sent: leave it out")
     }
 
-    /// Why the policy of a run with these settings cannot be used with those that are `asked` for, as far as can be told before it is trained.
+    /// Returns why the policy of a run with these settings cannot be used with the settings
+    /// `asked`, as far as this is known before training; `None` if it can.
     pub fn cannot_serve(&self, asked: &Self) -> Option<String> {
         let as_many = if self.env.penetration == asked.env.penetration {
             algo::check_agents(&self.algorithm, self.agents.into(), asked.agents.into())
         } else {
-            // How many learn is known once the scenario is set up.
+            // The number of agents is known only once the scenario is set up.
             Ok(())
         };
         let unfit =

@@ -1,8 +1,9 @@
-//! The audit: an episode's collisions by our own test, compared with those that SUMO reports.
+//! Comparison of the collisions that our box test finds in an episode with those that SUMO reports.
 //!
-//! Ours is the one that counts: boxes of the vehicles at their true poses, five times in a step. SUMO tests once in a
-//! step, with vehicles on the centre lines of their lanes, and in junctions only where it knows who has to yield.
-//! Where the two differ, the reason is worked out from the moment at which the one that saw the collision saw it first.
+//! The box test is the one that counts: it tests the vehicles' boxes at their true poses five times
+//! per step. SUMO tests once per step, with vehicles on the centre lines of their lanes, and inside
+//! junctions only where it knows which vehicle has to yield. Where the two tests differ, the reason
+//! is worked out from the vehicles' states at the moment of first detection.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,42 +12,45 @@ use super::slots::{Slot, Status};
 use super::task::{JunctionStretch, Task};
 use crate::sumo::Collision;
 
-/// Boxes that overlap only when this much longer and wider have a gap of at most half of it \[m\].
+/// Change in a box's length and width for tests of near contact \[m\]: half of it on every side.
 const NEAR: f64 = 0.2;
 
-/// Pairs of vehicles that collided in an episode.
+/// Numbers of colliding vehicle pairs in an episode, by the tests that saw them and the reason for
+/// a difference.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Audit {
-    /// Seen by both tests.
+    /// Pairs that both tests saw.
     pub agreed: u32,
-    /// Only ours; the junction is of SUMO's type `unregulated`, in which SUMO never looks.
+    /// Only the box test: the junction is of SUMO's type `unregulated`, where SUMO never tests.
     pub ours_unregulated: u32,
-    /// Only ours: the boxes overlapped within a step, and no longer at its end.
+    /// Only the box test: the boxes overlapped within a step, but no longer at its end.
     pub ours_between_steps: u32,
-    /// Only ours: they would not have overlapped on the centre lines of their lanes.
+    /// Only the box test: the boxes would not have overlapped on the centre lines of their lanes.
     pub ours_lateral_offset: u32,
-    /// Only ours: in a junction, with one vehicle's front out of it or not yet in it.
+    /// Only the box test: in a junction, with at least one vehicle's front outside the junction.
     pub ours_junction_edge: u32,
-    /// Only ours: an overlap of less than 0.1 m.
+    /// Only the box test: the boxes do not overlap when each is 0.1 m smaller on every side.
     pub ours_touching: u32,
-    /// Only ours: SUMO reports one of the two with a third vehicle.
+    /// Only the box test: SUMO reports one of the two vehicles as colliding with a third.
     pub ours_one_of_several: u32,
-    /// Only ours, for no known reason.
+    /// Only the box test, for no known reason.
     pub ours_other: u32,
-    /// Only SUMO's: one of the two had ended before, so that ours no longer looked.
+    /// Only SUMO: a vehicle was already gone, or both had ended before, and the box test no longer
+    /// tested the pair.
     pub sumo_ended: u32,
-    /// Only SUMO's: a gap of less than 0.1 m.
+    /// Only SUMO: the boxes overlap when each is 0.1 m larger on every side.
     pub sumo_touching: u32,
-    /// Only SUMO's: in a junction, within a vehicle's length of the front of one that steers. SUMO lets its body follow the lane
-    /// on which it takes it to be, which may be another's way that lies close.
+    /// Only SUMO: in a junction, within a vehicle's length of the front of a vehicle that steers.
+    /// SUMO bends the body of such a vehicle along the lane that it assigns to the vehicle, which
+    /// may be a lane of another route that lies close.
     pub sumo_bent: u32,
-    /// Only SUMO's, for no known reason.
+    /// Only SUMO, for no known reason.
     pub sumo_other: u32,
 }
 
 impl Audit {
-    /// Sums, field by field.
+    /// Returns the sum of both audits, field by field.
     #[must_use]
     pub fn plus(self, other: &Self) -> Self {
         Self {
@@ -65,7 +69,8 @@ impl Audit {
         }
     }
 
-    /// Why the two tests differ, in words, with the number of pairs; empty where they agree.
+    /// Returns the reasons for which the two tests differ, in words, with the number of pairs for
+    /// each; empty where they agree.
     pub fn differences(&self) -> Vec<(&'static str, u32)> {
         let all = [
             ("only ours: unregulated junction", self.ours_unregulated),
@@ -84,18 +89,18 @@ impl Audit {
     }
 }
 
-/// The size of a vehicle and a little more.
+/// Returns the size of a vehicle with `more` metres added to its length and width.
 fn grown(slot: &Slot, more: f64) -> Size {
     slot.size.map(|side| side + more)
 }
 
-/// Whether a part of the vehicle is in such a junction of its route.
+/// Whether a part of the vehicle lies in a junction of its route for which `which` returns true.
 fn touches_junction(task: &Task, slot: &Slot, which: fn(&JunctionStretch) -> bool) -> bool {
     let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
     task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
 }
 
-/// Whether the body of `a`, bent anyhow behind its front, could touch `b`.
+/// Whether the body of `a`, bent in any way behind its front, could touch `b`.
 fn bent_meets(a: &Slot, b: &Slot) -> bool {
     let [length, width] = a.size;
     let at: Stance = (&a.pose).into();
@@ -105,7 +110,7 @@ fn bent_meets(a: &Slot, b: &Slot) -> bool {
     separation((front, [0.0; 2]), ((&b.pose).into(), b.size)) <= length + width / 2.0
 }
 
-/// Why our test alone may see a collision.
+/// Why the box test alone may see a collision. The variants are the `ours_*` fields of [`Audit`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ours {
     Unregulated,
@@ -118,7 +123,8 @@ pub(super) enum Ours {
 }
 
 impl Ours {
-    /// Why SUMO would not report that these two overlap, given all collisions that it reports of their world.
+    /// Returns why SUMO would not report that the two vehicles of `pair` overlap. `reported`
+    /// contains all collisions that SUMO reports of their world.
     pub(super) fn reason<'a>(
         task: &Task,
         pair: [(u32, &Slot); 2],
@@ -157,7 +163,7 @@ impl Ours {
     }
 }
 
-/// Why SUMO alone may see a collision.
+/// Why SUMO alone may see a collision. The variants are the `sumo_*` fields of [`Audit`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sumos {
     Ended,
@@ -167,7 +173,7 @@ pub(super) enum Sumos {
 }
 
 impl Sumos {
-    /// Why our test would not see what SUMO reports of these two.
+    /// Returns why the box test would not see a collision of `a` and `b` that SUMO reports.
     pub(super) fn reason(task: &Task, a: &Slot, b: &Slot) -> Self {
         let ended = |slot: &Slot| slot.status != Status::Active;
         let in_junction = |slot: &Slot| touches_junction(task, slot, |_| true);
@@ -194,7 +200,7 @@ struct Pair {
     sumo: Option<Sumos>,
 }
 
-/// The pairs of an episode so far.
+/// The colliding pairs of an episode so far.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pairs(Vec<Pair>);
 
@@ -203,7 +209,7 @@ impl Pairs {
         self.0.clear();
     }
 
-    /// Our test sees the pair; `reason` is asked for when it does so first.
+    /// Records that the box test sees the pair. `reason` is called only the first time.
     pub(super) fn ours(&mut self, a: u32, b: u32, reason: impl FnOnce() -> Ours) {
         let pair = self.entry(a, b);
         if pair.ours.is_none() {
@@ -211,7 +217,7 @@ impl Pairs {
         }
     }
 
-    /// SUMO reports the pair; `reason` is asked for when it does so first.
+    /// Records that SUMO reports the pair. `reason` is called only the first time.
     pub(super) fn sumo(&mut self, a: u32, b: u32, reason: impl FnOnce() -> Sumos) {
         let pair = self.entry(a, b);
         if pair.sumo.is_none() {
@@ -228,12 +234,12 @@ impl Pairs {
         &mut self.0[at]
     }
 
-    /// Pairs that our test saw.
+    /// Number of pairs that the box test saw.
     pub(super) fn of_ours(&self) -> u32 {
         self.0.iter().filter(|pair| pair.ours.is_some()).count() as u32
     }
 
-    /// Pairs that SUMO reported.
+    /// Number of pairs that SUMO reported.
     pub(super) fn of_sumo(&self) -> u32 {
         self.0.iter().filter(|pair| pair.sumo.is_some()).count() as u32
     }

@@ -1,9 +1,10 @@
-//! The physical communication mask G_p: who can hear whom, from positions alone (paper: "physical mask").
+//! The physical communication mask G_p: which agents are in communication range of each other, from
+//! positions alone (paper: "physical mask").
 
 use super::geometry::Pose;
 
-/// Writes `G_p[i, j] = 1` where vehicles `i` and `j` are both present and no further apart than `range` \[m\],
-/// itself included; 0 elsewhere, so that the diagonal tells which agents are present.
+/// Writes the mask: `G_p[i, j] = 1` where vehicles `i` and `j` are both present and their centres
+/// at most `range` metres apart, else 0. The diagonal is 1 for every present agent.
 ///
 /// `poses` and `present`: `[N]`; `mask`: `[N, N]`, row `i` is the receiver.
 pub fn physical_mask(poses: &[Pose], present: &[bool], range: f64, mask: &mut [f32]) {

@@ -1,18 +1,19 @@
-//! The longitudinal law: from a throttle action to the motion of one decision interval.
+//! Longitudinal dynamics: from a throttle action to the motion during one decision interval.
 //!
-//! Constant acceleration, as measured on the vehicle of the paper's simulator: thrust in proportion
-//! to the action, a weak brake at zero, braking along a curve that is five to ten times stronger
-//! than thrust. A vehicle that does not steer never moves backwards. Integrated in the 0.02 s
-//! substeps of that simulator: a brake that stops a slow vehicle early in the interval must not let
-//! it roll on, or random actions would creep forward.
+//! Acceleration is constant over an interval, as measured on the vehicle of the paper's simulator:
+//! thrust is proportional to the action, a zero action brakes weakly, and negative actions brake
+//! along a curve that is five to ten times stronger than thrust. A vehicle without steering never
+//! moves backwards. Integration uses that simulator's substeps of 0.02 s: a slow vehicle that
+//! brakes must stop within the interval and not roll on to its end, or random actions would make
+//! vehicles creep forward.
 
 use crate::scenario::{Control, Vehicle};
 
-/// Substeps per second of the integration.
+/// Substeps of the integration per second \[1/s\].
 pub(super) const RATE: f64 = 50.0;
 
-/// Way \[m\] and final speed \[m/s\] of one decision interval from speed `v` \[m/s\] under `action` (clipped to -1..=1;
-/// NaN counts as 0).
+/// Returns the distance driven \[m\] and the final speed \[m/s\] of one decision interval that
+/// begins at speed `v` \[m/s\] under `action` (clipped to -1..=1; NaN counts as 0).
 pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f64, f64) {
     let substeps = (control.interval * RATE).round().max(1.0);
     let dt = control.interval / substeps;
@@ -25,7 +26,8 @@ pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f6
     (way, v)
 }
 
-/// Acceleration \[m/s²\] of a vehicle that moves forwards, under `action`.
+/// Returns the acceleration \[m/s²\] of a forward-moving vehicle under `action` (clipped to -1..=1;
+/// NaN counts as 0).
 pub fn acceleration(control: &Control, action: f64) -> f64 {
     match drive(control, action) {
         Drive::Thrust(acceleration) => acceleration,
@@ -33,16 +35,17 @@ pub fn acceleration(control: &Control, action: f64) -> f64 {
     }
 }
 
-/// What a throttle action does to a vehicle.
+/// Effect of a throttle action on a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Drive {
-    /// Acceleration, negative backwards \[m/s²\].
+    /// Acceleration \[m/s²\]; negative values accelerate backwards.
     Thrust(f64),
-    /// Deceleration in either direction, which ends when the vehicle stands \[m/s²\].
+    /// Deceleration in either direction of motion, until the vehicle stands still \[m/s²\].
     Brake(f64),
 }
 
-/// Thrust above 0, and below where the vehicle can reverse; else brake, at least [`Control::drag`].
+/// Returns thrust for a positive action, and for a negative one if the vehicle can reverse. Any
+/// other action brakes, with at least [`Control::drag`].
 pub(super) fn drive(control: &Control, action: f64) -> Drive {
     let action = if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) };
     if action > 0.0 || (action < 0.0 && control.steering.is_some_and(|s| s.reverse)) {

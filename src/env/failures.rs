@@ -1,62 +1,66 @@
-//! Failure statistics: why agents did not arrive, from the moment at which each crashed first.
+//! Failure statistics: why agents did not arrive, from the step of each agent's first crash.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// A crash further than this before the first meeting point is one on the way to it \[m\].
+/// A crash counts as upstream when the first conflict point of the agent's route is farther ahead
+/// than this \[m\].
 pub(super) const UPSTREAM: f64 = 6.0;
 
 /// How an agent crashed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crash {
-    /// Route of one that it overlapped with in the step of its crash, the lowest slot of several.
+    /// Route of the vehicle that the agent overlapped with in the step of the crash; the one with
+    /// the lowest slot if there are several.
     pub(super) other: usize,
-    /// One was ahead of the other on its way.
+    /// Whether one of the two vehicles was ahead of the other on the other's route.
     pub(super) same_way: bool,
-    /// The other was a wreck by then.
+    /// Whether the other vehicle was already a wreck.
     pub(super) wreck: bool,
     pub(super) step: u32,
-    /// \[m/s\]
+    /// Speed of the agent \[m/s\].
     pub(super) speed: f64,
-    /// More than [`UPSTREAM`] before the first meeting point of its route.
+    /// Whether the agent was more than [`UPSTREAM`] before the first conflict point of its route.
     pub(super) upstream: bool,
 }
 
-/// Sums over agents that did not arrive.
+/// Counts of agents that did not arrive, by cause.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Failures {
-    /// Crashed into a moving vehicle that came another way.
+    /// Agents that crashed into a moving vehicle on a crossing or merging route.
     pub crossing: u32,
-    /// Crashed into a moving vehicle on their own way, from in front or behind: on a lane that both use, or just behind its fork.
+    /// Agents that crashed into a moving vehicle ahead of or behind them on the same path: on a
+    /// lane that both routes use, or just behind a fork.
     pub rear_end: u32,
-    /// Crashed into a wreck.
+    /// Agents that crashed into a wreck.
     pub wreck: u32,
-    /// Of all crashed: more than 6 m before the first meeting point of their route.
+    /// Agents that crashed for any of these reasons, more than 6 m before the first conflict point
+    /// of their route.
     pub upstream: u32,
-    /// Left the road, without a crash.
+    /// Agents that went off-road without a crash.
     pub out_of_road: u32,
-    /// Neither arrived nor failed when the episode was cut off.
+    /// Agents that had neither arrived nor failed when the episode ended.
     pub unfinished: u32,
-    /// Sum of the steps at which they crashed.
+    /// Sum of the steps at which agents crashed.
     pub steps: u64,
-    /// Sum of the speeds before they crashed \[m/s\].
+    /// Sum of the speeds at which agents crashed \[m/s\].
     pub speeds: f64,
-    /// Those of `crossing` by the two routes, agents each.
+    /// The agents of `crossing`, counted by the pair of routes.
     pub routes: BTreeMap<String, u32>,
-    /// Those of `out_of_road` by their route; older files do not say.
+    /// The agents of `out_of_road`, counted by route; empty in files of older versions.
     #[serde(default)]
     pub off_road: BTreeMap<String, u32>,
 }
 
-/// Sums of counts by name.
+/// Adds the counts in `from` to those in `to`, by name.
 fn add(to: &mut BTreeMap<String, u32>, from: &BTreeMap<String, u32>) {
     for (name, count) in from {
         *to.entry(name.clone()).or_default() += count;
     }
 }
 
-/// The most frequent, with their counts.
+/// Returns the six most frequent names with their counts, as text.
 fn most(counts: &BTreeMap<String, u32>) -> String {
     let mut counts: Vec<_> = counts.iter().collect();
     counts.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
@@ -66,7 +70,7 @@ fn most(counts: &BTreeMap<String, u32>) -> String {
 }
 
 impl Failures {
-    /// Adds an agent that crashed. `routes`: names of its own and the other's.
+    /// Adds an agent that crashed. `routes`: names of the agent's route and of the other vehicle's.
     pub(super) fn add(&mut self, crash: &Crash, routes: [&str; 2]) {
         let count = |flag: bool| u32::from(flag);
         self.wreck += count(crash.wreck);
@@ -81,18 +85,18 @@ impl Failures {
         self.speeds += crash.speed;
     }
 
-    /// Adds an agent on this route that left the road, without a crash.
+    /// Adds an agent that went off-road on `route` without a crash.
     pub(super) fn leave(&mut self, route: &str) {
         self.out_of_road += 1;
         *self.off_road.entry(route.to_owned()).or_default() += 1;
     }
 
-    /// Agents that crashed.
+    /// Returns the number of agents that crashed.
     pub fn crashed(&self) -> u32 {
         self.crossing + self.rear_end + self.wreck
     }
 
-    /// Sums, field by field.
+    /// Returns the sum of both statistics, field by field.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         self.crossing += other.crossing;
@@ -108,7 +112,7 @@ impl Failures {
         self
     }
 
-    /// In words, one fact per line; empty where nothing failed.
+    /// Returns the statistics in words, one fact per line; empty where no agent failed.
     pub fn describe(&self) -> Vec<String> {
         let crashed = self.crashed();
         let mut lines = Vec::new();

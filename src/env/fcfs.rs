@@ -1,5 +1,6 @@
-//! Who gives way to whom, first come, first served, as a junction does that grants ways in the order in which vehicles ask for them
-//! (Dresner and Stone, JAIR 2008): vehicles' turns, and a driver that needs no training.
+//! Right of way by first come, first served, as at a junction that grants passage in the order of
+//! requests (Dresner and Stone, JAIR 2008): the vehicles' priorities (`turns`, the smallest number
+//! goes first), and a rule-based driver.
 
 use super::foresight::{Course, DRIVING, passing};
 use super::intention::{Candidate, Knowledge};
@@ -7,39 +8,44 @@ use super::routes::RouteGeometry;
 use super::slots::{Slot, Status, Traffic};
 use super::task::Task;
 
-/// How far ahead it looks \[s\].
+/// How far ahead the rule predicts motion \[s\].
 const HORIZON: f64 = 5.0;
-/// Shares of what foresight takes for close: who would come within 1 m is given way to; who stands 0.3 m beside the way is passed.
+/// Closeness ([`passing`]) from which a vehicle gives way: a predicted gap below 1 m.
 const TOO_CLOSE: f64 = 2.0 / 3.0;
+/// Closeness from which a standing vehicle is in the way: a gap below 0.3 m.
 const IN_THE_WAY: f64 = 0.9;
-/// It stops so far, from centre to centre, from where it would be too close \[m\].
+/// Distance that a vehicle's centre keeps, when it stops, from the position where the vehicle would
+/// be too close to another \[m\].
 const RESERVE: f64 = 4.0;
-/// Whose nose is farther than this past the line where it could have waited has entered \[m\].
+/// A vehicle whose front is more than this past a waiting place has entered \[m\].
 const OVER: f64 = 3.0;
-/// How hard it plans to brake, if it can \[m/s²\].
+/// Braking that the rule plans with; less where the vehicle cannot brake as hard \[m/s²\].
 const BRAKING: f64 = 6.0;
-/// Whoever comes to another that stands within this time is blocked by it \[s\].
+/// A vehicle blocks another that would reach its present position within this time \[s\].
 const BLOCKED: f64 = 3.0;
-/// Nobody so far away does \[m\].
+/// A vehicle blocks only vehicles whose centres are closer than this \[m\].
 const FAR: f64 = 30.0;
 
-/// How far an agent can drive until it comes too close to others, at 6 m/s at least \[m\]; nothing is in the way where that is
-/// infinite.
+/// How far an agent can drive before it comes too close to other vehicles \[m\]; infinite where
+/// nothing is in the way.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Free {
-    /// To one that comes before it, is ahead, or is a wreck, at its speed or at 6 m/s.
+    /// Distance to a vehicle that has priority, is ahead, or is a wreck, at the agent's speed but
+    /// at least 6 m/s.
     pub(super) way: f64,
-    /// The same, where the agent drives half as fast.
+    /// The same at the agent's speed but at least 3 m/s.
     pub(super) slow: f64,
-    /// To one that comes after it, but stands in its way now.
+    /// Distance to a vehicle without priority whose present position is in the agent's way, at the
+    /// agent's speed but at least 6 m/s.
     pub(super) blocked: f64,
 }
 
 impl Free {
+    /// Nothing is in the way.
     pub(super) const ALL: Self =
         Self { way: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
 
-    /// The nearer of each.
+    /// Returns the smaller of each distance.
     pub(super) fn min(self, other: Self) -> Self {
         Self {
             way: self.way.min(other.way),
@@ -49,21 +55,21 @@ impl Free {
     }
 }
 
-/// How another vehicle stands to an agent.
+/// Relation of another vehicle to an agent.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Standing {
-    /// It is behind the agent.
+    /// The other vehicle is behind the agent.
     Behind,
-    /// It is ahead of the agent, or a wreck.
+    /// The other vehicle is ahead of the agent, or a wreck.
     Ahead,
-    /// Its turn is before the agent's.
+    /// The other vehicle has priority over the agent.
     Before,
-    /// Its turn is after the agent's.
+    /// The agent has priority over the other vehicle.
     After,
 }
 
-/// How far the vehicle of `slot` can drive, as far as that of slot `j` is concerned: on whichever
-/// of the routes that the other may take the agent can drive least far.
+/// Returns how far the vehicle of `slot` can drive with regard to the vehicle of slot `j`: the
+/// smallest distances over all candidate routes of the latter.
 pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usize) -> Free {
     let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
     let (own, other) = (&slots[slot], &slots[j]);
@@ -115,7 +121,8 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
         .fold(Free::ALL, Free::min)
 }
 
-/// Which vehicles brake now: for one that comes before them, is ahead, or stands in their way.
+/// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
+/// ahead, or stands in its way.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut turns, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.routes, traffic);
@@ -126,7 +133,7 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         let seen = |free: Free, j| free.min(self::free(knowledge, &turns, slot, j));
         let free = (0..turns.len()).fold(Free::ALL, seen);
         let braking = own.speed * own.speed / (2.0 * brakes);
-        // Who has not entered yet waits outside, where it is in nobody's way.
+        // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(task, own).is_some_and(|entry| entry < braking);
         own.status == Status::Active
             && (free.way < braking + RESERVE
@@ -136,8 +143,9 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     traffic.slots.iter().enumerate().map(gives_way).collect()
 }
 
-/// How far a vehicle has to go to the next place where it can wait outside: before a junction, or before its way first meets another's
-/// \[m\]; none where it has entered.
+/// Returns how far a vehicle has to drive to the next place where it can wait without blocking
+/// others: before a junction, or before the first conflict point of its route \[m\]. Places that
+/// its front has passed by more than [`OVER`] do not count; `None` where none is left.
 pub(super) fn to_entry(task: &Task, slot: &Slot) -> Option<f64> {
     let nose = slot.s + slot.size[0] / 2.0;
     let meeting = task.routes[slot.route].to_first_conflict(slot.s) - RESERVE;
@@ -145,15 +153,17 @@ pub(super) fn to_entry(task: &Task, slot: &Slot) -> Option<f64> {
     lines.chain([meeting]).filter(|way| *way > -OVER).min_by(f64::total_cmp)
 }
 
-/// Whether `behind` comes to where `ahead` is on its way.
+/// Whether the vehicle at `behind` will come to the position of the vehicle at `ahead` on its
+/// route.
 fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 
-/// The vehicles' `turns`, of which the smallest is first. Whoever stands in the way of another has
-/// that one's turn, if it is before its own: otherwise each of them would wait for the other. One
-/// that may take several routes is in the way of another if it is so for any route that the other
-/// may take. `blocked` is scratch.
+/// Writes the effective priorities of all slots to `turns`; the smallest number goes first.
+///
+/// A vehicle whose present position blocks another inherits the blocked vehicle's priority if that
+/// is earlier than its own; otherwise the two would wait for each other. A vehicle with several
+/// candidate routes is blocked if it is blocked on any of them. `blocked` is scratch.
 pub(super) fn inherit(
     knowledge: Knowledge<'_>,
     turns: &mut Vec<u32>,
@@ -162,13 +172,13 @@ pub(super) fn inherit(
     let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;
     turns.clear();
-    // Who has not come near is after all who have.
+    // Vehicles that have no priority yet (0) come last.
     turns.extend(slots.iter().map(|slot| slot.turn.wrapping_sub(1)));
     let drives = |i: usize| slots[i].status == Status::Active;
     let stands_in_the_way = |i: usize, j: usize| {
         let waits_behind =
             |own: Candidate| knowledge.candidates(j).any(|other| is_behind(routes, &other, &own));
-        // Where it stands is the same on all of its routes.
+        // The vehicle's present position is the same on all of its candidate routes.
         let own = knowledge.candidates(i).next().unwrap_or_else(|| Candidate::of(&slots[i]));
         let course = Course::on(routes, own, slots[i].size, 0.0);
         !knowledge.candidates(i).any(waits_behind)
@@ -181,7 +191,7 @@ pub(super) fn inherit(
         };
         blocked.extend((0..slots.len()).filter(near).map(|j| (i, j)));
     }
-    // Along chains of any length.
+    // Priorities are inherited along chains of any length.
     let mut changed = true;
     while std::mem::take(&mut changed) {
         for &(i, j) in &*blocked {
@@ -208,7 +218,8 @@ mod tests {
         Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task")
     }
 
-    /// Vehicles so many metres before where their ways first meet others', on routes of these names.
+    /// Traffic with one vehicle per entry, on the named route and the given distance \[m\] before
+    /// its first conflict point.
     fn traffic(task: &Task, vehicles: &[(&str, f64)]) -> Traffic {
         let mut traffic = Traffic::new(vehicles.len(), task.routes.len());
         for (slot, (name, way)) in traffic.slots.iter_mut().zip(vehicles) {
@@ -254,7 +265,7 @@ mod tests {
         let turns =
             |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.turn).collect::<Vec<_>>();
         assert_eq!(turns(&traffic), [0, 1, 2, 0]);
-        // Who comes later is behind, however close it gets.
+        // A vehicle that comes later has a later priority, however close it gets.
         traffic.slots[0].s += 24.0;
         traffic.take_turns(&task.routes, None, 20.0);
         assert_eq!(turns(&traffic), [3, 1, 2, 0]);
@@ -269,7 +280,8 @@ mod tests {
     #[test]
     fn who_stands_in_the_way_has_the_turn_of_the_one_that_it_blocks() {
         let task = task();
-        // The second stands across the way of the first, which came before it; the third is outside, and in nobody's way.
+        // The second vehicle stands in the path of the first, which has priority over it; the third
+        // waits outside and blocks nobody.
         let mut traffic = traffic(
             &task,
             &[("west_straight", 0.0), ("south_straight", 0.0), ("east_straight", 6.0)],
@@ -284,7 +296,8 @@ mod tests {
         }
         assert_eq!(inherited(&task, &traffic), [1, 1, 0], "by itself the second would be last");
         assert_eq!(giving_way(&task, &traffic), [true, false, false]);
-        // Once it is gone, the first drives; a wreck is waited for, whatever its turn was.
+        // Once the second vehicle is gone, the first drives; it waits for a wreck, whatever the
+        // priorities were.
         traffic.slots[1].status = Status::Wreck;
         assert!(giving_way(&task, &traffic)[0]);
         traffic.slots[1].status = Status::Empty;
@@ -292,7 +305,8 @@ mod tests {
     }
 
     proptest! {
-        /// The one that came first gives way only where the other stands in its way or is ahead.
+        /// Of two vehicles, the one with priority gives way only where the other blocks it or is
+        /// ahead.
         #[test]
         fn two_do_not_wait_for_each_other(
             routes in [0usize..12, 0usize..12],

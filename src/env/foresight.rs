@@ -1,4 +1,4 @@
-//! How closely two vehicles will pass each other if both keep to their ways and speeds: what a driver foresees.
+//! Foresight: how closely two vehicles will pass each other if both keep to their paths and speeds.
 
 use super::geometry::{Size, Stance, separation};
 use super::intention::Candidate;
@@ -6,14 +6,16 @@ use super::routes::RouteGeometry;
 use super::slots::Slot;
 use crate::sumo::net::Path;
 
-/// Speed at which an agent that stands or crawls would drive \[m/s\].
+/// Speed that foresight assumes for an agent that stands or drives slowly \[m/s\].
 pub(super) const DRIVING: f64 = 6.0;
-/// Who passes no closer than this is not foreseen \[m\].
+/// Largest gap between two vehicles that counts as close \[m\].
 const CLOSE: f64 = 3.0;
-/// Between two looks at vehicles that are close they drive this far together \[m\], but for these bounds of the time between \[s\].
+/// Time step of the search for vehicles that are close: the distance that both drive in it,
+/// together \[m\], and the least and greatest step \[s\].
 const LOOK: (f64, f64, f64) = (0.6, 0.1, 0.4);
 
-/// A vehicle that keeps to its way, as far beside its middle as it is, and to a speed \[m/s\].
+/// Predicted motion of a vehicle along its path, at its present lateral offset and a constant speed
+/// \[m/s\].
 #[derive(Clone, Copy)]
 pub(super) struct Course<'a> {
     path: &'a Path,
@@ -23,12 +25,12 @@ pub(super) struct Course<'a> {
 }
 
 impl<'a> Course<'a> {
-    /// On the vehicle's own route.
+    /// The course along the vehicle's own route.
     pub(super) fn new(routes: &'a [RouteGeometry], slot: &Slot, speed: f64) -> Self {
         Self::on(routes, Candidate::of(slot), slot.size, speed)
     }
 
-    /// On a route that it may take.
+    /// The course along a candidate route.
     pub(super) fn on(
         routes: &'a [RouteGeometry],
         place: Candidate,
@@ -38,35 +40,38 @@ impl<'a> Course<'a> {
         Self { path: &routes[place.route].path, place, size, speed }
     }
 
-    /// Where it is; looked for from a segment of its way on, which becomes the one that it is on.
+    /// Returns the pose after `time` seconds. The search on the path begins at `segment`, which
+    /// becomes the segment of that pose.
     fn at(&self, time: f64, segment: &mut usize) -> Stance {
         let (point, on) = self.path.locate_from(self.place.s + self.speed * time, *segment);
         *segment = on;
         Stance::beside(point, self.path.direction(on), self.place.lateral)
     }
 
-    /// How far from its middle it reaches \[m\].
+    /// Half the diagonal of the vehicle \[m\].
     fn reach(&self) -> f64 {
         let [length, width] = self.size;
         (length * length + width * width).sqrt() / 2.0
     }
 }
 
-/// How closely two vehicles pass each other within `horizon` seconds, from 0, [`CLOSE`] or farther apart, to 1, touching; and how soon
-/// they are closest, or touch, from 1 now to 0 at the horizon, where they pass closely.
+/// Returns how closely two vehicles pass each other within `horizon` seconds, and how soon.
+///
+/// The first number is the closeness: 0 for a gap of [`CLOSE`] or more, 1 for contact. The second
+/// is 1 if they are closest, or touch, now, and 0 at the horizon or where they do not pass closely.
 pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let mut closest = Closest::within(horizon);
     closest.look(a, b, 0.0);
     closest.told()
 }
 
-/// The closest passing of a vehicle and another that may take several courses, and of equally close
-/// ones the soonest.
+/// The closest passing found so far of a vehicle and another that has several possible courses; of
+/// equally close passings the earliest.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Closest {
-    /// Gap between the two \[m\].
+    /// Smallest gap between the two vehicles \[m\].
     least: f64,
-    /// When it is so small \[s\].
+    /// Time of the smallest gap \[s\].
     when: f64,
     horizon: f64,
 }
@@ -76,18 +81,18 @@ impl Closest {
         Self { least: CLOSE, when: horizon, horizon }
     }
 
-    /// Looks along a course of each from the time `from` on \[s\].
+    /// Searches a course of each vehicle for a closer passing, from time `from` on \[s\].
     pub(super) fn look(&mut self, a: Course<'_>, b: Course<'_>, from: f64) {
         let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
         let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
         let mut segments = [a.place.segment, b.place.segment];
-        // Of two that touch, only when they do so first is of interest.
+        // After a contact only an earlier contact is of interest.
         let (mut time, end) = (from, if self.least > 0.0 { self.horizon } else { self.when });
         while time < end {
             let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
             let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
             let far = (dx * dx + dy * dy).sqrt() - reach;
-            // Few pairs are so close that it matters how they stand.
+            // The vehicles' orientations matter only for the few pairs that are this close.
             let apart =
                 if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
             if apart < self.least || apart <= 0.0 {
@@ -96,12 +101,12 @@ impl Closest {
             if closing <= 0.0 || apart <= 0.0 {
                 break;
             }
-            // Until then they cannot be closer than they have been.
+            // Before that time the gap cannot fall below the smallest one found.
             time += ((apart - self.least) / closing).max(step);
         }
     }
 
-    /// As [`passing`].
+    /// Returns the two numbers of [`passing`].
     pub(super) fn told(self) -> [f64; 2] {
         [1.0 - self.least / CLOSE, 1.0 - self.when / self.horizon]
     }
@@ -121,7 +126,8 @@ mod tests {
     const SIZE: [f64; 2] = [4.5, 1.85];
     const HORIZON: f64 = 4.0;
 
-    /// Places and speeds on two ways that cross at right angles, 50 m from both starts.
+    /// Foresight for vehicles at positions `s` with these speeds, on two paths that cross at right
+    /// angles 50 m from both starts.
     fn crossing(s: [f64; 2], speed: [f64; 2]) -> [f64; 2] {
         let points = [[[0.0, 0.0], [100.0, 0.0]], [[50.0, -50.0], [50.0, 50.0]]];
         let paths = points.map(|points| Path::from_points(points, 3.5).expect("two points"));
@@ -137,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_crossing_is_foreseen_from_the_ways_that_are_left() {
-        // They touch when both are 3 m from the crossing.
+        // Contact happens when both vehicles are 3 m from the crossing.
         let touching = [
             ([27.0, 27.0], [10.0, 10.0], 2.0),
             ([37.0, 7.0], [5.0, 20.0], 2.0),
@@ -151,10 +157,11 @@ mod tests {
                 "{close}, {found} s, and not {time}"
             );
         }
-        // One drives by before the other, which stands 2 m beside its way.
+        // The first vehicle passes the second, which stands 2 m beside its path.
         let [close, soon] = crossing([30.0, 45.0], [10.0, 0.0]);
         assert!((close - 1.0 / 3.0).abs() < 1e-9 && soon > 0.4, "{close} {soon}");
-        // One passes long before; one that stands is not reached; nobody moves; beyond the horizon.
+        // In order: one passes long before the other; a standing vehicle is not reached; neither
+        // moves; contact is beyond the horizon.
         for (s, speed) in [
             ([27.0, 0.0], [10.0, 10.0]),
             ([30.0, 47.0], [0.0, 8.0]),
@@ -166,7 +173,8 @@ mod tests {
     }
 
     proptest! {
-        /// On all routes of an intersection with turns, against looking every hundredth of a second.
+        /// On all routes of an intersection with turns, foresight agrees with a search in steps of
+        /// 0.01 s.
         #[test]
         fn what_is_foreseen_is_what_a_close_look_finds(
             routes in [0usize..12, 0usize..12],
@@ -182,7 +190,7 @@ mod tests {
             prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");
             let (apart, when) = (CLOSE * (1.0 - close), HORIZON * (1.0 - soon));
             let at = |time: f64| separation((a.at(time, &mut 0), SIZE), (b.at(time, &mut 0), SIZE));
-            // Up to where they touch, if they do.
+            // The search ends at the first contact.
             let (mut least, mut touched) = (CLOSE, None);
             for i in 0..400 {
                 let time = f64::from(i) * 0.01;
@@ -192,7 +200,8 @@ mod tests {
                     break;
                 }
             }
-            // Between two looks they come closer by what both drive, and by what a turn of the way moves their corners.
+            // Between two steps of the search the gap shrinks by what both vehicles drive, and by
+            // how far a bend of the path moves their corners.
             let together = a.speed.abs() + b.speed.abs();
             let between = 1.5 * LOOK.0.max(together * LOOK.1) + 0.3;
             prop_assert!((least - 0.2..=least + between).contains(&apart), "{apart} m instead of {least}");

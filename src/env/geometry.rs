@@ -1,24 +1,24 @@
 //! Oriented boxes and their overlap: the collision test that does not depend on SUMO.
 
-/// Pose of a vehicle's centre: metres, radians counter-clockwise from +x.
+/// Pose of a vehicle's centre.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose {
-    /// \[m\]
+    /// x coordinate in the net \[m\].
     pub x: f64,
-    /// \[m\]
+    /// y coordinate in the net \[m\].
     pub y: f64,
-    /// \[rad\]
+    /// Heading, counter-clockwise from the x axis \[rad\].
     pub heading: f64,
 }
 
 impl Pose {
-    /// The pose at `lateral` metres to the left of a point.
+    /// Returns the pose `lateral` metres to the left of a point.
     pub(super) fn beside(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
         let (sin, cos) = heading.sin_cos();
         Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
     }
 
-    /// Linear interpolation towards `next` (headings the short way round); `t` in 0..=1.
+    /// Interpolates linearly towards `next`, headings along the shorter arc; `t` in 0..=1.
     #[must_use]
     pub fn towards(&self, next: &Pose, t: f64) -> Pose {
         let turn = (next.heading - self.heading + std::f64::consts::PI)
@@ -31,14 +31,14 @@ impl Pose {
         }
     }
 
-    /// Centre distance \[m\].
+    /// Returns the distance between the centres \[m\].
     pub fn distance(&self, other: &Pose) -> f64 {
         let (dx, dy) = (self.x - other.x, self.y - other.y);
         (dx * dx + dy * dy).sqrt()
     }
 }
 
-/// Where the middle of a box is \[m\], and the unit vector along it.
+/// Middle of a box \[m\], and the unit vector along its length.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stance {
     pub(super) middle: [f64; 2],
@@ -46,7 +46,7 @@ pub(super) struct Stance {
 }
 
 impl Stance {
-    /// `lateral` metres to the left of a point.
+    /// Returns the stance `lateral` metres to the left of a point.
     pub(super) fn beside(point: [f64; 2], along: [f64; 2], lateral: f64) -> Self {
         Self { middle: [point[0] - lateral * along[1], point[1] + lateral * along[0]], along }
     }
@@ -62,8 +62,8 @@ impl From<&Pose> for Stance {
 /// Length and width of a box \[m\].
 pub type Size = [f64; 2];
 
-/// How far two boxes are apart along the axis that separates them best, of the four along which their sides lie \[m\]: no more than the
-/// distance between them; below 0 where they overlap.
+/// Returns the largest gap between two boxes along any of the four axes of their sides \[m\]: at
+/// most their distance, and negative where they overlap.
 pub(super) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size)) -> f64 {
     let (dx, dy) = (b.middle[0] - a.middle[0], b.middle[1] - a.middle[1]);
     let apart = |[c, s]: [f64; 2], [along, across]: [f64; 2]| {
@@ -74,26 +74,28 @@ pub(super) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size
         .max(apart(b.along, reaches(turned, b_size, a_size)))
 }
 
-/// Whether two boxes overlap (separating axes).
+/// Whether two boxes overlap (separating axis test).
 pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let reach = a_size[0].hypot(a_size[1]) / 2.0 + b_size[0].hypot(b_size[1]) / 2.0;
     dx * dx + dy * dy <= reach * reach && separation((a.into(), a_size), (b.into(), b_size)) <= 0.0
 }
 
-/// How far two directions are turned to each other: the size of the cosine and of the sine.
+/// Returns the magnitudes of the cosine and the sine of the angle between two unit vectors.
 fn turned(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [(a[0] * b[0] + a[1] * b[1]).abs(), (a[0] * b[1] - a[1] * b[0]).abs()]
 }
 
-/// Distances of two centres along the axes of one box, below which another box, turned to it, reaches into it \[m\].
+/// Returns the distances between two centres \[m\], along the length and the width of box `own`,
+/// below which box `other` reaches into it; `cos` and `sin` as [`turned`] returns them.
 fn reaches([cos, sin]: [f64; 2], own: Size, other: Size) -> [f64; 2] {
     let [own_l, own_w, half_l, half_w] =
         [own[0] / 2.0, own[1] / 2.0, other[0] / 2.0, other[1] / 2.0];
     [own_l + half_l * cos + half_w * sin, own_w + half_l * sin + half_w * cos]
 }
 
-/// Time until two boxes touch that go on straight ahead at their speeds \[m/s\]: 0 where they overlap, `None` where they pass.
+/// Returns the time \[s\] until two boxes touch if both go straight on at their speeds \[m/s\]: 0
+/// where they overlap, `None` where they never touch.
 pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
     let stances = [a.0, b.0].map(Stance::from);
     let [own, other] = stances.map(|stance| stance.along);
@@ -105,12 +107,13 @@ pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> O
     };
     let turned = turned(own, other);
     let ([l, w], [other_l, other_w]) = (reaches(turned, a.1, b.1), reaches(turned, b.1, a.1));
-    // They overlap while they do so along all four axes.
+    // Boxes overlap while they do so along all four axes.
     let [from, to] = stretch(onto(dx, dy), onto(vx, vy), [l, w, other_l, other_w])?;
     (to >= 0.0).then_some(from.max(0.0))
 }
 
-/// From when to when a point that begins at `at` and moves by `way` in a unit of time is within `half` of zero along every axis.
+/// Returns the first and last time at which a point that starts at `at` and moves by `way` per unit
+/// of time is within `half` of zero along every axis; `None` if it never is.
 pub(super) fn stretch<const N: usize>(
     at: [f64; N],
     way: [f64; N],
@@ -148,13 +151,14 @@ mod tests {
         })
     }
 
-    /// Independent oracle: clip one rectangle by the other's half planes; an area remains when they overlap.
+    /// Independent oracle: returns the area of one rectangle clipped by the other's half planes,
+    /// which is positive when they overlap.
     fn overlap_by_clipping(a: &Pose, b: &Pose) -> f64 {
         let mut polygon: Vec<[f64; 2]> = corners(a).to_vec();
         let clip = corners(b);
         for i in 0..4 {
             let (p, q) = (clip[i], clip[(i + 1) % 4]);
-            // Corners go clockwise: inside is to the right.
+            // The corners go clockwise, so the inside is on the right.
             let side = |r: [f64; 2]| (r[0] - p[0]) * (q[1] - p[1]) - (r[1] - p[1]) * (q[0] - p[0]);
             let mut next = Vec::new();
             for j in 0..polygon.len() {
@@ -186,7 +190,7 @@ mod tests {
             let a = Pose { x: 3.0, y: -2.0, heading: h };
             let b = Pose { x: 3.0 + dx, y: -2.0 + dy, heading: g };
             let area = overlap_by_clipping(&a, &b);
-            // Touching within rounding may fall either way.
+            // Boxes that touch within rounding may count either way.
             prop_assume!(!(1e-12..1e-6).contains(&area));
             prop_assert_eq!(boxes_overlap((&a, SIZE), (&b, SIZE)), area > 0.0);
             prop_assert_eq!(boxes_overlap((&b, SIZE), (&a, SIZE)), area > 0.0);
@@ -194,7 +198,8 @@ mod tests {
     }
 
     proptest! {
-        /// At the time of contact boxes of any sizes touch, just before they do not; without one they never do.
+        /// Boxes of any size touch at the time of contact and not before; without a contact time
+        /// they never touch.
         #[test]
         fn contact_is_when_boxes_begin_to_overlap(
             (x, y) in (-30.0..30.0f64, -30.0..30.0f64), (h, g) in (-4.0..4.0f64, -4.0..4.0f64),

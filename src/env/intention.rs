@@ -1,10 +1,11 @@
-//! What an agent knows of where the other vehicles will go.
+//! What an agent knows about the routes of the other vehicles.
 //!
 //! Where the scenario hides intentions, an agent has to expect every route that a vehicle could
-//! still take: its *candidates*. They follow from the vehicle's pose and from the place where it
-//! began, never from the route that it is on: of the routes that begin alike, those are open whose
-//! paths have not yet left the vehicle aside. Every feature group reads other vehicles' routes
-//! through [`Knowledge::candidates`] and [`Knowledge::on_route`], and nowhere else.
+//! still take: its *candidates*. Candidates follow from where the vehicle began and where it is
+//! now, never from the route that it is on: all routes that begin like the vehicle's are
+//! candidates, and a candidate is open until its path has parted from where the vehicle is. Every
+//! feature group reads other vehicles' routes through [`Knowledge::candidates`] and
+//! [`Knowledge::on_route`] only.
 
 use super::foresight::{Closest, Course};
 use super::geometry::Stance;
@@ -15,14 +16,14 @@ use super::task::Task;
 use crate::scenario::Intention;
 use crate::sumo::net::{EdgeFunction, Net, Path};
 
-/// A route is open while its path is at most this much farther from the vehicle than the nearest
-/// candidate's \[m\].
+/// A route is open while its path is at most this much farther from the vehicle than the path of
+/// the nearest candidate \[m\].
 const PARTED: f64 = 1.0;
-/// A path that the vehicle stands across counts as so much farther, one that leads the other way
-/// twice as much \[m\].
+/// Distance that is added for a path at right angles to the vehicle's heading; a path in the
+/// opposite direction counts as twice as far \[m\].
 const ACROSS: f64 = 3.0;
 
-/// A route that a vehicle may be on, and where the vehicle is on it.
+/// A route that a vehicle may be on, and the vehicle's position on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Candidate {
     pub(super) route: usize,
@@ -30,19 +31,19 @@ pub(super) struct Candidate {
     pub(super) s: f64,
     /// Offset from the route's path, positive to the left \[m\].
     pub(super) lateral: f64,
-    /// Segment of the path at which to begin to look for positions.
+    /// Segment of the path at which a search for positions begins.
     pub(super) segment: usize,
 }
 
 impl Candidate {
-    /// The route that the vehicle is on.
+    /// Returns the route that the vehicle is on.
     pub(super) fn of(slot: &Slot) -> Self {
         Self { route: slot.route, s: slot.s, lateral: slot.lateral, segment: slot.segment }
     }
 }
 
-/// What an indicator shows. A vehicle that turns back shows the same as one that turns left (in
-/// left-hand traffic, right).
+/// What an indicator shows. A U-turn is signalled as a left turn (in left-hand traffic as a right
+/// turn).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Indicator {
     Off,
@@ -51,7 +52,7 @@ enum Indicator {
 }
 
 impl Indicator {
-    /// For a direction as SUMO's nets have it.
+    /// Returns the indicator for a connection's `dir` in a SUMO net.
     fn of(direction: &str) -> Self {
         match direction {
             "l" | "L" | "t" => Self::Left,
@@ -61,10 +62,10 @@ impl Indicator {
     }
 }
 
-/// Where a route passes a junction, as positions along its path \[m\].
+/// A route's passage through a junction, in positions along the route's path \[m\].
 #[derive(Debug, Clone, Copy)]
 struct Passage {
-    /// Index into the net's junctions; none where the net does not list it.
+    /// Index into the net's junctions; `None` where the net does not list the junction.
     junction: Option<usize>,
     from: f64,
     to: f64,
@@ -74,18 +75,18 @@ struct Passage {
 /// Which routes of a task begin alike, and where they part.
 #[derive(Debug, Clone)]
 pub(super) struct Forks {
-    /// For every route the routes that begin alike, itself included, in ascending order.
+    /// For every route: the routes that begin like it, itself included, in ascending order.
     alike: Vec<Vec<usize>>,
-    /// For every route and each of `alike`: up to which position both paths have the same points
-    /// \[m\].
+    /// For every route and each of its `alike`: position up to which both paths have the same
+    /// points \[m\].
     together: Vec<Vec<f64>>,
-    /// For every route its junctions, in driving order.
+    /// For every route: its junctions, in driving order.
     passages: Vec<Vec<Passage>>,
 }
 
 impl Forks {
     pub(super) fn new(net: &Net, routes: &[RouteGeometry]) -> Self {
-        // Routes that begin alike get one label: the smallest of their indices.
+        // Routes that begin alike get one label, the smallest of their indices.
         let mut labels: Vec<usize> = (0..routes.len()).collect();
         for a in 0..routes.len() {
             for b in 0..a {
@@ -112,8 +113,8 @@ impl Forks {
         }
     }
 
-    /// How far a vehicle can drive along both candidate routes until their paths part \[m\]; 0
-    /// where they have parted.
+    /// Returns how far a vehicle can drive along both candidate routes until their paths part
+    /// \[m\]; 0 where they have parted.
     fn until_parted(&self, a: &Candidate, b: &Candidate) -> f64 {
         let same = a.s == b.s && a.lateral == b.lateral;
         let place = self.alike[a.route].iter().position(|&route| same && route == b.route);
@@ -137,7 +138,7 @@ fn begin_alike(a: &RouteGeometry, b: &RouteGeometry) -> bool {
     begins_on(a.lanes(), b.lanes()) || begins_on(b.lanes(), a.lanes())
 }
 
-/// Up to which position two paths have the same points \[m\].
+/// Returns the position up to which two paths have the same points \[m\].
 fn common_length(a: &Path, b: &Path) -> f64 {
     let common = a.points.iter().zip(&b.points).take_while(|(p, q)| p == q).count();
     common.checked_sub(1).map_or(0.0, |last| a.cumulative[last])
@@ -163,19 +164,19 @@ fn passages(net: &Net, path: &Path) -> Vec<Passage> {
     roads.windows(2).map(passage).collect()
 }
 
-/// A candidate under observation.
+/// A candidate route of a vehicle, as of the last update.
 #[derive(Debug, Clone, Copy)]
 struct Tracked {
     candidate: Candidate,
-    /// How far the vehicle is from the route, its heading taken into account \[m\].
+    /// Distance of the vehicle from the route's path, increased for a different heading \[m\].
     apart: f64,
-    /// The vehicle could still take the route.
+    /// Whether the vehicle could still take the route.
     open: bool,
-    /// The route agrees with the vehicle's indicator.
+    /// Whether the route agrees with the vehicle's indicator.
     agrees: bool,
 }
 
-/// A vehicle on one of its candidates.
+/// A vehicle in the queue of one of its candidate routes.
 #[derive(Debug, Clone, Copy)]
 struct Queued {
     slot: usize,
@@ -186,21 +187,22 @@ struct Queued {
 /// The candidates of all vehicles of a world.
 #[derive(Debug, Clone)]
 pub(super) struct Intentions {
-    /// Most candidates of a vehicle.
+    /// Largest number of candidates that a vehicle can have.
     most: usize,
-    /// `[slots, most]`.
+    /// Candidates of all slots, `[slots, most]`.
     tracked: Vec<Tracked>,
-    /// How many of them a slot has; 0 where its vehicle's route is the only one that begins as it
-    /// does.
+    /// Number of candidates per slot; 0 where the slot is empty or no other route begins like the
+    /// vehicle's.
     counts: Vec<usize>,
     /// Vehicles by candidate route, furthest along first.
     queues: Vec<Vec<Queued>>,
-    /// Whether the first slot's agent sees the second's indicator, `[slots, slots]`.
+    /// Whether the agent of the first slot sees the indicator of the vehicle in the second,
+    /// `[slots, slots]`.
     sees_indicator: Vec<bool>,
 }
 
 impl Intentions {
-    /// Of a task in which something is hidden; none where every route is known.
+    /// Returns the candidates for a task, before an episode; `None` where all routes are known.
     pub(super) fn new(task: &Task) -> Option<Self> {
         let most = task.forks.alike.iter().map(Vec::len).max().unwrap_or(0);
         if task.scenario.observation.intention == Intention::Seen || most < 2 {
@@ -220,13 +222,13 @@ impl Intentions {
         })
     }
 
-    /// A new episode begins: nothing is known of where vehicles have been.
+    /// Begins a new episode: forgets where vehicles have been.
     pub(super) fn begin(&mut self) {
         self.counts.fill(0);
     }
 
-    /// Follows the vehicles. `steers`: agents follow their routes' paths by themselves; SUMO keeps
-    /// others on lanes.
+    /// Updates the candidates from the vehicles' poses. `steers`: whether agents steer, so that
+    /// they follow their routes' paths; SUMO keeps all other vehicles on lanes.
     pub(super) fn update(&mut self, task: &Task, traffic: &Traffic, steers: bool) {
         let seen = &task.scenario.observation;
         let signals = (seen.intention == Intention::Signalled).then_some(seen.signal_distance);
@@ -272,20 +274,21 @@ impl Intentions {
         }
     }
 
-    /// The candidates of a slot's vehicle, closed ones too; empty where its route is known.
+    /// Returns the candidates of a slot's vehicle, closed ones included; empty where its route is
+    /// known.
     fn of(&self, slot: usize) -> &[Tracked] {
         &self.tracked[slot * self.most..][..self.counts[slot]]
     }
 
-    /// Distance of a vehicle to the first conflict point on any open route \[m\]; none where its
-    /// route is known.
+    /// Returns the vehicle's distance to the first conflict point on any open route \[m\]; `None`
+    /// where its route is known.
     pub(super) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
         let open = self.of(slot).iter().filter(|entry| entry.open);
         open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s))
             .min_by(f64::total_cmp)
     }
 
-    /// Finds out which agents see which indicators.
+    /// Determines which agents see which indicators.
     fn look(&mut self, task: &Task, traffic: &Traffic) {
         let (slots, n) = (&traffic.slots, traffic.slots.len());
         self.sees_indicator.fill(false);
@@ -301,8 +304,8 @@ impl Intentions {
     }
 }
 
-/// Where a vehicle is on a route; looked for near the segment `hint`, or on the whole route without
-/// one.
+/// Locates a vehicle on a route. The search begins near the segment `hint`, or covers the whole
+/// path where there is none. `on_path`: search on the path and not on the lanes' centre line.
 fn locate(
     geometry: &RouteGeometry,
     route: usize,
@@ -323,7 +326,7 @@ fn locate(
     Tracked { candidate, apart, open: true, agrees: true }
 }
 
-/// Closes the routes whose paths have parted from where the vehicle is.
+/// Closes the candidates whose paths have parted from where the vehicle is.
 fn close_parted(tracked: &mut [Tracked]) {
     let nearest = tracked.iter().map(|entry| entry.apart).fold(f64::INFINITY, f64::min);
     for entry in tracked {
@@ -331,8 +334,8 @@ fn close_parted(tracked: &mut [Tracked]) {
     }
 }
 
-/// Marks the routes that agree with the indicator of the vehicle, which shows the direction at the
-/// next junction from `distance` metres before it until the vehicle has left it.
+/// Marks the candidates that agree with the vehicle's indicator. The indicator shows the direction
+/// at the next junction, from `distance` metres before the junction until the vehicle has left it.
 fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Tracked]) {
     let next = |entry: &Tracked, of: &dyn Fn(&Passage) -> bool| {
         let Candidate { route, s, .. } = entry.candidate;
@@ -348,8 +351,8 @@ fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Trac
         let there = next(entry, &|passage| passage.junction == shown.junction);
         entry.agrees = there.is_some_and(|there| there.indicator == shown.indicator);
     }
-    // A vehicle far beside its route may show what no open route has: then its indicator tells
-    // nothing.
+    // A vehicle far beside its route may signal a direction that no open route has; its indicator
+    // is ignored then.
     if !tracked.iter().any(|entry| entry.open && entry.agrees) {
         for entry in &mut *tracked {
             entry.agrees = true;
@@ -357,7 +360,7 @@ fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Trac
     }
 }
 
-/// Whether no third vehicle's body is on the line between the centres of two.
+/// Whether no third vehicle's body is on the line between the centres of two vehicles.
 fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
     let distance = traffic.distance(i, j);
     let [from, to] = [i, j].map(|k| traffic.stance(k).middle);
@@ -373,23 +376,24 @@ fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
     !traffic.slots.iter().enumerate().any(hides)
 }
 
-/// What is known of the vehicles' routes, to an agent or to everybody.
+/// What is known about the vehicles' routes, to one agent or to all.
 #[derive(Clone, Copy)]
 pub(super) struct Knowledge<'a> {
     pub(super) routes: &'a [RouteGeometry],
     pub(super) traffic: &'a Traffic,
     hidden: Option<(&'a Intentions, &'a Forks)>,
-    /// The agent, whose sight decides which indicators are known; without one, none is.
+    /// The agent whose sight decides which indicators are known; without an agent, none is.
     reader: Option<usize>,
 }
 
 impl<'a> Knowledge<'a> {
-    /// All routes are known: for training's privileged state and drivers that follow rules.
+    /// All routes are known: for the privileged state and for drivers that follow rules.
     pub(super) fn full(routes: &'a [RouteGeometry], traffic: &'a Traffic) -> Self {
         Self { routes, traffic, hidden: None, reader: None }
     }
 
-    /// What everybody knows: all routes, less what the scenario hides.
+    /// All routes are known, except for those that the scenario hides: what every agent knows
+    /// without seeing indicators.
     pub(super) fn public(
         task: &'a Task,
         traffic: &'a Traffic,
@@ -399,12 +403,12 @@ impl<'a> Knowledge<'a> {
         Self { hidden, ..Self::full(&task.routes, traffic) }
     }
 
-    /// What the agent of a slot knows of the others.
+    /// What the agent of slot `reader` knows of the other vehicles.
     pub(super) fn to(self, reader: usize) -> Self {
         Self { reader: Some(reader), ..self }
     }
 
-    /// The routes that the vehicle of a slot may take, in ascending order: one at least.
+    /// Returns the routes that the vehicle of a slot may take, at least one, in ascending order.
     pub(super) fn candidates(
         self,
         slot: usize,
@@ -416,7 +420,8 @@ impl<'a> Knowledge<'a> {
         known.into_iter().chain(open.map(|entry| entry.candidate))
     }
 
-    /// The same, each with the distance that the vehicle drives as on an earlier one \[m\].
+    /// Returns the [`Knowledge::candidates`], each with the distance that it has in common with an
+    /// earlier candidate \[m\].
     pub(super) fn branches(self, slot: usize) -> impl Iterator<Item = (Candidate, f64)> + use<'a> {
         let all = self.candidates(slot);
         let branch = move |(k, one): (usize, Candidate)| {
@@ -426,13 +431,14 @@ impl<'a> Knowledge<'a> {
         self.candidates(slot).enumerate().map(branch)
     }
 
-    /// How far a vehicle can drive along two of its candidate routes until they part \[m\].
+    /// Returns how far a vehicle can drive along two of its candidate routes until they part \[m\].
     pub(super) fn until_parted(self, a: &Candidate, b: &Candidate) -> f64 {
         self.hidden.map_or(0.0, |(_, forks)| forks.until_parted(a, b))
     }
 
-    /// The closest passing of a course and the vehicle of a slot at a speed \[m/s\], on any of its
-    /// candidate routes, as [`passing`](super::foresight::passing) has it.
+    /// Returns the closest passing, as [`passing`](super::foresight::passing) does, of a course and
+    /// the vehicle of `slot` at `speed` \[m/s\] on any of its candidate routes, within `horizon`
+    /// \[s\].
     pub(super) fn closest(
         self,
         course: Course<'_>,
@@ -442,7 +448,7 @@ impl<'a> Knowledge<'a> {
     ) -> [f64; 2] {
         let mut closest = Closest::within(horizon);
         for (place, common) in self.branches(slot) {
-            // Up to there it was looked for on an earlier route.
+            // Up to this time, the search on an earlier candidate covers the same path.
             let from = if common > 0.0 && speed <= 0.0 {
                 f64::INFINITY
             } else {
@@ -457,7 +463,8 @@ impl<'a> Knowledge<'a> {
         closest.told()
     }
 
-    /// Positions \[m\] and slots of the vehicles that may be on a route, furthest along first.
+    /// Returns positions \[m\] and slots of the vehicles that may be on a route, furthest along
+    /// first.
     pub(super) fn on_route(
         self,
         route: usize,

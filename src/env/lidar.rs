@@ -1,4 +1,5 @@
-//! Lidar: how far a vehicle sees in every direction, until the body of another vehicle or the end of the road (a line, or a kerb).
+//! Lidar: how far a vehicle sees in every direction, up to another vehicle's body or the end of the
+//! road (a line or a kerb).
 
 use std::f64::consts::TAU;
 
@@ -12,7 +13,8 @@ pub(super) fn describe(lidar: Lidar, features: &mut Features) {
     features.push("lidar", lidar.beams, &[("distance", "the lidar's range", 0.0, 1.0)]);
 }
 
-/// Writes one distance per beam, counter-clockwise from straight ahead; 1 where nothing is in range.
+/// Writes one distance per beam in units of the range, counter-clockwise from straight ahead; 1
+/// where a beam hits nothing.
 pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
     let own = traffic.stance(slot);
     let (mut along, mut ends) = ([[0.0; 2]; Lidar::MOST], [0.0; Lidar::MOST]);
@@ -29,7 +31,7 @@ pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, o
     }
 }
 
-/// Where the beams of a vehicle lead, and how far \[m\].
+/// The beams of a vehicle: their directions and the distances at which they end \[m\].
 struct Beams<'a> {
     from: Stance,
     /// Beams per radian.
@@ -40,7 +42,8 @@ struct Beams<'a> {
 }
 
 impl<'a> Beams<'a> {
-    /// They end where their range does.
+    /// Beams from a vehicle at `from`, all as long as the lidar's range. The slices are storage,
+    /// one element per beam.
     fn new(lidar: Lidar, from: Stance, along: &'a mut [[f64; 2]], ends: &'a mut [f64]) -> Self {
         ends.fill(lidar.range);
         let density = lidar.beams as f64 / TAU;
@@ -52,14 +55,15 @@ impl<'a> Beams<'a> {
         Self { from, density, range: lidar.range, along, ends }
     }
 
-    /// Angle of a vector from straight ahead \[rad\].
+    /// Returns the angle of a vector, counter-clockwise from straight ahead \[rad\].
     fn bearing(&self, [x, y]: [f64; 2]) -> f64 {
         let [cos, sin] = self.from.along;
         bearing([x * cos + y * sin, y * cos - x * sin])
     }
 
-    /// Ends beams within `wide` radians counter-clockwise from `first`, which counts from straight ahead, where `hit` says for their
-    /// direction: nowhere nearer than `nearest`.
+    /// Ends beams at the distance that `hit` returns for their direction. Only beams within `wide`
+    /// radians counter-clockwise from the angle `first` (0: straight ahead) are tested; no hit is
+    /// nearer than `nearest` metres.
     fn between(
         &mut self,
         first: f64,
@@ -67,14 +71,14 @@ impl<'a> Beams<'a> {
         nearest: f64,
         hit: impl Fn([f64; 2]) -> Option<f64>,
     ) {
-        // Conversion rounds towards zero, and is quicker than `f64::ceil`.
+        // Rounding up by a conversion, which rounds towards zero, is faster than `f64::ceil`.
         let up = |x: f64| x as i64 + i64::from(x > (x as i64) as f64);
         let count = self.along.len() as i64;
         let (from, to) = (up(first * self.density), -up(-(first + wide) * self.density));
         let mut beam = from.rem_euclid(count) as usize;
         for _ in from..=to.min(from + count - 1) {
             let end = &mut self.ends[beam];
-            // Most have ended before.
+            // Most beams have already ended nearer.
             if *end > nearest
                 && let Some(distance) = hit(self.along[beam])
             {
@@ -93,7 +97,8 @@ impl<'a> Beams<'a> {
         if apart > self.range + reach {
             return;
         }
-        // The beams that may hit it: those that hit the circle around it, and some beside them, as an angle is less than its tangent.
+        // Beams that may hit the body: those that hit the circle around it, and a few beside them,
+        // as an angle is less than its tangent.
         let middle = self.bearing(there);
         let clear = apart * apart - reach * reach;
         let wide =
@@ -108,7 +113,8 @@ impl<'a> Beams<'a> {
 
     /// Ends beams at kerbs and lines.
     fn end_with_road(&mut self, road: &Road) {
-        /// Beams through the end of a line hit it, whatever rounding says: by how much of its length it is longer.
+        /// Share of a line's length by which it is extended at both ends, so that rounding lets no
+        /// beam pass through an end.
         const EDGE: f64 = 1e-9;
         let own = self.from.middle;
         for (end, along) in self.ends.iter_mut().zip(self.along) {
@@ -119,12 +125,12 @@ impl<'a> Beams<'a> {
             let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
             let way = [b[0] - a[0], b[1] - a[1]];
             let apart = cross(a, way);
-            // How far the straight line through it is.
+            // Distance of the straight line through both ends.
             let nearest = apart.abs() / (way[0] * way[0] + way[1] * way[1]).sqrt();
             if nearest > range {
                 return;
             }
-            // Who is on the left of a line sees it go counter-clockwise.
+            // From the left of a directed line, its end is counter-clockwise of its start.
             let [first, last] =
                 if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end));
             let wide = last - first + SLACK;
@@ -138,10 +144,11 @@ impl<'a> Beams<'a> {
     }
 }
 
-/// More than [`bearing`] may be off \[rad\].
+/// An angle larger than the error of [`bearing`] \[rad\].
 const SLACK: f64 = 1e-3;
 
-/// The angle of a vector, to within 0.0003 rad, in a fraction of the time that `atan2` takes. It says which beams may hit something, no more.
+/// Returns the angle of a vector to within 0.0003 rad, much faster than `atan2`. It only selects
+/// the beams that may hit something.
 fn bearing([x, y]: [f64; 2]) -> f64 {
     let (along, across) = (x.abs(), y.abs());
     let ratio = along.min(across) / along.max(across).max(f64::MIN_POSITIVE);
@@ -158,7 +165,9 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// Tells the distance from a point along a unit vector to a box \[m\]; 0 from inside.
+/// Returns a function that maps a unit vector to the distance from point `from`, in its direction,
+/// to a box with sides `2 · half` \[m\]: 0 from inside the box, `None` where the direction misses
+/// it.
 pub(super) fn to_box(
     from: [f64; 2],
     target: Stance,
@@ -194,8 +203,8 @@ mod tests {
             prop_assert!((bearing([length * angle.cos(), length * angle.sin()]) - angle).abs() < 3e-4);
         }
 
-        /// Beams end where the road does: at its lines, or on the parking lot at the line between the directions and at the kerb, where a
-        /// corner has left.
+        /// Beams end where the road does: at its lines, or, on the parking lot, at the line between
+        /// the directions and at the kerb, beyond which is no lane.
         #[test]
         fn beams_end_where_the_road_does(
             kerb in any::<bool>(), place in 0_usize..1000, t in 0.0..1.0f64, heading in -4.0..4.0f64, beams in 1_usize..90, range in 2.0..60.0f64,
@@ -229,7 +238,8 @@ mod tests {
             }
         }
 
-        /// Which beams may hit a body leaves none out that does: those of all directions, tried one by one, end where they do.
+        /// The selection of beams that may hit a body omits none: beams end where a test of every
+        /// beam against every body ends them.
         #[test]
         fn no_beam_passes_through_a_body(
             own in (-30.0..30.0f64, -30.0..30.0f64, -4.0..4.0f64), bodies in prop::collection::vec((-30.0..30.0f64, -30.0..30.0f64, -4.0..4.0f64), 1..6),
@@ -249,7 +259,7 @@ mod tests {
             }
         }
 
-        /// Where a beam ends, a tiny box touches the vehicle; just before, it does not.
+        /// A beam ends where a tiny box that moves along it first touches the vehicle.
         #[test]
         fn a_beam_ends_at_the_body(x in -20.0..20.0f64, y in -20.0..20.0f64, h in -4.0..4.0f64, direction in -4.0..4.0f64) {
             const DOT: f64 = 1e-3;
@@ -265,7 +275,7 @@ mod tests {
             match (found, first) {
                 (Some(found), Some(first)) => prop_assert!((found - first).abs() < 0.15, "{found} {first}"),
                 (None, None) => {}
-                // It grazes the dot's margin.
+                // The tiny box only grazes the vehicle, and the beam misses it.
                 (None, Some(_)) => prop_assert!(to_box(from, target, HALF.map(|h| h + 2.0 * DOT))([direction.cos(), direction.sin()]).is_some()),
                 (Some(found), None) => prop_assert!(found > 29.9, "{found}"),
             }

@@ -1,44 +1,45 @@
 //! Loitering: an agent crawls or stands just before its finish although nobody is in its way.
 //!
-//! A policy that earns something for being on the road may learn to wait in front of its finish.
-//! Such an agent is safe and arrives at last, so that success, safety and crashes say nothing about
-//! it.
+//! A policy that is rewarded for being on the road may learn to wait in front of its finish. Such
+//! an agent is safe and arrives in the end, so success, safety and crashes do not reveal it.
 
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::slots::{Slot, Status};
 use super::task::Task;
 
-/// An agent loiters only at most this far before or behind its finish, centre to line \[m\].
+/// Largest distance from an agent's centre to its finish line, on either side, at which it can
+/// loiter \[m\].
 const NEAR: f64 = 15.0;
-/// An agent that is at least this fast does not loiter \[m/s\].
+/// Speed from which an agent does not loiter \[m/s\].
 const SLOW: f64 = 3.0;
-/// An agent has loitered once the time that it was slow, near and free adds up to more than this
-/// \[s\].
+/// An agent has loitered once the time for which it was slow, near its finish and had nobody ahead
+/// exceeds this \[s\].
 const LONGEST: f64 = 2.0;
-/// An agent has started to move once it was faster than this \[m/s\].
+/// Speed above which an agent has started to move \[m/s\].
 const MOVING: f64 = 0.1;
-/// Distance between the places on the rest of the way at which a body is looked for \[m\].
+/// Spacing of the poses on the rest of an agent's path that are tested for overlap with other
+/// bodies \[m\].
 const SPACING: f64 = 1.0;
 
 /// How long an agent has loitered in its episode.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Loitering {
-    /// Whether the agent has moved since its spawn. Until then nothing counts, since some agents
-    /// begin close to their finish, at a standstill.
+    /// Whether the agent has moved since its spawn. Until then no time counts, since some agents
+    /// begin at a standstill close to their finish.
     pub(super) has_moved: bool,
     /// Time for which the agent was slow, near its finish and had nobody ahead \[s\].
     pub(super) time: f64,
 }
 
 impl Loitering {
-    /// Whether the agent has loitered for longer than a stop may take.
+    /// Whether the agent has loitered for longer than [`LONGEST`], the time that a stop may take.
     pub(super) fn is_long(&self) -> bool {
-        // Sums of steps of 0.1 s are a little off.
+        // Sums of steps of 0.1 s are inexact.
         self.time > LONGEST + 1e-6
     }
 }
 
-/// Adds a step to the time of every agent that loiters in it.
+/// Adds one step to the loitering time of every agent that loiters in it.
 pub(super) fn watch(task: &Task, slots: &mut [Slot]) {
     for agent in 0..task.agents {
         let own = &slots[agent];
@@ -57,8 +58,8 @@ pub(super) fn watch(task: &Task, slots: &mut [Slot]) {
     }
 }
 
-/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's way to its finish: on
-/// the lanes that both use, or with its body where the agent's body has to pass.
+/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's path to its finish: on
+/// a lane that both routes use, or with its body where the agent's body has to pass.
 fn is_anyone_ahead(task: &Task, slots: &[Slot], agent: usize) -> bool {
     let own = &slots[agent];
     let route = &task.routes[own.route];
@@ -80,7 +81,7 @@ fn touches((pose, size): (&Pose, Size), other: &Slot) -> bool {
     boxes_overlap((pose, size), (&other.pose, other.size))
 }
 
-/// The agent's poses on the rest of its way, as far beside the centre line as it is now.
+/// Returns the agent's poses on the rest of its path, at its present lateral offset.
 fn places_to_finish<'a>(task: &'a Task, own: &'a Slot) -> impl Iterator<Item = Pose> + 'a {
     let route = &task.routes[own.route];
     let steps = ((route.arrival - own.s).max(0.0) / SPACING).ceil() as u32;

@@ -1,55 +1,57 @@
-//! What an episode amounts to (definitions of the paper's released evaluation, `driving_tasks`: success, safety, efficiency).
+//! Metrics of an episode. Success, safety and efficiency are defined as in the paper's released
+//! evaluation (`driving_tasks`).
 
 use serde::{Deserialize, Serialize};
 
 use super::audit::Audit;
 use super::failures::Failures;
 
-/// One finished episode. Rates are fractions of the episode's N agents.
+/// Metrics of one finished episode. Shares are fractions of the episode's N agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     /// Number of the episode in its seed stream.
     pub episode: u64,
-    /// Steps from the first decision to the end.
+    /// Steps from the first decision to the end of the episode.
     pub episode_length: u32,
     /// Share of agents that arrived.
     pub success: f64,
-    /// Share of agents that neither crashed nor left the road.
+    /// Share of agents that neither crashed nor went off-road.
     pub safety: f64,
     /// Share of agents that crashed.
     pub crash: f64,
-    /// Share of agents that left the road.
+    /// Share of agents that went off-road.
     pub out_of_road: f64,
-    /// Reward per agent, before any cooperative mix.
+    /// Sum of the agents' own rewards over the episode, mean over agents.
     pub reward: f64,
-    /// (success − danger) · N / steps, agents per step.
+    /// (success − danger) · N / steps, in agents per step; danger is the share of agents that
+    /// crashed or went off-road.
     pub efficiency: f64,
-    /// Distinct pairs in SUMO's collision report.
+    /// Distinct colliding pairs in SUMO's report.
     pub sumo_collisions: u32,
-    /// Distinct pairs of overlapping boxes by our own test, of vehicles.
+    /// Distinct colliding pairs of vehicles by our own box test, without pedestrians.
     pub own_collisions: u32,
-    /// Distance that the agents drove, all together \[km\]; 0 in files of older versions.
+    /// Distance that all agents drove together \[km\]; 0 in files of older versions.
     #[serde(default)]
     pub distance_km: f64,
-    /// Crashes of agents: pairs of which at least one was an agent that was still driving. Two
-    /// agents that collide are one crash; the other may also be a wreck, background traffic or a
-    /// pedestrian.
+    /// Crashes of agents: colliding pairs with at least one agent that was still driving. Two
+    /// agents that collide are one crash; the other party may also be a wreck, background traffic
+    /// or a pedestrian.
     #[serde(default)]
     pub crashes: u32,
     /// Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at most 15 m
     /// from their finish and with nobody ahead. 0 in files of older versions.
     #[serde(default)]
     pub loitering: f64,
-    /// Where the two differ, and why.
+    /// Where SUMO's report and our own box test differ, and why.
     pub audit: Audit,
     /// Why agents did not arrive.
     pub failures: Failures,
-    /// What vehicles met with that SUMO drove, in tasks that have some.
+    /// Effects on background traffic; `None` in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub others: Option<Others>,
-    /// Cut short because SUMO died; not to be counted.
+    /// Whether the simulation broke off in the episode; such an episode does not count.
     pub interrupted: bool,
-    /// It had been played before ([`super::VecOptions::replay`]).
+    /// Whether the episode repeats one that failed before ([`super::VecOptions::replay`]).
     #[serde(skip)]
     pub replayed: bool,
     /// Mean reward over agents in each step.
@@ -57,33 +59,38 @@ pub struct EpisodeRecord {
     pub step_rewards: Vec<f32>,
 }
 
-/// What the vehicles of an episode met with that SUMO drove, and the pedestrians, while agents were on the road.
+/// Effects of an episode on background vehicles and pedestrians, while agents were on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Others {
-    /// How many there were.
+    /// Number of background vehicles.
     pub vehicles: u32,
-    /// Share that collided with an agent or a wreck.
+    /// Share of the vehicles that collided with an agent or a wreck.
     pub crash: f64,
-    /// Time that each lost against driving as fast as its lane and type allow: SUMO's time loss, mean \[s\].
+    /// Time that a vehicle loses against driving as fast as its lane and type allow (SUMO's time
+    /// loss), mean over vehicles \[s\].
     pub delay: f64,
-    /// Hardest braking of each, mean \[m/s²\].
+    /// Hardest braking of a vehicle, mean over vehicles \[m/s²\].
     pub braking: f64,
-    /// Share that had to brake harder than 6 m/s² at some time.
+    /// Share of the vehicles that had to brake harder than 6 m/s² at some time.
     pub hard_braking: f64,
-    /// Share that an agent came closer to than 1.5 s in time to collision, or collided.
+    /// Share of the vehicles with a time to collision with an agent below 1.5 s, or with a
+    /// collision.
     pub close: f64,
-    /// How many pedestrians there were; none of them is among the vehicles.
+    /// Number of pedestrians, who are not counted among the vehicles.
     #[serde(default)]
     pub pedestrians: u32,
     /// Share of the pedestrians that were hit by an agent or a wreck.
     #[serde(default)]
     pub pedestrian_crash: f64,
-    /// Share of the pedestrians that an agent came closer to than 1.5 s in time to collision, or hit.
+    /// Share of the pedestrians with a time to collision with an agent below 1.5 s, or that were
+    /// hit.
     #[serde(default)]
     pub pedestrian_close: f64,
-    /// Smallest time to collision of any of them with an agent, if both went on as they did; 5 where it was never less, 0 after a collision \[s\].
+    /// Smallest time to collision of an agent with a background vehicle or pedestrian if both keep
+    /// their headings and speeds \[s\]; 5 where it was never less, 0 after a collision.
     pub ttc: f64,
-    /// Smallest post-encroachment time: from when the first of an agent and another left the place where their ways meet until the
-    /// second came there; 5 where it was never less, 0 after a collision \[s\].
+    /// Smallest post-encroachment time \[s\]: from when the first of an agent and a background
+    /// vehicle or pedestrian leaves the conflict point of their routes until the second reaches it;
+    /// 5 where it was never less, 0 after a collision.
     pub pet: f64,
 }

@@ -1,8 +1,11 @@
-//! The multi-agent environments: scenario and SUMO in, observations, rewards and masks out. Plain slices, no tensors.
+//! The multi-agent environments: a scenario and SUMO as inputs; observations, rewards and masks as
+//! outputs, in plain slices without tensors.
 //!
-//! - [`Task`]: a scenario made ready (net, routes, conflict points, feature lists).
-//! - [`World`]: one episode's traffic, without a simulator: commands out, snapshot in.
-//! - [`VecEnv`]: many worlds in lock-step over the simulators that host them.
+//! - [`Task`]: a scenario prepared for a number of vehicles (net, routes, conflict points, feature
+//!   lists).
+//! - [`World`]: the traffic of one episode. It needs no simulator: it emits commands and takes in
+//!   snapshots.
+//! - [`VecEnv`]: many worlds in lock-step on the simulators that host them.
 
 mod audit;
 mod comm;
@@ -46,20 +49,21 @@ pub use world::{AgentView, Driver, Frame, OtherView, Pursuit, World, WorldState}
 
 use crate::{scenario, sumo};
 
-/// What a learner must know about an environment. Nothing but [`EnvSpec::agents`] depends on the number of vehicles.
+/// What a learner must know about an environment. Only [`EnvSpec::agents`] depends on the number of
+/// vehicles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EnvSpec {
-    /// Agent slots N.
+    /// Number of agent slots N.
     pub agents: usize,
-    /// Dimensions of an action, A of them, each in -1..=1.
+    /// The A dimensions of an action, each in -1..=1.
     pub actions: Vec<ActionDimension>,
-    /// One agent's observation, O features.
+    /// The O features of one agent's observation.
     pub observation: Features,
-    /// One agent's view of the privileged state, S features.
+    /// The S features of the privileged state as seen from one agent.
     pub state: Features,
 }
 
-/// One dimension of the agents' actions, and how an untrained policy begins in it.
+/// One dimension of the agents' actions, and the initial behaviour of an untrained policy in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ActionDimension {
     /// Name, such as `throttle`.
@@ -73,7 +77,8 @@ pub struct ActionDimension {
 }
 
 impl ActionDimension {
-    /// A dimension that begins at 0, with the scheduled noise, which may be correlated.
+    /// Returns a dimension with an initial mean of 0 and the scheduled noise, which may be
+    /// correlated.
     pub const fn named(name: &'static str) -> Self {
         Self { name, initial_mean: 0.0, noise_scale: 1.0, correlated: true }
     }
@@ -82,18 +87,18 @@ impl ActionDimension {
 /// A vector of named features, in groups that attention encoders take as tokens.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Features {
-    /// In order.
+    /// The features, in order.
     pub list: Vec<Feature>,
     /// Consecutive groups that cover the list.
     pub groups: Vec<Group>,
 }
 
-/// One number of an observation.
+/// One number of an observation or a privileged state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feature {
-    /// Name, e.g. `neighbour_0.forward`.
+    /// Name, such as `neighbour_0.forward`.
     pub name: String,
-    /// What one unit of the number means, e.g. `22.22 m/s`.
+    /// What one unit of the number means, such as `22.2 m/s`.
     pub unit: String,
     /// Smallest value.
     pub low: f32,
@@ -104,15 +109,16 @@ pub struct Feature {
 /// `count` tokens of `width` features each, starting at `offset`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// Name, e.g. `neighbours`.
+    /// Name, such as `neighbour`.
     pub name: String,
-    /// First feature.
+    /// Index of the first feature.
     pub offset: usize,
     /// Features per token.
     pub width: usize,
-    /// Tokens.
+    /// Number of tokens.
     pub count: usize,
-    /// Feature of the token that is 1 when it describes something and 0 when it is padding; `None`: always there.
+    /// Index within the token of the feature that is 1 for a token that describes something and 0
+    /// for padding; `None` for tokens without padding.
     pub presence: Option<usize>,
 }
 
@@ -122,12 +128,12 @@ impl Features {
         self.list.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no features.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
 
-    /// These features followed by others.
+    /// Returns these features followed by those of `other`.
     #[must_use]
     pub fn join(&self, other: &Self) -> Self {
         let mut joined = self.clone();
@@ -142,8 +148,8 @@ impl Features {
         joined
     }
 
-    /// Appends a group of `count` tokens with these `(name, unit, low, high)` features;
-    /// a feature called `present` becomes the presence flag.
+    /// Appends a group of `count` tokens with these `(name, unit, low, high)` features. A feature
+    /// called `present` becomes the presence flag.
     fn push(&mut self, name: &str, count: usize, features: &[(&str, &str, f32, f32)]) {
         if count == 0 {
             return;
@@ -187,7 +193,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// The place of the next features, for someone else to write.
+    /// Returns the slice of the next `count` features, for another function to fill.
     fn take(&mut self, count: usize) -> &mut [f32] {
         self.at += count;
         &mut self.out[self.at - count..self.at]
@@ -199,70 +205,71 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// What can go wrong in an environment.
+/// An error of an environment.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The scenario does not fit.
+    /// The scenario is invalid, or cannot have that many vehicles.
     #[error(transparent)]
     Scenario(#[from] scenario::Error),
-    /// The net cannot be read or driven.
+    /// The net cannot be read, or its routes cannot be driven.
     #[error(transparent)]
     Net(#[from] sumo::net::NetError),
-    /// Vehicles that steer need the net's lanes at hand, and there are too many.
+    /// Lanes and border lines of the net are together too long. They are needed where vehicles
+    /// steer, have lidar or observe the road's borders.
     #[error(
         "{net}: lanes of {metres:.0} m and lines beside them are too much for steering control, which takes {limit:.0} m"
     )]
     Long {
-        /// The net's file.
+        /// File of the net.
         net: String,
-        /// Length of lanes and lines \[m\].
+        /// Total length of lanes and lines \[m\].
         metres: f64,
-        /// Longest \[m\].
+        /// Greatest length allowed \[m\].
         limit: f64,
     },
-    /// SUMO failed and a fresh one did too.
+    /// SUMO cannot be started, or failed again after it was renewed and before an episode ended.
     #[error("world {world}, episode {episode}, step {step}")]
     Sumo {
         /// World number.
         world: usize,
-        /// Episode number of that world.
+        /// Number of the episode of that world.
         episode: u64,
         /// Step of the episode.
         step: u32,
-        /// What happened.
+        /// The error of the simulator.
         source: sumo::Error,
     },
-    /// SUMO died while the episodes of a run were played again.
+    /// SUMO died while the run's current episodes were played again to resume it.
     #[error("SUMO died while the run's episodes were played again to resume; try once more")]
     Replay,
-    /// An episode cannot be played: SUMO dies in it, or loses a vehicle, again and again.
+    /// An episode cannot be played: SUMO dies or loses a vehicle in every attempt.
     #[error("the simulation broke off {times} times in episode {episode}; the warnings say why")]
     Doomed {
-        /// The episode.
+        /// Number of the episode.
         episode: u64,
-        /// How often.
+        /// Number of attempts.
         times: u32,
     },
-    /// A defect of this program.
+    /// A worker panicked, which is a defect of this program.
     #[error("a worker panicked, which is a defect of this program: {message}")]
     Panicked {
-        /// What the panic said.
+        /// Message of the panic.
         message: String,
     },
-    /// A vehicle under control is not on the road.
+    /// An agent's vehicle is not on the road.
     #[error(
         "slot {slot}: its vehicle is not on SUMO's roads at step {step} of an episode, on route `{route}` at {position:.1} m of \
          {length:.1} m; SUMO had no room at its spawn place, or its route ends before the arrival position"
     )]
     Vanished {
-        /// The slot.
+        /// The agent's slot.
         slot: usize,
-        /// Its route.
+        /// Name of the agent's route.
         route: String,
-        /// Where its centre was last seen on it \[m\].
+        /// Last known position of the vehicle's centre along the route \[m\].
         position: f64,
-        /// The route's length \[m\].
+        /// Length of the route \[m\].
         length: f64,
         /// Step of the episode.
         step: u32,
@@ -270,7 +277,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// What the user can do about it.
+    /// Returns what the user can do about the error, where that is known.
     pub fn hint(&self) -> Option<String> {
         match self {
             Self::Scenario(e) => e.hint(),

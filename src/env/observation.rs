@@ -1,13 +1,16 @@
-//! What an agent sees of itself and of the others, in one of two ways or both, as the scenario says:
+//! The observation of an agent: itself, and other vehicles in one of two ways or both, as the
+//! scenario chooses.
 //!
 //! - `nearest`: the nearest vehicles in any direction (paper), nearest first or by bearing.
-//! - `conflict`: the vehicle ahead, and for each route that crosses or merges with the agent's own, the vehicles next to
-//!   the meeting point: a description that does not depend on the number of vehicles and reads the same from every arm.
+//! - `conflict`: the vehicle ahead and, for each route that crosses or merges with the agent's own,
+//!   the vehicles next to the conflict point. The size of this description does not depend on the
+//!   number of vehicles, and it is the same for every approach to an intersection.
 //!
-//! Beside either, `encounters` describes vehicles whose routes meet the agent's, or who are ahead on its way, one by one: for scenarios
-//! with many routes.
+//! In addition, `encounters` describes one by one the vehicles that are ahead of the agent or whose
+//! routes cross or merge with its own: for scenarios with many routes.
 //!
-//! All values are clipped to -1..=1; a padding token and a dead agent's observation are zeros.
+//! All values are clipped to -1..=1. Padding tokens and the observations of absent agents are
+//! zeros.
 
 use std::f64::consts::PI;
 
@@ -26,12 +29,14 @@ const FAR: f64 = 50.0;
 const NEAR: f64 = 15.0;
 /// Speed scale \[m/s\].
 pub(super) const SPEED: f64 = 22.2;
-/// Count that reads as one.
+/// Number of vehicles that a count feature shows as 1.
 pub(super) const COUNT: f64 = 12.0;
 
-/// How far ahead the points of its way are that an agent that steers sees, each in units of its own \[m\].
+/// Distances along the path to the points ahead that an agent that steers observes \[m\]. Each
+/// point's coordinates are in units of its distance.
 const PREVIEW: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
 
+/// Features of a vehicle in the `conflict` description.
 const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("to_conflict_far", "50 m", -1.0, 1.0),
     ("to_conflict_near", "15 m", -1.0, 1.0),
@@ -40,6 +45,7 @@ const VEHICLE: [(&str, &str, f32, f32); 5] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
+/// Features of an encounter; `own_*` and `other_*` are distances to the conflict point.
 const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
     ("ahead", "flag: on the agent's way, own_* is the gap", 0.0, 1.0),
     ("own_far", "50 m", -1.0, 1.0),
@@ -53,7 +59,8 @@ const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-/// Before its flags, where a scenario has foresight.
+/// Foresight features of an encounter, before its last two features; only in scenarios with
+/// foresight.
 const FORESEEN: [(&str, &str, f32, f32); 4] = [
     ("close", "1 touching, 0 no closer than 3 m, if both keep to their ways and speeds", 0.0, 1.0),
     ("soon", "1 closest now, 0 at the end of the foresight", 0.0, 1.0),
@@ -61,11 +68,12 @@ const FORESEEN: [(&str, &str, f32, f32); 4] = [
     ("soon_driving", "likewise", 0.0, 1.0),
 ];
 
-/// Behind that, where vehicles take turns.
+/// Priority feature of an encounter, after the foresight features; only in scenarios that show
+/// priorities.
 const TURN: [(&str, &str, f32, f32); 1] =
     [("turn", "1 the agent's comes first, -1 the other's, 0 neither has come near", -1.0, 1.0)];
 
-/// Of all of them.
+/// Free-space features, common to all encounters.
 const FREE: [(&str, &str, f32, f32); 3] = [
     (
         "free",
@@ -77,7 +85,7 @@ const FREE: [(&str, &str, f32, f32); 3] = [
     ("free_blocked", "15 m, to where one whose turn is after the agent's stands now", 0.0, 1.0),
 ];
 
-/// Describes encounters.
+/// Appends the features of encounters.
 pub(super) fn describe_encounters(
     features: &mut Features,
     Encounters { count, foresight, turns }: Encounters,
@@ -91,6 +99,7 @@ pub(super) fn describe_encounters(
     }
 }
 
+/// Returns the features of an observation.
 pub(super) fn describe(scenario: &Scenario) -> Features {
     let settings = &scenario.observation;
     let mut features = Features::default();
@@ -157,6 +166,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
     features
 }
 
+/// Appends the features of the `conflict` description.
 fn describe_streams(settings: &Observation, features: &mut Features) {
     features.push(
         "leader",
@@ -186,6 +196,7 @@ fn describe_streams(settings: &Observation, features: &mut Features) {
     features.push("apart_vehicle", settings.stream_vehicles, &VEHICLE);
 }
 
+/// Features of a neighbour that is listed by distance.
 const NEIGHBOUR: [(&str, &str, f32, f32); 6] = [
     ("forward", "50 m", -1.0, 1.0),
     ("left", "50 m", -1.0, 1.0),
@@ -195,7 +206,8 @@ const NEIGHBOUR: [(&str, &str, f32, f32); 6] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-/// The same, with a scale on which gaps in a queue differ.
+/// Features of a neighbour that is listed by bearing: also distances on a scale that resolves the
+/// gaps in a queue.
 const NEIGHBOUR_NEAR: [(&str, &str, f32, f32); 8] = [
     NEIGHBOUR[0],
     NEIGHBOUR[1],
@@ -207,14 +219,14 @@ const NEIGHBOUR_NEAR: [(&str, &str, f32, f32); 8] = [
     NEIGHBOUR[5],
 ];
 
-/// How far ahead of a vehicle lines beside its way are told \[m\].
+/// Length of the strip ahead of a vehicle in which border lines are observed \[m\].
 const BORDERS_AHEAD: f64 = 4.0;
 
-/// Neighbours whose bearings, to either side, differ by less are listed by distance: on a lane, the vehicle ahead before the one
-/// ahead of it.
+/// Width of the sectors into which bearings to either side are grouped \[rad\]. Within a sector
+/// neighbours are listed by distance: on a lane, the vehicle ahead before the one ahead of it.
 const SECTOR: f64 = 15.0 * PI / 180.0;
 
-/// What writing one agent's observation needs to know.
+/// Inputs of one agent's observation.
 struct View<'a> {
     scenario: &'a Scenario,
     routes: &'a [RouteGeometry],
@@ -223,8 +235,9 @@ struct View<'a> {
     slot: usize,
 }
 
-/// Writes the observation of the agent in `slot`, `[O]`; `turns` are those of all slots, where
-/// agents are told of them. Of others' routes the agent learns what `knowledge` has.
+/// Writes the observation of the agent in `slot`, `[O]`. `turns` are the priorities of all slots,
+/// in scenarios that show them. `knowledge` limits what the agent observes of other vehicles'
+/// routes.
 pub(super) fn write(
     task: &Task,
     knowledge: Knowledge<'_>,
@@ -294,12 +307,13 @@ pub(super) fn write(
 }
 
 impl View<'_> {
+    /// Whether the vehicle of slot `j` is another one and within the detection range.
     fn seen(&self, j: usize) -> bool {
         j != self.slot
             && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
     }
 
-    /// The nearest vehicles.
+    /// Writes the nearest vehicles.
     fn put_nearest(&self, w: &mut Writer) {
         let traffic = self.traffic;
         let own = &traffic.slots[self.slot];
@@ -326,7 +340,7 @@ impl View<'_> {
                     ((dy * cos - dx * sin).atan2(dx * cos + dy * sin).abs() / SECTOR) as u32
                 })
             };
-            // Stable: within a sector nearest first.
+            // The sort is stable: within a sector the nearest vehicle stays first.
             nearest[..k].sort_by_key(sector);
         }
         for &(_, j) in &nearest[..k] {
@@ -354,8 +368,8 @@ impl View<'_> {
         }
     }
 
-    /// The nearest vehicle in front on the agent's lanes, and how many there are; vehicles whose
-    /// routes are hidden count on any route that they could still take.
+    /// Writes the nearest vehicle ahead on the agent's lanes, and how many are ahead. A vehicle
+    /// whose route is hidden counts on every route that it could still take.
     fn put_leader(&self, w: &mut Writer) {
         let traffic = self.traffic;
         let own = &traffic.slots[self.slot];
@@ -392,9 +406,9 @@ impl View<'_> {
         ]);
     }
 
-    /// The vehicles next to each meeting point, and those whose routes meet the agent's nowhere. A
-    /// vehicle whose route is hidden is in the stream of each route that it could still take, but
-    /// only once among those that the agent does not meet.
+    /// Writes the vehicles next to each conflict point, and those whose routes have no conflict
+    /// with the agent's. A vehicle whose route is hidden is in the stream of every route that it
+    /// could still take, but only once among those without conflict.
     fn put_streams(&self, w: &mut Writer) {
         let (traffic, knowledge, settings) =
             (self.traffic, self.knowledge, &self.scenario.observation);
@@ -407,7 +421,8 @@ impl View<'_> {
             };
             let own_distance = conflict.own - own.s;
             let approaching = || {
-                // Queues are sorted by position, furthest first: next to the conflict point first.
+                // Queues have the vehicle furthest along first, which is next to the conflict
+                // point.
                 let queue = knowledge.on_route(conflict.route);
                 queue
                     .map(|(s, j)| (conflict.other - s, j))
@@ -435,7 +450,8 @@ impl View<'_> {
     }
 }
 
-/// How many encounters are described, how far ahead their contacts are foreseen \[s\], and whether they tell whose turn it is.
+/// How many encounters are described, for how long ahead passings are foreseen \[s\] (0: not), and
+/// whether priorities are shown.
 #[derive(Clone, Copy)]
 pub(super) struct Encounters {
     pub(super) count: usize,
@@ -453,10 +469,10 @@ impl Encounters {
     }
 }
 
-/// The vehicles that will soonest be with the agent of `slot` where their routes meet. One ahead on
-/// its way is where they meet: at the end of the gap between them, and a flag says so. Of the
-/// routes that a vehicle could still take, the one counts on which the two meet soonest; how
-/// closely they pass is told of the route on which they pass closest.
+/// Writes the encounters of the agent of `slot`, nearest first by the larger of both vehicles'
+/// distances to their next conflict point, then the free-space features. A vehicle ahead on the
+/// agent's path is flagged, and its distance is the gap. Of a vehicle's candidate routes the one
+/// with the nearest encounter counts; foresight uses the one with the closest passing.
 pub(super) fn put_encounters(
     w: &mut Writer,
     knowledge: Knowledge<'_>,
@@ -476,7 +492,7 @@ pub(super) fn put_encounters(
         let met = knowledge
             .candidates(j)
             .filter_map(|place| meet(&routes[own.route], own, &place, other));
-        // Of equally soon ones the first, and so the one on the route with the smallest number.
+        // `min_by` returns the first of equal elements, so the route with the smallest number.
         let first = met.min_by(|a, b| a.0.max(a.1).total_cmp(&b.0.max(b.1)));
         let Some((own_way, other_way, ahead)) = first else { continue };
         let entry = (own_way.max(other_way), own_way, other_way, ahead, j);
@@ -523,9 +539,9 @@ pub(super) fn put_encounters(
     }
 }
 
-/// Where an agent on `route` next meets another vehicle on one of that vehicle's candidate routes:
-/// the distances of both to that place \[m\], and whether the other is ahead on the agent's own
-/// route.
+/// Returns where an agent on `route` next meets another vehicle on one of that vehicle's candidate
+/// routes: the distances of both to that point \[m\], and whether the other vehicle is ahead on the
+/// agent's path. For a vehicle ahead, the first distance is the gap and the second 0.
 fn meet(
     route: &RouteGeometry,
     own: &Slot,
@@ -541,6 +557,7 @@ fn meet(
     Some((met.own - own.s, met.other - place.s, false))
 }
 
+/// Writes the first `count` of `vehicles` (distance to the conflict point \[m\], slot) and padding.
 fn put_vehicles(
     w: &mut Writer,
     traffic: &Traffic,
@@ -556,6 +573,7 @@ fn put_vehicles(
     w.skip((count - written) * VEHICLE.len());
 }
 
+/// Returns 1 for a vehicle that is under way and 0 for a wreck.
 pub(super) fn moving(status: Status) -> f64 {
     f64::from(u8::from(status == Status::Active))
 }

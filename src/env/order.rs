@@ -1,5 +1,6 @@
-//! Which episode a world plays next: the next one of its stream or, in training and now and then, one that failed before
-//! (prioritised level replay with failure as the score: Jiang et al., ICML 2021).
+//! Order in which a world plays episodes: those of its stream and, in training, now and then one
+//! that failed before (prioritised level replay with failure as the score: Jiang et al., ICML
+//! 2021).
 
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -9,43 +10,45 @@ use crate::rng::{self, Seed};
 /// Most failed episodes that a world remembers.
 const MEMORY: usize = 16;
 
-/// Where a world stands in its order of episodes.
+/// Position of a world in its order of episodes.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Position {
     /// Episode that comes next.
     pub next: u64,
     /// First episode of the stream that has not been played.
     pub fresh: u64,
-    /// Counts the episodes begun, replayed ones too, in steps of the stream's.
+    /// Number that the next episode would have if none were repeated: it grows by the world's
+    /// stride with every episode that begins, repeated ones included.
     pub turn: u64,
-    /// Whether the episode under way had been played before.
+    /// Whether the current episode repeats an earlier one.
     pub replaying: bool,
     /// Episodes that failed when last played, oldest first.
     pub failed: Vec<u64>,
 }
 
 impl Position {
-    /// Of a world that replays nothing, before `episode`.
+    /// Returns the position before `episode`, with no failed episodes remembered.
     pub(crate) fn before(episode: u64) -> Self {
         Self { next: episode, fresh: episode, turn: episode, replaying: false, failed: Vec::new() }
     }
 }
 
-/// A world's order of episodes.
+/// The order of a world's episodes.
 #[derive(Debug, Clone)]
 pub(super) struct Order {
     seed: Seed,
     /// Distance between consecutive episode numbers of this world.
     stride: u64,
-    /// Episodes from this number on are not played.
+    /// End of the stream: episodes from this number on are not played.
     end: u64,
-    /// Chance that a failed episode follows, where there is one.
+    /// Probability that a failed episode is repeated next, if there is one; 0: never.
     replay: f64,
     pub(super) position: Position,
 }
 
 impl Order {
-    /// Episodes `first, first + stride, …` below `end` of the stream `seed`.
+    /// Plays episodes `first, first + stride, …` below `end` of the stream `seed`, and repeats
+    /// none.
     pub(super) fn new(seed: Seed, first: u64, stride: u64, end: u64) -> Self {
         Self {
             seed: seed.child("replay"),
@@ -60,7 +63,8 @@ impl Order {
         Self { replay, ..self }
     }
 
-    /// Goes on with `episode` and those that follow it in the stream.
+    /// Continues with `episode` and those that follow it in the stream. Failed episodes stay
+    /// remembered.
     pub(super) fn go_to(&mut self, episode: u64) {
         self.position = Position {
             failed: std::mem::take(&mut self.position.failed),
@@ -68,7 +72,7 @@ impl Order {
         };
     }
 
-    /// Takes back the begin of `episode`: it comes next.
+    /// Undoes the beginning of `episode`, which comes next again.
     pub(super) fn repeat(&mut self, episode: u64) {
         self.position.next = episode;
         self.position.turn -= self.stride;
@@ -77,12 +81,12 @@ impl Order {
         }
     }
 
-    /// Number of the turn under way: that of its episode, as long as none was replayed.
+    /// Returns the number that the current episode would have if none had been repeated.
     pub(super) fn turn(&self) -> u64 {
         self.position.turn.saturating_sub(self.stride)
     }
 
-    /// The episode that begins now; `None` when all have been played.
+    /// Begins the next episode and returns its number; `None` when all have been played.
     pub(super) fn begin(&mut self) -> Option<u64> {
         let Position { next, fresh, turn, replaying, .. } = &mut self.position;
         if *next >= self.end {
@@ -98,7 +102,8 @@ impl Order {
         Some(episode)
     }
 
-    /// `episode` came to its end; chooses the one after it.
+    /// Records the end of `episode`, and whether all agents arrived (`solved`). Chooses the next
+    /// episode.
     pub(super) fn ended(&mut self, episode: u64, solved: bool) {
         if self.replay <= 0.0 {
             return;

@@ -1,4 +1,5 @@
-//! Pure pursuit (Coulter 1992): the front wheels point to the circle through a point ahead on the route.
+//! Pure pursuit (Coulter 1992): the front wheels steer onto the circle through a point ahead on the
+//! path.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -7,14 +8,15 @@ use super::steering::least_radius;
 use crate::scenario::Steering;
 use crate::sumo::net::Path;
 
-/// How far ahead on the way the point lies \[m\].
+/// Distance along the path to the point ahead \[m\].
 const LOOK_AHEAD: f64 = 4.0;
-/// Radius of a turn back where the route's own is too narrow, and that of swinging out for it, in least radii of the vehicle: with
-/// these it stays on the road at 6 m/s.
+/// Radius of the U-turn arc in multiples of the vehicle's least turning radius, where the path's
+/// own U-turn is too narrow. With this and [`SWING`] the vehicle stays on the road at 6 m/s.
 const BACK: f64 = 1.5;
+/// Radius of the arcs that swing out for the U-turn and back, in the same unit.
 const SWING: f64 = 2.5;
 
-/// The steering command, -1 to 1 (left), of a vehicle that is at `s` of a way.
+/// Returns the steering command, -1 to 1 (left), of a vehicle at position `s` on a path.
 pub(super) fn steer(steering: &Steering, way: &Path, s: f64, pose: &Pose) -> f64 {
     let ([x, y], _) = way.at(s + LOOK_AHEAD);
     let (dx, dy) = (x - pose.x, y - pose.y);
@@ -23,8 +25,11 @@ pub(super) fn steer(steering: &Steering, way: &Path, s: f64, pose: &Pose) -> f64
     (wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0)
 }
 
-/// What a vehicle follows whose `route` turns back more sharply than it can: out to the other side first, and back in the outline of a
-/// bulb, around the first such turn. `None` if there is none. Whether there is road is not asked.
+/// Returns the path that a vehicle follows on a `route` with a U-turn too sharp for it: out to the
+/// other side first, then back along the outline of a bulb.
+///
+/// Only the first such U-turn is replaced; `None` if there is none. Whether the new path lies on
+/// the road is not checked.
 pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
     let least = least_radius(steering);
     let heading = |i: usize| {
@@ -32,7 +37,7 @@ pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
         (v - y).atan2(u - x)
     };
     let segments = route.points.len().saturating_sub(1);
-    // The route turns back between the end of one segment and the beginning of another.
+    // The route makes a U-turn between the end of segment `i` and the start of segment `j`.
     let turns = |&(i, j): &(usize, usize)| {
         (heading(j) - heading(i)).cos() < -0.99
             && route.cumulative[j] - route.cumulative[i + 1] < PI * least
@@ -40,13 +45,14 @@ pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
     let (i, j) = (0..segments).flat_map(|i| (i + 1..segments).map(move |j| (i, j))).find(turns)?;
     let ([x, y], [u, v], heading) = (route.points[i + 1], route.points[j], heading(i));
     let (sin, cos) = heading.sin_cos();
-    // Where the bulb begins and ends: at the further of both ends.
+    // The bulb begins and ends level with the farther of the U-turn's two ends.
     let begin = ((u - x) * cos + (v - y) * sin).max(0.0);
     let across = (v - y) * cos - (u - x) * sin;
     let (half, side) = (across.abs() / 2.0, across.signum());
     let (back, swing) = (BACK * least, SWING * least);
     let out = ((half + swing) / (back + swing)).min(1.0).acos();
-    // Arcs as (centre ahead, centre to the side of the turn, radius, first angle, angle), where the way begins.
+    // Arcs as (centre ahead, centre to the side of the U-turn, radius, first angle, angle),
+    // relative to where the U-turn begins.
     let arcs = [
         (begin, -swing, swing, FRAC_PI_2, -out),
         (begin + (back + swing) * out.sin(), half, back, -FRAC_PI_2 - out, PI + 2.0 * out),

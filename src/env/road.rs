@@ -1,11 +1,15 @@
-//! The road surface: where lanes are, and the lines at their sides that a vehicle must not touch.
+//! The road surface: the areas that lanes cover, and the lines beside them that a vehicle must not
+//! touch.
 //!
-//! A road is bordered along its normal edges, to the left of the leftmost lane and to the right of
-//! the rightmost. Over a junction, a way from the rightmost lane into the rightmost has a border to
-//! its right where no other way crosses that: it leads along the outside. A vehicle whose centre is
-//! on no lane has left the road, too. Where kerbs count instead ([`Border::Kerb`]), the line
-//! between two directions is left, and no part of a vehicle may be beyond the kerb. Where a road
-//! ends in the net there is neither line nor kerb across it: only the centre must not be beyond.
+//! With [`Border::Line`], every normal edge has a line to the left of its leftmost lane and one to
+//! the right of its rightmost lane. On a junction, a connection from a rightmost lane into a
+//! rightmost lane has a line to its right if no other lane of the junction crosses that line,
+//! because such a connection follows the outside of the junction. A vehicle whose centre is on no
+//! lane is off-road, too.
+//!
+//! With [`Border::Kerb`], only the line between the two directions of a road remains, and no part
+//! of a vehicle may be beyond the kerb. Where a road ends in the net, neither a line nor a kerb
+//! crosses it: only the vehicle's centre must not be beyond the end.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -15,34 +19,37 @@ use super::routes::crossing;
 use crate::scenario::{Border, Termination};
 use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 
-/// Cells of the grid in which lines and lanes are looked up \[m\].
+/// Side of the grid cells in which lines and lanes are looked up \[m\].
 const CELL: f64 = 8.0;
-/// Blocks in which the lines that one sees are looked up, and the longest piece of a line in them \[m\].
+/// Side of the grid blocks in which lines in sight are looked up (`BLOCK`), and the greatest
+/// length of a piece of a line in them (`PIECE`) \[m\].
 const BLOCK: f64 = 64.0;
 const PIECE: f64 = 32.0;
-/// Longest lanes and lines, together \[m\].
+/// Greatest total length of lanes and lines \[m\]; a longer net is an [`Error::Long`].
 const LONGEST: f64 = 5e6;
-/// A vehicle's centre counts as on a lane up to this far beside it \[m\], as measured on the paper's simulator. There is also the kerb.
+/// How far beyond a lane's edge a vehicle's centre still counts as on the lane \[m\], as measured
+/// on the paper's simulator. The kerb is at the same distance.
 pub(super) const BESIDE: f64 = 0.6;
-/// Borders of two edges whose ends are this close are one line \[m\].
+/// Lines of two edges whose ends are at most this far apart are one line \[m\].
 const SAME: f64 = 0.1;
-/// A body touches a line from this distance on \[m\], as measured there.
+/// Distance from which a vehicle's body touches a line \[m\], as measured on the paper's
+/// simulator.
 const TOUCH: f64 = 0.035;
 
 type Point = [f64; 2];
 
-/// A lane's piece of centre line and half its width \[m\].
+/// A segment of a lane's centre line, with half the lane's width \[m\].
 #[derive(Debug, Clone, Copy)]
 struct Strip {
     ends: [Point; 2],
     half: f64,
-    /// Whether the road ends at either end: then nothing beyond counts as on the lane; else half a
-    /// circle does.
+    /// Whether the road ends at the first and at the second end. Where it does, no point beyond
+    /// that end counts as on the lane; elsewhere the points in a half circle beyond the end do.
     last: [bool; 2],
 }
 
 impl Strip {
-    /// Whether a point counts as on the lane.
+    /// Returns whether a point counts as on the lane.
     fn covers(&self, point: Point) -> bool {
         let [a, b] = self.ends;
         let way = [b[0] - a[0], b[1] - a[1]];
@@ -51,15 +58,15 @@ impl Strip {
         !beyond && distance(self.ends, point) <= self.half + BESIDE
     }
 
-    /// How far it is from a point along a unit vector until one is no longer on this lane, with what counts as on it beside; `None`
-    /// where the point is not on it.
+    /// Returns the distance from a point along a unit vector to where the ray leaves the area that
+    /// counts as on the lane \[m\]; `None` if the point is outside that area.
     fn exit(&self, from: Point, along: Point) -> Option<f64> {
         let reach = self.half + BESIDE;
         if !self.covers(from) {
             return None;
         }
-        // What counts is convex: a circle around either end that is not the last, and the box
-        // between them. It is left where the last of them is.
+        // The area is convex: a circle around each end at which the road goes on, and the box
+        // between the ends. The ray leaves the area where it leaves the last of these.
         let circle = |end: usize| {
             if self.last[end] {
                 return None;
@@ -80,12 +87,12 @@ impl Strip {
     }
 }
 
-/// Where a road ends in the net.
+/// An end of a road in the net.
 #[derive(Debug, Clone, Copy)]
 struct End {
-    /// Middle of the lane there \[m\].
+    /// Middle of the lane at the end \[m\].
     at: Point,
-    /// Unit vector that leads out.
+    /// Unit vector that points out of the road.
     out: Point,
     /// Half the lane's width \[m\].
     half: f64,
@@ -98,27 +105,28 @@ struct Cell {
     ends: Vec<u32>,
 }
 
-/// Lanes and lines of a net, for lookups around a vehicle.
+/// The lanes and lines of a net, indexed by place.
 #[derive(Debug, Clone)]
 pub(super) struct Road {
     strips: Vec<Strip>,
     ends: Vec<End>,
-    /// Who touches one of these has left the road.
+    /// Lines that end the road: a vehicle that touches one is off-road.
     lines: Vec<[Point; 2]>,
     cells: HashMap<[i32; 2], Cell>,
-    /// Pieces of lines, each where its middle is.
+    /// Pieces of the lines, by the block that contains their middle.
     blocks: HashMap<[i32; 2], Vec<[Point; 2]>>,
-    /// Half the diagonal of a vehicle \[m\].
+    /// Half the diagonal of a vehicle, plus [`TOUCH`] \[m\].
     reach: f64,
+    /// Half the length and half the width of a vehicle, each plus [`TOUCH`] \[m\].
     half: [f64; 2],
     border: Border,
 }
 
 impl Road {
-    /// The roads of `net`, for vehicles of `length` and `width` \[m\].
+    /// Builds the roads of `net` for vehicles of `length` and `width` \[m\].
     ///
     /// # Errors
-    /// [`Error::Long`].
+    /// [`Error::Long`] if lanes and lines together are too long.
     pub(super) fn new(
         net: &Net,
         [length, width]: Size,
@@ -140,7 +148,7 @@ impl Road {
             Border::Line => road.draw_all(net, &termination.broken_lines),
             Border::Kerb => road.draw_between_directions(net, &termination.broken_lines),
         }
-        // Roads that lie side by side have one line between them.
+        // Two roads side by side share one line, which was drawn for each of them.
         let mut drawn = HashSet::new();
         road.lines.retain(|&[a, b]| {
             let [a, b] = [a, b].map(|end| end.map(f64::to_bits));
@@ -183,8 +191,8 @@ impl Road {
         Ok(road)
     }
 
-    /// The lanes, and where roads end in the net: edges that no connection leads to, or none leads
-    /// away from.
+    /// Adds the lanes, and the ends of roads: edges without an incoming or without an outgoing
+    /// connection.
     fn lay_lanes(&mut self, net: &Net) {
         let reached: HashSet<usize> = net.connections.iter().map(|join| join.to).collect();
         let left: HashSet<usize> = net.connections.iter().map(|join| join.from).collect();
@@ -220,7 +228,8 @@ impl Road {
         }
     }
 
-    /// The lines at both sides of edges, and along the outside of junctions.
+    /// Adds the lines at both sides of edges, and those along the outside of junctions. Edges in
+    /// `broken` get no line to their left.
     fn draw_all(&mut self, net: &Net, broken: &[String]) {
         for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
             let lanes = net.carriageway(edge);
@@ -235,8 +244,8 @@ impl Road {
         }
     }
 
-    /// The lines between edges that lead from one junction to another and back, but where they are
-    /// broken.
+    /// Adds the lines between the two directions of a road, which are edges that connect the same
+    /// two junctions. Edges in `broken` get none.
     fn draw_between_directions(&mut self, net: &Net, broken: &[String]) {
         let left = |edge: &Edge| {
             let lane = &net.lanes[net.carriageway(edge).end - 1];
@@ -259,8 +268,9 @@ impl Road {
         }
     }
 
-    /// Distance from a point along a unit vector to the kerb, where that ends the road: where the lanes end, with what counts as on them
-    /// beside; `range` where there is none before \[m\].
+    /// Returns the distance from a point along a unit vector to the kerb, which is where the area
+    /// that counts as on a lane ends; `range` if there is no kerb within `range`, and always with
+    /// [`Border::Line`] \[m\].
     pub(super) fn to_kerb(&self, from: Point, along: Point, range: f64) -> f64 {
         let mut reached = if self.border == Border::Kerb { 0.0 } else { range };
         while reached < range {
@@ -268,7 +278,7 @@ impl Road {
             let strips = self.cells.get(&cell_of(at)).map_or(&[][..], |cell| &cell.strips);
             let exits = strips.iter().filter_map(|&i| self.strips[i as usize].exit(at, along));
             let further = exits.fold(0.0, f64::max);
-            // A step that rounding could undo is none.
+            // A step this small could be lost in rounding, and the loop would not end.
             if further < 1e-9 {
                 return reached;
             }
@@ -277,7 +287,8 @@ impl Road {
         range
     }
 
-    /// The pieces of all lines that come within `range` of a point \[m\], and some a little further away; none is longer than [`PIECE`].
+    /// Calls `visit` with the pieces of all lines that come within `range` of a point \[m\], and
+    /// with some pieces that are a little further away. No piece is longer than [`PIECE`].
     pub(super) fn lines_around(&self, from: Point, range: f64, mut visit: impl FnMut([Point; 2])) {
         let reach = range + PIECE / 2.0;
         let near = |[a, b]: &[Point; 2]| {
@@ -293,8 +304,9 @@ impl Road {
         }
     }
 
-    /// How far a vehicle's sides, drawn out ahead of it by `ahead`, are from the nearest line: beside its body on its left and right,
-    /// then before it likewise; at most `range` \[m\], and 0 where a line crosses.
+    /// Returns the distances from a vehicle's sides to the nearest lines, at most `range` \[m\]:
+    /// beside its body on the left and on the right, then beside the area `ahead` metres in front
+    /// of it on the left and on the right. A distance is 0 where a line crosses.
     pub(super) fn margins(&self, pose: &Pose, ahead: f64, range: f64) -> [f64; 4] {
         let [length, width] = self.half;
         let (sin, cos) = pose.heading.sin_cos();
@@ -334,8 +346,8 @@ impl Road {
         self.lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
-    /// Whether a vehicle has left the road: it touches a line, its centre is on no lane, or a part
-    /// of it is beyond the kerb.
+    /// Returns whether a vehicle is off-road: it touches a line, its centre is on no lane, or
+    /// (with [`Border::Kerb`]) a part of it is beyond the kerb.
     pub(super) fn left_by(&self, pose: &Pose) -> bool {
         let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
         let (sin, cos) = pose.heading.sin_cos();
@@ -343,7 +355,8 @@ impl Road {
             let (along, across) = (along * (self.half[0] - TOUCH), across * (self.half[1] - TOUCH));
             [pose.x + along * cos - across * sin, pose.y + along * sin + across * cos]
         };
-        // Corners, and between them points at both sides, which meet a convex kerb first.
+        // The corners, and points on both sides between them: a side meets a convex kerb before
+        // any corner does.
         let beyond_kerb = || {
             let mut parts = [-1.0, -0.5, 0.0, 0.5, 1.0]
                 .into_iter()
@@ -355,13 +368,14 @@ impl Road {
             || (self.border == Border::Kerb && beyond_kerb())
     }
 
+    /// Returns whether a point counts as on any lane.
     pub(super) fn on_lane(&self, point: Point) -> bool {
         let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
         strips.iter().any(|&i| self.strips[i as usize].covers(point))
     }
 
-    /// Whether a point is where parts of a vehicle may be that has its centre on a lane: beyond the
-    /// end of a road, where there is no kerb.
+    /// Returns whether a point is beyond the end of a road, where there is no kerb and a vehicle
+    /// with its centre on a lane may reach.
     fn beyond_end(&self, point: Point) -> bool {
         let ends = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.ends);
         ends.iter().any(|&i| {
@@ -372,7 +386,7 @@ impl Road {
         })
     }
 
-    /// Whether a vehicle's box, a touch larger, meets a segment.
+    /// Returns whether a vehicle's box, enlarged by [`TOUCH`] on all sides, meets a segment.
     fn touches(&self, pose: &Pose, line: [Point; 2]) -> bool {
         let (sin, cos) = pose.heading.sin_cos();
         let own = |p: Point| {
@@ -385,7 +399,8 @@ impl Road {
     }
 }
 
-/// Ways over junctions that lead along their outside, the road's border to their right.
+/// Returns the lanes over junctions that follow the outside of the junction, with the road's
+/// border to their right.
 fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
     let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
     let joins =
@@ -398,12 +413,12 @@ fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
     })
 }
 
-/// Whether two polylines cross.
+/// Returns whether two polylines cross.
 fn meet(a: &[Point], b: &[Point]) -> bool {
     a.windows(2).any(|a| b.windows(2).any(|b| crossing(a[0], a[1], b[0], b[1]).is_some()))
 }
 
-/// The polyline at `offset` metres to the left of another.
+/// Returns the polyline at `offset` metres to the left of another.
 fn parallel(points: &[Point], offset: f64) -> Vec<Point> {
     let normal = |a: Point, b: Point| {
         let length = (b[0] - a[0]).hypot(b[1] - a[1]).max(f64::MIN_POSITIVE);
@@ -413,7 +428,7 @@ fn parallel(points: &[Point], offset: f64) -> Vec<Point> {
     let beside = |i: usize| {
         let before = normal(points[i.max(1) - 1], points[i.max(1)]);
         let after = normal(points[i.min(last - 1)], points[i.min(last - 1) + 1]);
-        // At a bend, the point where both parallels meet.
+        // At a bend, the point where the parallels of both segments meet.
         let scale = offset / (1.0 + before[0] * after[0] + before[1] * after[1]).max(0.1);
         [
             points[i][0] + scale * (before[0] + after[0]),
@@ -431,7 +446,7 @@ fn cell_of(point: Point) -> [i32; 2] {
     point.map(|v| (v / CELL).floor() as i32)
 }
 
-/// Cells that hold a point within `margin` of a segment.
+/// Returns the cells that contain a point within `margin` of a segment.
 fn cells_along([a, b]: [Point; 2], margin: f64) -> BTreeSet<[i32; 2]> {
     let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / CELL).ceil().max(1.0);
     let reach = margin + CELL / 2.0;
@@ -446,7 +461,7 @@ fn cells_along([a, b]: [Point; 2], margin: f64) -> BTreeSet<[i32; 2]> {
     cells
 }
 
-/// Distance of a point from a segment \[m\].
+/// Returns the distance from a point to a segment \[m\].
 fn distance([a, b]: [Point; 2], p: Point) -> f64 {
     let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
     let along =
@@ -484,7 +499,8 @@ mod tests {
     #[test]
     fn a_vehicle_may_stray_as_far_as_measured() {
         let road = road();
-        // Eastbound, in the middle of its arm, whose centre line is y = 0 in the shipped net's coordinates plus an offset.
+        // Eastbound, in the middle of the arm. The centre line is y = 0 plus an offset in the
+        // net's coordinates.
         let path =
             Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
         let net = Net::load(&path).unwrap();
@@ -500,7 +516,8 @@ mod tests {
         assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
     }
 
-    /// The lines of a road with two lanes are to the right of the right one and to the left of the left one.
+    /// Margins show on which side of a vehicle a line is, and how close it is. A road with two
+    /// lanes has its lines to the right of the right lane and to the left of the left lane.
     #[test]
     fn margins_tell_on_which_side_a_line_is_and_how_close() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -526,7 +543,7 @@ mod tests {
     }
 
     proptest! {
-        /// Beside its body there is no margin where a vehicle touches a line, and one wherever it does not.
+        /// The margin beside the body is 0 exactly where a vehicle touches a line.
         #[test]
         fn who_touches_a_line_has_no_margin(x in 0.0..1.0, y in 0.0..1.0, heading in -3.2..3.2) {
             let road = road();
@@ -576,7 +593,7 @@ mod tests {
         let [kerbs, lines] = [Border::Kerb, Border::Line]
             .map(|border| Road::new(&net, [LENGTH, WIDTH], &ends_at(border)).unwrap());
         let up = std::f64::consts::FRAC_PI_2;
-        // (x, y, heading, left by kerbs, left by lines)
+        // (x, y, heading, off-road by kerbs, off-road by lines, description)
         let places = [
             (15.0, 0.0, 0.0, false, false, "on the road"),
             (15.0, 0.9, 0.0, true, true, "over the line between the directions"),
@@ -599,7 +616,7 @@ mod tests {
         }
     }
 
-    /// The parking lot as it was measured on the paper's simulator.
+    /// The parking lot is bordered as measured on the paper's simulator.
     #[test]
     fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
         let path =
@@ -610,7 +627,7 @@ mod tests {
         let measured = Termination { broken_lines: broken, ..whole.clone() };
         let [whole, measured] =
             [whole, measured].map(|t| Road::new(&net, [LENGTH, WIDTH], &t).unwrap());
-        // (x, y, heading in degrees, out of the road)
+        // (x, y, heading in degrees, off-road, description)
         let places = [
             (45.5, 1.75, 0.0, false, "over the broken line between lot and junction"),
             (36.0, 15.4, 90.0, false, "its front beyond the end of a space"),
@@ -632,8 +649,8 @@ mod tests {
             whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }),
             "a whole line must not be touched"
         );
-        // Where the last space meets the curve out of the lot, the kerb is convex: there is a place
-        // at which all corners are on lanes, and a side is not.
+        // The kerb is convex where the last space meets the curve out of the lot: there are poses
+        // with all corners on lanes and a side beyond the kerb.
         let corners_only = |pose: &Pose| {
             let (sin, cos) = pose.heading.sin_cos();
             let corner = |a: f64, b: f64| {
@@ -654,7 +671,7 @@ mod tests {
     }
 
     proptest! {
-        /// A segment meets a box when a thin box along it does.
+        /// A vehicle's box touches a segment exactly if a point of the segment is inside the box.
         #[test]
         fn touching_agrees_with_boxes(x in -6.0..6.0f64, y in -6.0..6.0f64, h in -4.0..4.0f64, g in -4.0..4.0f64) {
             let road = road();
@@ -669,7 +686,8 @@ mod tests {
                 (px * c + py * s).abs() <= road.half[0] && (py * c - px * s).abs() <= road.half[1]
             });
             let found = road.touches(&pose, line);
-            // The fan may miss a corner that is cut by less than its spacing.
+            // The sampled points may miss a corner that the segment cuts by less than their
+            // spacing.
             prop_assert!(found || !oracle);
             let smaller = Road { half: road.half.map(|v| v - 0.005), ..road };
             prop_assert!(oracle || !smaller.touches(&pose, line));

@@ -1,85 +1,94 @@
-//! The routes' centre lines and how they meet: shared lanes, crossings and merges.
+//! The routes' paths and how they relate to each other: shared lanes, crossings and merges.
 
 use super::geometry::{Pose, Size, boxes_overlap};
 use crate::sumo::net::Path;
 
-/// A route's centre line and its relation to the others. All positions are arc lengths from the route's start \[m\].
+/// A route's path and its relation to the other routes. All positions are arc lengths from the
+/// route's start \[m\].
 #[derive(Debug, Clone)]
 pub struct RouteGeometry {
-    /// What vehicles follow: the centre line of its lanes, and the way around where it turns back more sharply than they can.
+    /// Curve that vehicles follow: the centre line of the route's lanes, with a detour where the
+    /// centre line turns back more sharply than a vehicle that steers can.
     pub path: Path,
-    /// The centre line of its lanes, where they do not.
+    /// Centre line of the route's lanes, if [`RouteGeometry::path`] differs from it.
     pub avoided: Option<Path>,
-    /// Lane of the first edge on which it begins, as SUMO counts them.
+    /// Lane of the first edge on which the route begins, counted from the right and starting at 0,
+    /// as in SUMO.
     pub first_lane: u32,
-    /// An agent whose centre is here or further has arrived.
+    /// Position that the centre of an agent must reach to arrive.
     pub arrival: f64,
-    /// Lateral offsets between which an agent that steers arrives, right and left: any lane of the last edge \[m\].
+    /// Lateral offsets, right and left, between which an agent that steers arrives: they span all
+    /// lanes of the last edge \[m\].
     pub finish: [f64; 2],
-    /// Routes that cross or merge with this one, in the order in which this one meets them.
+    /// The first conflict with each route that crosses or merges with this one, in the order in
+    /// which they lie along this route.
     pub conflicts: Vec<Conflict>,
-    /// Routes that never meet this one.
+    /// Routes without a conflict with this one.
     pub apart: Vec<usize>,
-    /// For every route, where it meets this one, in the order in which this one comes there: first its entry in
-    /// [`RouteGeometry::conflicts`].
+    /// Conflicts with every route, in the order in which they lie along this route. The first of
+    /// each route is its entry in [`RouteGeometry::conflicts`].
     meetings: Vec<Vec<Conflict>>,
-    /// For every route: stretches that it shares with this one.
+    /// For every route, the stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
 }
 
-/// Where another route first meets this one.
+/// A conflict with another route: the point where the two paths cross or merge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conflict {
     /// The other route.
     pub route: usize,
-    /// Position of the meeting point on this route.
+    /// Position of the conflict point on this route.
     pub own: f64,
-    /// Position of the meeting point on the other route.
+    /// Position of the conflict point on the other route.
     pub other: f64,
 }
 
+/// A stretch of another route on which vehicles count as on this route, too.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shared {
-    /// Stretch on the other route.
+    /// Beginning of the stretch, as a position on the other route.
     from: f64,
+    /// End of the stretch, as a position on the other route.
     to: f64,
-    /// Added to a position on the other route gives the position on this one.
+    /// Position on this route minus the position of the same place on the other route.
     shift: f64,
 }
 
-/// Vehicles on ways this far apart pass each other \[m\].
+/// Lateral distance between paths from which vehicles on them pass each other \[m\].
 const APART: f64 = 2.5;
-/// Ways are looked at at places so far from each other \[m\].
+/// Distance between the positions at which paths are compared \[m\].
 const STEP: f64 = 0.25;
 
 impl RouteGeometry {
-    /// The centre line of its lanes, on which SUMO has vehicles.
+    /// Returns the centre line of the route's lanes, along which SUMO positions vehicles.
     pub fn lanes(&self) -> &Path {
         self.avoided.as_ref().unwrap_or(&self.path)
     }
 
-    /// Position on [`RouteGeometry::path`] of a place on [`RouteGeometry::lanes`].
+    /// Converts a position on [`RouteGeometry::lanes`] into a position on [`RouteGeometry::path`].
     pub fn on_way(&self, s: f64) -> f64 {
         self.avoided.as_ref().map_or(s, |lanes| self.path.arc_of_distance(lanes.distance_of_arc(s)))
     }
 
-    /// Position on this route of something at `s` on `route`, if it is on a lane that both use, or behind a fork of it still as
-    /// good as on this route.
+    /// Returns the position on this route of a vehicle at `s` on `route`, if that vehicle is on a
+    /// lane of both routes, or so close behind a fork or before a merge that it still blocks this
+    /// route; `None` otherwise.
     pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {
         self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
     }
 
-    /// Whether it is a walk of pedestrians.
+    /// Returns whether pedestrians walk this route.
     pub fn is_walked(&self) -> bool {
         self.path.lanes.is_empty()
     }
 
-    /// Where `route` first meets this one.
+    /// Returns the first conflict with `route`, in the order of this route.
     pub fn meeting(&self, route: usize) -> Option<Conflict> {
         self.meetings[route].first().copied()
     }
 
-    /// Where a vehicle at `other` on `route` next meets one at `own` on this one, both at most `cleared` metres past it.
+    /// Returns the next conflict between a vehicle at `own` on this route and one at `other` on
+    /// `route`. A conflict counts until one of the two is more than `cleared` metres past it.
     pub fn next_meeting(
         &self,
         own: f64,
@@ -91,14 +100,16 @@ impl RouteGeometry {
         self.meetings[route].iter().find(ahead).copied()
     }
 
-    /// Distance from `s` to the first conflict point, or to the arrival where there is none \[m\].
+    /// Returns the distance from `s` to the first conflict point, or to the arrival if the route
+    /// has no conflict \[m\].
     pub fn to_first_conflict(&self, s: f64) -> f64 {
         self.conflicts.first().map_or(self.arrival, |c| c.own) - s
     }
 }
 
-/// Route number `a` of `paths`, some of which lead around their lanes, on whose last edge `arrival_pos` is the finish, for vehicles of
-/// this size.
+/// Works out the geometry of route number `a` of `paths` for vehicles of this size. `detoured`
+/// marks the paths that leave their lanes for a detour; `arrival_pos` is the finish on the route's
+/// last edge \[m\], and a negative value counts from the edge's end.
 pub(super) fn geometry(
     paths: &[Path],
     detoured: &[bool],
@@ -146,7 +157,8 @@ pub(super) fn geometry(
     }
 }
 
-/// The beginning of a stretch on which both centre lines lie on each other, although on different lanes, if that is how they meet.
+/// Returns the first metre of a stretch on which the two centre lines coincide although they
+/// belong to different lanes, if the conflict `met` is the beginning of such a stretch.
 fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
     let together = |way: f64| {
         let ([x, y], [u, v]) = (other.at(met.other + way).0, own.at(met.own + way).0);
@@ -156,10 +168,11 @@ fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
     [0.0, 0.5, 1.0].into_iter().all(together).then_some(stretch)
 }
 
-/// Where the centre lines of two ways that share nothing are nearest, if they are so close that vehicles in a curve would touch.
+/// Returns where the centre lines of two routes that share no lane are nearest, if they are so
+/// close there that vehicles in a curve would touch.
 fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
     let driven = !own.lanes.is_empty() && !other.lanes.is_empty() && shared.is_empty();
-    // Lines that do not cross are nearest at a point of either.
+    // Of two lines that do not cross, the nearest place is at a point of one of them.
     let beside = |line: &Path, points: &Path| {
         let near = |(point, &at): (&[f64; 2], &f64)| {
             let (s, lateral, _) = line.nearest(*point);
@@ -182,12 +195,14 @@ fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> 
     if driven { both().min_by(|x, y| x.0.total_cmp(&y.0)).map(|(_, s, at)| (s, at)) } else { None }
 }
 
-/// The stretches, each as far as a vehicle there is in the way of one that goes the own way: behind a fork, until its tail is out of it;
-/// before a merge, where both centre lines already lie on each other.
+/// Extends each stretch as far as a vehicle on `other` blocks a vehicle on `own`: behind a fork,
+/// until its rear no longer reaches into the path of `own`; before a merge, to where the two
+/// centre lines begin to coincide.
 fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec<Shared> {
-    /// Centre lines this close are one \[m\].
+    /// Centre lines at most this far apart coincide \[m\].
     const CLOSE: f64 = 0.3;
-    /// A vehicle on the other way counts as so much longer and wider, as nobody keeps to the centre line \[m\].
+    /// Margin added to the length and width of the vehicle on the other route, since no vehicle
+    /// keeps to the centre line exactly \[m\].
     const MARGIN: f64 = 0.3;
     let pose = |path: &Path, s: f64| {
         let ([x, y], heading) = path.at(s);
@@ -220,6 +235,7 @@ fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec
     stretches.into_iter().map(extend).collect()
 }
 
+/// Returns the stretches of lanes that both routes use, without any extension.
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
     if same {
         return vec![Shared { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 }];
@@ -233,7 +249,8 @@ fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
     stretches
 }
 
-/// First point, in driving order of `own`, where `other`'s centre line meets it outside the lanes that both use.
+/// Returns the first point, in driving order of `own`, where the centre line of `other` crosses or
+/// touches it outside the lanes that both use, as positions on `own` and `other`.
 fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
     if let Some(way_out) = way_out(own, other) {
         return Some(way_out);
@@ -251,7 +268,7 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
                 crossing(a, b, c, d).or_else(|| overlap(a, b, c, d).map(|lies| lies[0]))
             {
                 let found = (along(own, i, t), along(other, j, u));
-                // Two routes that fork from one lane touch at the fork; that is no meeting.
+                // Two routes that fork from one lane touch at the fork, which is no conflict.
                 let fork = shared.iter().any(|k| (found.1 - k.to).abs() < 0.5);
                 if !fork && best.is_none_or(|b| found.0 < b.0) {
                     best = Some(found);
@@ -265,10 +282,12 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
     None
 }
 
-/// Where two ways meet of which one leads around, in driving order of `own`: it may come near the other several times. Of each stretch
-/// on which vehicles of this size would touch, the place where the ways are nearest, and if it is long others before and behind that.
+/// Returns the conflicts between two paths of which at least one has a detour, in driving order of
+/// `own`, as positions on `own` and `other`. Such paths may come near each other several times.
+/// Each stretch on which vehicles of this size would touch gives the place where the paths are
+/// nearest and, if the stretch is long, further places before and behind it.
 fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
-    /// Places of one stretch are so far from each other, in steps.
+    /// Distance between the places of one stretch, in steps of [`STEP`].
     const SPACING: usize = (4.0 / STEP) as usize;
     let pose = |path: &Path, s: f64| {
         let ([x, y], heading) = path.at(s);
@@ -276,7 +295,8 @@ fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> V
     };
     let diagonal = size[0].hypot(size[1]);
     let reach = (diagonal / STEP) as i32;
-    // The stretch under way: gaps and places. What begins at a fork is no meeting.
+    // `stretch` holds the gaps and places of the current stretch. A stretch that begins at a fork
+    // is no conflict.
     let (mut found, mut stretch, mut forked) = (Vec::new(), Vec::new(), false);
     for s in (0..=(own.length() / STEP) as u32).map(|k| f64::from(k) * STEP) {
         let here = pose(own, s);
@@ -299,17 +319,19 @@ fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> V
     found
 }
 
-/// Of places and the gaps there, the one with the smallest and others at this spacing from it.
+/// Returns the place with the smallest gap, and the places at multiples of `spacing` from it.
 fn spaced(places: &[(f64, (f64, f64))], spacing: usize) -> impl Iterator<Item = (f64, f64)> {
     let nearest =
         (0..places.len()).min_by(|&i, &j| places[i].0.total_cmp(&places[j].0)).unwrap_or(0);
     places.iter().skip(nearest % spacing).step_by(spacing).map(|(_, place)| *place)
 }
 
-/// Who begins on the way in of another (leaves a space that the other is bound for) meets it at the end of their common way, where
-/// the one is out and the other not yet in; not where it stands, which it would have passed at once.
+/// Returns the conflict of a route that begins on the path by which `other` arrives, such as a
+/// route out of a parking space that `other` ends in. The conflict is at the end of their common
+/// stretch, where the vehicle on `own` is out and the one on `other` is not yet in. It is not at
+/// the start of `own`, which that vehicle would have passed at once.
 fn way_out(own: &Path, other: &Path) -> Option<(f64, f64)> {
-    /// Common stretches this close to each other are one \[m\].
+    /// Common stretches whose distance is at most this are one stretch \[m\].
     const GAP: f64 = 0.1;
     let mut end: Option<(f64, f64)> = None;
     for i in 1..own.points.len() {
@@ -328,12 +350,13 @@ fn way_out(own: &Path, other: &Path) -> Option<(f64, f64)> {
     end
 }
 
-/// Position on a path at fraction `t` of its segment number `k`.
+/// Returns the position on a path at fraction `t` of its segment that ends at point number `k`.
 fn along(path: &Path, k: usize, t: f64) -> f64 {
     path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
 }
 
-/// Where segments `ab` and `cd` cross, as fractions of both; parallel segments do not.
+/// Returns where the segments `ab` and `cd` cross, as fractions of both. Parallel segments do not
+/// cross.
 pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
     let (r, s) = ([b[0] - a[0], b[1] - a[1]], [d[0] - c[0], d[1] - c[1]]);
     let cross = r[0] * s[1] - r[1] * s[0];
@@ -347,9 +370,10 @@ pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Op
     (inside(t) && inside(u)).then_some((t, u))
 }
 
-/// Where `cd` begins and ends to lie on `ab`, in the direction of `ab` and as fractions of both.
+/// Returns where `cd` begins and ceases to coincide with `ab`, in the direction of `ab` and as
+/// fractions of both.
 fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<[(f64, f64); 2]> {
-    /// Segments this close are one way \[m\].
+    /// Segments at most this far apart coincide \[m\].
     const CLOSE: f64 = 0.1;
     let (r, length) = ([b[0] - a[0], b[1] - a[1]], (b[0] - a[0]).hypot(b[1] - a[1]));
     if length == 0.0 {

@@ -1,7 +1,10 @@
-//! The vehicle slots of a world, and how their vehicles stand to each other: what observations and rewards are made from.
+//! The vehicle slots of a world and the relations between their vehicles, from which observations
+//! and rewards are made.
 //!
-//! The agents' slots come first, then those of vehicles that SUMO drives. Life of an agent's slot: *empty* → *active* (an agent drives) → arrived (empty again) or crashed (*wreck*, an obstacle for a
-//! while, then empty). No slot revives within an episode.
+//! The agents' slots come first, then those of background traffic. An agent's slot is *empty*,
+//! then *active* (an agent drives), then either empty again (the agent has arrived) or a *wreck*
+//! (the agent has crashed or is off-road), which is an obstacle for a while before the slot is
+//! empty. No slot becomes active twice in an episode.
 
 use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
@@ -10,7 +13,8 @@ use super::loitering::Loitering;
 use super::routes::RouteGeometry;
 use super::steering::Motion;
 
-/// A vehicle this far behind a meeting point has left it, body and all \[m\].
+/// A vehicle whose centre is more than this far past a conflict point has left it with its whole
+/// body \[m\].
 pub(super) const CLEARED: f64 = 7.0;
 /// What a slot holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,68 +24,75 @@ pub(super) enum Status {
     Wreck,
 }
 
-/// Where SUMO has a vehicle that steers.
+/// Where SUMO has an agent that steers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Track {
     /// On its route.
     Route,
-    /// It has been beside its route: SUMO may have given it another.
+    /// The vehicle has been beside its route, so that SUMO may have given it another.
     Astray,
-    /// On no road any more.
+    /// On no road of the net any more.
     Lost,
 }
 
+/// A slot and its vehicle.
 #[derive(Debug, Clone)]
 pub(super) struct Slot {
     pub(super) status: Status,
     pub(super) route: usize,
-    /// Length and width.
+    /// Length and width \[m\].
     pub(super) size: Size,
     /// Pose of the centre.
     pub(super) pose: Pose,
+    /// Pose of the centre one step before.
     pub(super) before: Pose,
     /// Position of the centre along the route \[m\].
     pub(super) s: f64,
     /// Forward speed, negative backwards \[m/s\].
     pub(super) speed: f64,
-    /// Offset from the lane's centre line, positive to the left \[m\].
+    /// Offset from the route's path, positive to the left \[m\].
     pub(super) lateral: f64,
-    /// Last throttle.
+    /// Last throttle, -1 to 1.
     pub(super) action: f64,
-    /// Last steering command, where it steers.
+    /// Last steering command, -1 to 1 (left); 0 for a vehicle that does not steer.
     pub(super) steer: f64,
-    /// Where it steers: what moves it.
+    /// Pose, velocity and yaw rate of a vehicle that steers, from which its motion is computed.
     pub(super) motion: Motion,
-    /// Segment of the route's polyline where the vehicle was last.
+    /// Segment of the route's path on which the vehicle was last.
     pub(super) segment: usize,
-    /// SUMO has been given the vehicle and has not been told to remove it.
+    /// Whether SUMO has been given the vehicle and not yet been told to remove it.
     pub(super) added: bool,
-    /// Where SUMO has it, of those that steer.
+    /// Where SUMO has the vehicle, if it steers.
     pub(super) track: Track,
-    /// Where it steers: pose when SUMO was last told of it, and the speed that SUMO was given then \[m/s\].
+    /// Pose that SUMO was last given for a vehicle that steers, with the speed that went with
+    /// it \[m/s\].
     pub(super) sent: Option<(Pose, f64)>,
-    /// Where it steers: how far along its route SUMO has its front, in SUMO's count \[m\]; none where SUMO may have it elsewhere.
+    /// How far along its route SUMO has the front of a vehicle that steers, as a sum of SUMO's
+    /// lane lengths \[m\]; `None` where SUMO may have the vehicle elsewhere.
     pub(super) held: Option<f64>,
-    /// SUMO has put the vehicle on the road.
+    /// Whether SUMO has put the vehicle on the road.
     pub(super) departed: bool,
+    /// Steps for which a wreck remains.
     pub(super) wreck_steps: u32,
-    /// Its turn: those with a smaller number came near to where ways meet before it; 0: it has not yet.
+    /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle
+    /// has not come near one yet.
     pub(super) turn: u32,
+    /// How the agent's episode has ended.
     pub(super) fate: Fate,
-    /// The first crash.
+    /// The agent's first crash.
     pub(super) crash: Option<Crash>,
-    /// How long it has loitered, of an agent.
+    /// How long the agent has loitered.
     pub(super) loitering: Loitering,
 }
 
-/// How an agent ended; several may hold at once.
+/// How an episode ended for an agent; several may hold at once.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Fate {
-    /// It crossed the line at the end of its route.
+    /// The agent crossed the line at the end of its route.
     pub arrived: bool,
-    /// It hit another vehicle.
+    /// The agent hit another vehicle or a pedestrian.
     pub crashed: bool,
-    /// It left the road.
+    /// The agent was off-road.
     pub out_of_road: bool,
 }
 
@@ -110,21 +121,22 @@ pub(super) const EMPTY: Slot = Slot {
     loitering: Loitering { has_moved: false, time: 0.0 },
 };
 
-/// The vehicles of a world and how they stand to each other; what observations are made from.
+/// The vehicles of a world and the relations between them, from which observations are made.
 #[derive(Debug, Clone)]
 pub(super) struct Traffic {
     pub(super) slots: Vec<Slot>,
-    /// Slots on the road by route, furthest along first.
+    /// Slots of the vehicles on the road by route, furthest along first.
     pub(super) by_route: Vec<Vec<usize>>,
-    /// Centre distances, between all slots \[m\].
+    /// Distances between the centres of all slots' vehicles, `[slots, slots]` \[m\].
     distances: Vec<f64>,
+    /// Place and direction of each slot's vehicle.
     stances: Vec<Stance>,
-    /// The last turn that was given.
+    /// The last priority number that was assigned.
     turn: u32,
 }
 
 impl Traffic {
-    /// No vehicle anywhere.
+    /// Creates traffic without any vehicle.
     pub(super) fn new(slots: usize, routes: usize) -> Self {
         Self {
             slots: vec![EMPTY; slots],
@@ -135,23 +147,24 @@ impl Traffic {
         }
     }
 
-    /// Centre distance \[m\].
+    /// Returns the distance between the centres of two slots' vehicles \[m\].
     pub(super) fn distance(&self, i: usize, j: usize) -> f64 {
         self.distances[i * self.slots.len() + j]
     }
 
-    /// Where the vehicle of a slot is, and its direction.
+    /// Returns the place and direction of a slot's vehicle.
     pub(super) fn stance(&self, slot: usize) -> Stance {
         self.stances[slot]
     }
 
-    /// Distance that the active ones of the first `agents` slots moved in the last step \[m\].
+    /// Returns the total distance that the active agents, in the first `agents` slots, moved in
+    /// the last step \[m\].
     pub(super) fn driven_by_agents(&self, agents: usize) -> f64 {
         let active = self.slots[..agents].iter().filter(|slot| slot.status == Status::Active);
         active.map(|slot| slot.pose.distance(&slot.before)).sum()
     }
 
-    /// Queues, distances and directions from the slots' poses.
+    /// Recomputes queues, distances and directions from the slots' poses.
     pub(super) fn refresh(&mut self) {
         let n = self.slots.len();
         self.by_route.iter_mut().for_each(Vec::clear);
@@ -174,9 +187,9 @@ impl Traffic {
         }
     }
 
-    /// Gives turns to those who have come within `near` metres of where their ways first meet
-    /// others', the closest first. Of a vehicle whose route is hidden, the distance is that to the
-    /// first conflict point on any route that it could still take.
+    /// Assigns priority to the vehicles that have come within `near` metres of their first
+    /// conflict point, the closest vehicle first. If a vehicle's route is hidden, its distance is
+    /// the one to the first conflict point on any route that it could still take.
     pub(super) fn take_turns(
         &mut self,
         routes: &[RouteGeometry],

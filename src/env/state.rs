@@ -1,8 +1,11 @@
-//! The privileged state: what training may know beyond an agent's own observation (paper: s, "task specific state").
+//! The privileged state: what training may use beyond an agent's own observation (paper: s, "task
+//! specific state").
 //!
-//! Seen from one agent, without range limits: its own internal state, the vehicles around it on its lanes, and the
-//! vehicles next to every meeting point with their speeds, last actions and fates. Its size depends on the scenario's
-//! settings only, never on the number of vehicles, so that one checkpoint serves any number.
+//! The state is described from the viewpoint of one agent, without range limits: the agent's
+//! internal state, the vehicles on its lanes, and the vehicles near every conflict point with
+//! their speeds and last actions, and whether they are wrecks. Its size depends only on the
+//! scenario's settings and never on the number of vehicles, so that one checkpoint serves any
+//! number.
 
 use super::intention::Knowledge;
 use super::observation::{COUNT, Encounters, SPEED, describe_encounters, moving, put_encounters};
@@ -11,12 +14,12 @@ use super::task::Task;
 use super::{Features, Writer};
 use crate::scenario::Scenario;
 
-/// Vehicles described ahead and behind on the agent's own lanes, each.
+/// Number of vehicles described ahead on the agent's own lanes, and number described behind.
 const OWN_LANE: usize = 2;
-/// Vehicles described whose routes meet the agent's, where the observation describes some so. What is foreseen, and whose turn it is,
-/// stands in the observation, which values read as well.
+/// Encounters that the state describes if the observation has any. Foresight and priority are left
+/// out, since the observation contains them and value functions read the observation as well.
 const MET: Encounters = Encounters { count: 8, foresight: 0.0, turns: false };
-/// Vehicles described per stream.
+/// Number of vehicles described per conflicting route.
 const PER_STREAM: usize = 4;
 
 const VEHICLE: [(&str, &str, f32, f32); 5] = [
@@ -59,7 +62,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
     features
 }
 
-/// Writes the privileged state as seen from `slot`, `[S]`; `time_left` is the share of the horizon
+/// Writes the privileged state as seen from `slot`, `[S]`. `time_left` is the share of the horizon
 /// that is left, 1 at the start of an episode.
 pub(super) fn write(task: &Task, traffic: &Traffic, time_left: f64, slot: usize, out: &mut [f32]) {
     let (scenario, routes) = (&task.scenario, &task.routes[..]);

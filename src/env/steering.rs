@@ -1,11 +1,12 @@
 //! Motion of a vehicle that steers: a rigid body in the plane on four wheels whose tyres slide.
 //!
 //! This is the ray-cast vehicle of the Bullet physics engine, on which the paper's simulator runs,
-//! restricted to the plane. Per substep of 0.02 s each wheel takes a part of its own sideways speed
-//! away and gives a quarter of thrust or brake; together they are no more than its tyre holds. No
-//! constant is fitted to a drive: the vehicle's are scenario data ([`Steering`]), the others stand
-//! in Bullet's source or were read from the running engine. Roll, pitch and load transfer are left
-//! out, except for how they soften the sideways impulse of a wheel.
+//! restricted to the plane. In each substep of 0.02 s, every wheel reduces its own sideways speed
+//! by a share and applies a quarter of the thrust or brake; the tyre's grip limits the two
+//! together. No constant is fitted to recorded drives: the vehicle's constants are scenario data
+//! ([`Steering`]), and the others are from Bullet's source or were read from the running engine.
+//! Roll, pitch and load transfer are left out, except that roll and pitch soften the sideways
+//! impulse of a wheel.
 //!
 //! Source: bulletphysics/bullet3, `src/BulletDynamics/Vehicle/btRaycastVehicle.cpp`, and
 //! metadriverse/metadrive, `component/vehicle/vehicle_type.py`.
@@ -16,46 +17,48 @@ use super::dynamics::{self, Drive, RATE};
 use super::geometry::Pose;
 use crate::scenario::{Control, Steering, Vehicle};
 
-/// Share of its sideways speed that a wheel tries to take away, per second: Bullet's
-/// `contactDamping` of 0.2 in each 0.02 s \[1/s\].
+/// Share of its sideways speed that a wheel tries to remove per second: Bullet's `contactDamping`
+/// of 0.2 in each 0.02 s \[1/s\].
 const DAMPING: f64 = 0.2 * RATE;
-/// How much thrust and brake count against what a tyre holds: Bullet's `fwdFactor`.
+/// Weight of thrust and brake in the comparison with a tyre's grip: Bullet's `fwdFactor`.
 const ALONG: f64 = 0.5;
-/// Mass times the squared height of the centre (0.537 m) over the roll and the pitch inertia of the
-/// paper's vehicle: how far a sideways impulse at the ground rolls or pitches the body instead.
+/// Mass times the squared height of the centre of mass (0.537 m), divided by the roll inertia
+/// (`ROLL`) and by the pitch inertia (`PITCH`) of the paper's vehicle: how much a sideways impulse
+/// at the ground rolls or pitches the body instead of moving it.
 const ROLL: f64 = 0.714;
 const PITCH: f64 = 0.159;
 /// Gravity \[m/s²\].
 const GRAVITY: f64 = 9.81;
 
-/// Where a vehicle that steers is, and how it moves.
+/// Pose and velocity of a vehicle that steers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
     /// Pose of the centre of mass, which is the middle of the body.
     pub pose: Pose,
     /// Velocity in the vehicle's own frame, forward and to the left \[m/s\].
     pub velocity: Vector2<f64>,
-    /// Counter-clockwise \[rad/s\].
+    /// Yaw rate, counter-clockwise \[rad/s\].
     pub yaw_rate: f64,
 }
 
-/// A wheel with what a substep needs to know of it. Impulses are per mass \[m/s\].
+/// A wheel and its quantities for one substep. Impulses are per mass \[m/s\].
 #[derive(Debug, Clone, Copy)]
 struct Wheel {
-    /// Place in the vehicle's frame, forward and to the left of the centre \[m\].
+    /// Position in the vehicle's frame, forward and to the left of the centre \[m\].
     at: Vector2<f64>,
-    /// Unit vector in which it rolls.
+    /// Unit vector of the direction in which the wheel rolls.
     rolling: Vector2<f64>,
-    /// Unit vector of its axle, to the right.
+    /// Unit vector along the axle, to the right.
     axle: Vector2<f64>,
-    /// Sideways impulse per sideways speed.
+    /// Sideways impulse that changes the wheel's sideways speed by 1 m/s.
     softness: f64,
-    /// Share of the vehicle's weight that it carries.
+    /// Share of the vehicle's weight that the wheel carries.
     load: f64,
 }
 
 impl Wheel {
-    /// The wheels of a vehicle, the front ones turned by `angle` to the left \[rad\].
+    /// Returns the wheels of a vehicle, with the front wheels turned by `angle` to the
+    /// left \[rad\].
     fn all(steering: &Steering, angle: f64) -> [Self; 4] {
         let Steering { front_axle, rear_axle, track, yaw_inertia, .. } = *steering;
         let wheel = |along: f64, across: f64, angle: f64, other_axle: f64| {
@@ -80,18 +83,18 @@ impl Wheel {
         ]
     }
 
-    /// Velocity of its place, in the vehicle's frame \[m/s\].
+    /// Returns the velocity of the wheel's position, in the vehicle's frame \[m/s\].
     fn velocity(&self, motion: &Motion) -> Vector2<f64> {
         motion.velocity + motion.yaw_rate * Vector2::new(-self.at.y, self.at.x)
     }
 
-    /// What it does to a vehicle in `dt` seconds.
+    /// Returns the impulse of the wheel on the vehicle in `dt` seconds, in the vehicle's frame.
     fn impulse(&self, motion: &Motion, drive: Drive, friction: f64, dt: f64) -> Vector2<f64> {
         let velocity = self.velocity(motion);
         let sideways = -DAMPING * dt * velocity.dot(&self.axle) * self.softness;
         let along = match drive {
             Drive::Thrust(acceleration) => acceleration * dt / 4.0,
-            // A brake stops a wheel and never drives it.
+            // A brake can stop a wheel, but not drive it.
             Drive::Brake(deceleration) => {
                 let most = deceleration * dt / 4.0;
                 -(velocity.dot(&self.rolling) / 4.0).clamp(-most, most)
@@ -104,13 +107,13 @@ impl Wheel {
 }
 
 impl Motion {
-    /// At rest.
+    /// Returns the motion of a vehicle at rest.
     pub const fn at(pose: Pose) -> Self {
         Self { pose, velocity: Vector2::new(0.0, 0.0), yaw_rate: 0.0 }
     }
 
-    /// The motion after one decision interval under the actions `steer` (to the left) and
-    /// `throttle`, both clipped to -1..=1; NaN counts as 0.
+    /// Returns the motion after one decision interval under the actions `steer` (positive to the
+    /// left) and `throttle`. Both are clipped to -1..=1, and NaN counts as 0.
     #[must_use]
     pub fn advance(
         mut self,
@@ -133,7 +136,8 @@ impl Motion {
         self
     }
 
-    /// Moves the vehicle on at its velocity, which its own frame turns under.
+    /// Moves the vehicle by its velocity for `dt` seconds. The velocity keeps its direction in the
+    /// plane while the vehicle's frame turns.
     fn coast(&mut self, dt: f64) {
         let (sin, cos) = self.pose.heading.sin_cos();
         self.pose.x += dt * (self.velocity.x * cos - self.velocity.y * sin);
@@ -143,7 +147,8 @@ impl Motion {
         self.velocity = Rotation2::new(-turn) * self.velocity;
     }
 
-    /// Changes its velocity by the impulses of all wheels, which all see the velocity before.
+    /// Changes the velocity by the impulses of all wheels, each computed from the velocity before
+    /// any of them.
     fn push(&mut self, wheels: &[Wheel; 4], drive: Drive, steering: &Steering, dt: f64) {
         let before = *self;
         for wheel in wheels {
@@ -154,10 +159,12 @@ impl Motion {
     }
 }
 
-/// Radius of the circle on which the centre turns at low speed with the front wheels at full lock
-/// \[m\]: where the sideways impulses of all wheels balance, and their moments.
+/// Returns the radius of the circle on which the vehicle's centre turns at low speed with the
+/// front wheels at full lock \[m\]. On this circle, the sideways impulses of all wheels and their
+/// moments balance.
 pub fn least_radius(steering: &Steering) -> f64 {
-    // Both are linear in the velocity to the left and the yaw rate, per forward speed.
+    // Impulse and moment are linear in the leftward velocity and the yaw rate, both per forward
+    // speed.
     let (mut matrix, mut forward) = (Matrix2::zeros(), Vector2::zeros());
     for wheel in Wheel::all(steering, steering.max_angle.to_radians()) {
         let arm = Vector2::new(wheel.axle.y, wheel.at.perp(&wheel.axle));
@@ -191,7 +198,7 @@ mod tests {
         Motion { velocity: Vector2::new(speed, 0.0), ..Motion::at(Pose::default()) }
     }
 
-    /// Motions after each interval, under actions (steering, throttle).
+    /// Returns the motions after each interval under the actions (steering, throttle).
     fn drive(
         reverse: bool,
         speed: f64,
@@ -209,7 +216,7 @@ mod tests {
         *drive(reverse, speed, std::iter::repeat_n(action, intervals)).last().expect("motions")
     }
 
-    /// Speed with the sign of its forward part \[m/s\].
+    /// Returns the speed, with the sign of its forward component \[m/s\].
     fn signed(motion: &Motion) -> f64 {
         motion.velocity.norm().copysign(motion.velocity.x)
     }
@@ -218,9 +225,9 @@ mod tests {
         assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected}");
     }
 
-    /// Forward speed, speed to the left and yaw rate after 0.5 s and 2 s, which the same model gave
-    /// in another implementation, where its rounded figures were compared with the paper's
-    /// simulator: `[first speed, steering, throttle, three after 0.5 s, three after 2 s]`.
+    /// Forward speed, leftward speed and yaw rate after 0.5 s and 2 s, from another implementation
+    /// of the same model, whose rounded values were compared with the paper's simulator: `[first
+    /// speed, steering, throttle, three values after 0.5 s, three values after 2 s]`.
     const MODEL: [[f64; 9]; 13] = [
         [2.0, 1.0, 0.0, 1.14, 0.55, 0.362, 0.44, 0.22, 0.143],
         [4.0, 0.5, 0.0, 3.49, 0.66, 0.499, 2.85, 0.55, 0.410],
@@ -243,7 +250,7 @@ mod tests {
             for (intervals, row) in [(5, &rows[..3]), (20, &rows[3..])] {
                 let motion = held(true, speed, [steer, throttle], intervals);
                 let what = format!("{speed} m/s, {steer}, {throttle}, {intervals} intervals");
-                // Half of the last digit, and what rounding of the constants changes.
+                // Half of the last digit, and the effect of rounded constants.
                 close(&what, motion.velocity.x, row[0], 0.008);
                 close(&what, motion.velocity.y, row[1], 0.008);
                 close(&what, motion.yaw_rate, row[2], 0.001);
@@ -251,8 +258,8 @@ mod tests {
         }
     }
 
-    /// Steering from a straight run, as measured: `[first speed, steering, throttle, speed after
-    /// 1 s, after 3 s, yaw rate after 0.5 s]`.
+    /// A vehicle that begins to steer from a straight run slows down as measured: `[first speed,
+    /// steering, throttle, speed after 1 s, after 3 s, yaw rate after 0.5 s]`.
     #[test]
     fn turning_the_wheels_slows_the_vehicle_down_as_measured() {
         for [speed, steer, throttle, after_1, after_3, yaw] in [
@@ -271,8 +278,8 @@ mod tests {
         ] {
             let motions = drive(true, speed, [[steer, throttle]; 30]);
             let what = format!("{speed} m/s, {steer}, {throttle}");
-            // The model is off by 0.065 m/s after 1 s and by 0.106 m/s after 3 s (root mean
-            // squares over random drives); most where tyres slide, as they do at full lock.
+            // Root mean square errors of the model over random drives: 0.065 m/s after 1 s and
+            // 0.106 m/s after 3 s. They are largest where tyres slide, as at full lock.
             let sliding = if steer == 1.0 { 2.0 } else { 1.0 };
             close(&what, signed(&motions[9]), after_1, 0.1 * sliding);
             close(&what, signed(&motions[29]), after_3, 0.2);
@@ -280,8 +287,8 @@ mod tests {
         }
     }
 
-    /// Steering to and fro each 0.1 s, neither thrust nor brake: `[steering, first speed, speed
-    /// after 0.5 s, after 1 s]`, as measured.
+    /// Steering that alternates every 0.1 s, without thrust or brake, slows the vehicle down as
+    /// measured: `[steering, first speed, speed after 0.5 s, after 1 s]`.
     #[test]
     fn steering_to_and_fro_brakes_as_measured() {
         for [steer, speed, half, whole] in [
@@ -301,7 +308,8 @@ mod tests {
         }
     }
 
-    /// At a held speed: `[speed, steering, yaw rate, radius]`, measured; and on ice there is less.
+    /// At a constant speed, yaw rate and radius are as measured, and smaller forces act on ice:
+    /// `[speed, steering, yaw rate, radius]`.
     #[test]
     fn steady_turns_are_as_wide_as_measured() {
         for [speed, steer, yaw, radius] in [
@@ -340,7 +348,8 @@ mod tests {
 
     #[test]
     fn yaw_follows_a_step_of_steering_as_measured() {
-        // Averages over intervals of 0.1 s at a held 6 m/s, of poses that lag one substep behind.
+        // Averages over intervals of 0.1 s at a constant 6 m/s. The measured poses lag one substep
+        // behind.
         let measured = [0.062, 0.309, 0.540, 0.707, 0.784, 0.814, 0.826, 0.830];
         let (control, steering, vehicle) = law(true);
         let control = Control { interval: 0.02, ..control };
@@ -382,7 +391,7 @@ mod tests {
         }
         let back = drive(true, -0.1, [[0.0, 0.0]; 4]);
         assert_eq!(back[3].velocity, Vector2::zeros());
-        // The least throttle backwards is thrust, and brakes nothing.
+        // The smallest negative throttle is thrust and does not brake.
         close("coasting", held(true, 5.0, [0.0, -1e-9], 10).velocity.x, 5.0, 1e-6);
     }
 
@@ -403,8 +412,8 @@ mod tests {
     }
 
     proptest! {
-        /// Going straight, a vehicle that steers follows the longitudinal law; it moves with the
-        /// speed before each substep.
+        /// Driving straight, a vehicle that steers follows the longitudinal law, except that each
+        /// substep moves it at the speed before the substep.
         #[test]
         fn straight_on_it_is_the_longitudinal_law(
             speed in 0.0..22.0f64, throttle in -1.2..1.2f64, heading in -3.0..3.0f64,
@@ -420,7 +429,7 @@ mod tests {
             prop_assert!(next.pose.heading == heading);
         }
 
-        /// Steering the other way gives the mirror image.
+        /// Steering in the opposite direction gives the mirror image.
         #[test]
         fn left_and_right_are_alike(
             speed in -8.0..20.0f64, reverse in any::<bool>(),
@@ -437,7 +446,8 @@ mod tests {
             }
         }
 
-        /// Any actions: finite, no faster than allowed, no more sideways than tyres hold.
+        /// Under any actions, the motion stays finite and no faster than the vehicle's maximum
+        /// speed, and lateral speed and yaw rate stay within what the tyres hold.
         #[test]
         fn stays_within_its_limits(
             actions in prop::collection::vec((-2.0..2.0f64, -2.0..2.0f64), 1..80),
@@ -449,7 +459,8 @@ mod tests {
             for (steer, throttle) in actions {
                 let next = motion.advance(&control, &steering, &vehicle, steer, throttle);
                 prop_assert!(next.velocity.x.abs() <= vehicle.max_speed);
-                // Without reverse it may slide a little, but not drive.
+                // Without reverse the vehicle may slide backwards a little, but not drive
+                // backwards.
                 prop_assert!(reverse || next.velocity.x > -0.5, "{next:?}");
                 let fastest = next.velocity.norm().max(motion.velocity.norm()) + 0.5;
                 prop_assert!(next.pose.distance(&motion.pose) <= fastest * control.interval);

@@ -1,4 +1,5 @@
-//! A scenario made ready for one number of agents: its net, routes, spawn places and feature lists.
+//! A scenario made ready for one number of agents: its net, routes, spawn places and feature
+//! lists.
 
 use std::ops::Range;
 
@@ -14,87 +15,95 @@ use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleTy
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
-/// Index of the type whose speed SUMO's own driver chooses.
+/// Index of the vehicle type whose speed SUMO's own driver chooses.
 pub(super) const SUMO_TYPE: u32 = 1;
 
 /// A part of a route that lies in a junction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct JunctionStretch {
-    /// Arc length along the route \[m\].
+    /// Beginning of the part, as arc length along the route \[m\].
     pub(super) from: f64,
+    /// End of the part, as arc length along the route \[m\].
     pub(super) to: f64,
-    /// Of SUMO's type `unregulated`, in which SUMO looks for no collisions.
+    /// Whether the junction is of SUMO's type `unregulated`, in which SUMO does not look for
+    /// collisions.
     pub(super) unregulated: bool,
 }
 
-/// Where a vehicle is on its route.
+/// Where a vehicle is relative to its route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// On its lane, on a road.
+    /// On a lane of its route, on a road.
     Road,
-    /// On its lane, over a junction.
+    /// On a lane of its route, over a junction.
     Junction,
-    /// Beside its lane.
+    /// Beside the lanes of its route.
     Beside,
 }
 
 impl Place {
-    /// SUMO's bits for finding the lane of a vehicle that is put there: among the edges of its route (1), which is three times as
-    /// fast, but never finds a lane over a junction (SUMO 1.15), or exactly where it is, on any lane or none (2).
+    /// Bits for `moveToXY` by which SUMO finds the lane of the vehicle. 1 searches the edges of
+    /// the vehicle's route, which is three times as fast but never finds a lane over a junction
+    /// (SUMO 1.15). 2 takes the exact place, on any lane or on none.
     pub fn keep_route(self) -> u8 {
         if self == Self::Road { 1 } else { 2 }
     }
 }
 
-/// Everything about a task that no episode changes; shared by all worlds.
+/// Everything about a task that is the same in all episodes; shared by all worlds.
 #[derive(Debug, Clone)]
 pub struct Task {
     /// The scenario.
     pub scenario: Scenario,
     /// Agent slots N.
     pub agents: usize,
-    /// Slots of vehicles that SUMO drives, which come after the agents'.
+    /// Slots of background traffic, which come after the agents' slots.
     pub others: usize,
-    /// Each episode has a random number of agents from this one to N.
+    /// Least number of agents in an episode: each episode has a random number from this one to N.
     pub fewest: usize,
-    /// Spawn places, at least as many as vehicles that start at them.
+    /// Spawn places, at least as many as vehicles that start at spawn places.
     pub places: Vec<SpawnPlace>,
-    /// Routes in the scenario's order, then those that only route files have.
+    /// Routes: the scenario's in its order, then those that occur only in route files.
     pub routes: Vec<RouteGeometry>,
-    /// Their ids and edges.
+    /// Ids of the routes.
     pub(super) route_ids: Vec<String>,
+    /// Edges of the routes.
     route_edges: Vec<Vec<String>>,
-    /// What route files say.
+    /// Contents of the route files.
     pub(super) demand: Demand,
-    /// The files' routes, as indices into `routes`.
+    /// Routes of the route files, as indices into `routes`.
     pub(super) demand_routes: Vec<usize>,
-    /// Of those that are walked, where on the first edge they begin and where on the last they end \[m\].
+    /// Where each walk of the route files begins on its first edge and where it ends on its last
+    /// edge \[m\]; `None` for routes of vehicles.
     walk_ends: Vec<Option<[f64; 2]>>,
-    /// Types of those at spawn places that SUMO drives, and their weights; empty: as the agents'.
+    /// Vehicle types of the background traffic at spawn places, with their weights; empty if these
+    /// vehicles have the agents' size and abilities.
     pub(super) place_mix: Vec<(usize, f64)>,
-    /// For every route whose destination is reserved, the first one that ends on the same edge.
+    /// For every route with a reserved destination, the first route that ends on the same edge.
     pub(super) reserved: Vec<Option<usize>>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
-    /// Whether SUMO could change the lane of a vehicle that it moves along its route.
+    /// Whether some route has edges with several lanes, so that SUMO could change the lane of a
+    /// vehicle on it.
     pub(super) several_lanes: bool,
-    /// Where vehicles may drive, if they steer or see its borders.
+    /// The road surface, if agents steer, have a lidar or observe the road's borders.
     pub(super) road: Option<Road>,
-    /// Where each route lies in junctions.
+    /// Parts of each route that lie in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
     /// Which routes begin alike, and where they part.
     pub(super) forks: Forks,
-    /// Corners of the net's bounding box: `[x_min, y_min, x_max, y_max]` \[m\].
+    /// Corners of the bounding box of all routes: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
     net_file: std::path::PathBuf,
 }
 
 impl Task {
-    /// Loads the net for so many `vehicles` at spawn places, of which the scenario's share are agents, and works out how its
-    /// routes meet.
+    /// Loads the net for `vehicles` vehicles at spawn places, of which the scenario's share are
+    /// agents, and works out the conflicts between the routes.
     ///
     /// # Errors
-    /// When the scenario does not take so many, or its net or route files cannot be read or driven.
+    /// If the scenario does not take this number of vehicles, or if its net or route files cannot
+    /// be read or driven.
     pub fn new(scenario: &Scenario, vehicles: u32) -> Result<Self, Error> {
         let choice = scenario.net_for(vehicles)?;
         let agents = scenario.traffic.learners(vehicles);
@@ -115,7 +124,7 @@ impl Task {
         let mut walk_ends = Vec::with_capacity(demand.routes.len());
         for route in &demand.routes {
             let Laid { path, edges, walk } = route.lay(&net)?;
-            // Walks have no lanes, but edges and sides of them.
+            // The paths of walks have no lanes, so that walks are compared by edges and points.
             let same = |(other, at): (&Path, &Vec<String>)| {
                 other.lanes == path.lanes
                     && (walk.is_none() || *at == edges && other.points == path.points)
@@ -140,7 +149,7 @@ impl Task {
         }
         let routes = (0..paths.len())
             .map(|a| {
-                // Vehicles of route files arrive where SUMO takes them off the road: at the end.
+                // Vehicles of route files arrive where SUMO removes them: at the end of the route.
                 let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
                 let mut route = geometry(
                     &ways,
@@ -216,18 +225,19 @@ impl Task {
         })
     }
 
-    /// The same with a random number of agents in each episode, from `fewest` (at least 1) to N.
+    /// Returns the same task with a random number of agents in each episode, from `fewest` (at
+    /// least 1) to N.
     #[must_use]
     pub fn with_fewest(self, fewest: usize) -> Self {
         Self { fewest: fewest.clamp(1, self.agents), ..self }
     }
 
-    /// Slots of a world: agents and others.
+    /// Returns the number of slots of a world: those of agents and of background traffic.
     pub(super) fn slots(&self) -> usize {
         self.agents + self.others
     }
 
-    /// Vehicles at spawn places that SUMO drives.
+    /// Returns the number of background vehicles that start at spawn places.
     pub(super) fn placed(&self) -> usize {
         let capacity = if self.demand.sources.is_empty() {
             0
@@ -237,13 +247,15 @@ impl Task {
         self.others - capacity
     }
 
-    /// Vehicle type, in SUMO's list, and size of a type of the route files.
+    /// Returns the index in SUMO's list and the size of vehicle type number `kind` of the route
+    /// files.
     pub(super) fn demand_type(&self, kind: usize) -> (u32, Size) {
         let VehicleKind { length, width, .. } = self.demand.types[kind];
         (SUMO_TYPE + 1 + kind as u32, [length, width])
     }
 
-    /// As [`Task::demand_type`], of a vehicle at a spawn place, drawn from `place_mix`.
+    /// Returns the index in SUMO's list and the size of a vehicle type for background traffic at
+    /// spawn places; `kind` is drawn from `place_mix`.
     pub(super) fn place_type(&self, kind: usize) -> (u32, Size) {
         if self.place_mix.is_empty() {
             let vehicle = &self.scenario.vehicle;
@@ -252,24 +264,26 @@ impl Task {
         self.demand_type(kind)
     }
 
-    /// What a route is called: its id, or that of a route file.
+    /// Returns the name of a route: the scenario's id, or the id in a route file with a note that
+    /// it is from there.
     pub fn route_id(&self, route: usize) -> &str {
         &self.route_ids[route]
     }
 
-    /// The net.
+    /// Returns the path of the net's file.
     pub fn net_file(&self) -> &std::path::Path {
         &self.net_file
     }
 
-    /// Where the front bumper of a vehicle on a route is that was last on one of its way's segments, `front` in metres, and its
-    /// arc length along the route's lanes \[m\].
+    /// Returns where the front bumper of a vehicle is relative to its route, and the front's arc
+    /// length along the route's lanes \[m\]. `front` is in the world's coordinates \[m\], and
+    /// `segment` is the segment of the route's path on which the vehicle was last.
     pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (Place, f64) {
         let geometry = &self.routes[route];
         let path = geometry.lanes();
         let (s, lateral, segment) = match geometry.avoided {
             None => path.project(front, segment),
-            // The way's segments are not those of the lanes.
+            // The segments of a path with a detour are not those of the lanes.
             Some(_) => path.nearest(front),
         };
         let place = if lateral.abs() > path.widths[segment] / 2.0 {
@@ -282,7 +296,7 @@ impl Task {
         (place, s)
     }
 
-    /// What a simulation of `worlds` worlds of this task needs to start.
+    /// Returns what a simulation of `worlds` worlds of this task needs to start.
     pub fn simulation_config(&self, seed: u64, worlds: u32, hosting: &Hosting) -> SimulationConfig {
         let (vehicle, control) = (&self.scenario.vehicle, &self.scenario.control);
         let hardest = control.brake.last().map_or(control.drag, |point| point.1);
@@ -306,8 +320,9 @@ impl Task {
             others: (self.others > 0).then(|| self.guests()),
             timeout: hosting.timeout,
             audit: hosting.audit,
-            // Agents may spawn as close as the places allow; SUMO's driver keeps a gap, but one that lets
-            // vehicles depart from neighbouring places in the worst jitter.
+            // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
+            // gap, but one that is small enough for vehicles to depart from neighbouring places
+            // under the largest jitter.
             vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],
             routes: (self.route_ids.iter().zip(&self.route_edges).zip(&self.routes))
                 .map(|((id, edges), geometry)| Route {
@@ -320,7 +335,7 @@ impl Task {
         }
     }
 
-    /// What SUMO must know of the vehicles that it drives.
+    /// Returns what SUMO needs to know about background traffic.
     fn guests(&self) -> Others {
         let departure = |source: &Source| {
             let route = self.demand_routes[source.route] as u32;
@@ -339,12 +354,13 @@ impl Task {
     }
 }
 
-/// The agents' actions: steering, where vehicles steer, then throttle and brake.
+/// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
+/// brake.
 ///
-/// A vehicle whose mean throttle is 0 hardly moves under noise, as brakes are stronger than
-/// engines, so untrained policies accelerate. To stay on the road takes a steadier hand than to
-/// find a speed: steering has less noise, and a wheel that is held wrong for long leads off the
-/// road, so its noise is independent from step to step.
+/// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
+/// with a mean throttle of 0 hardly moves under noise. Steering has less noise than the throttle,
+/// since staying on the road needs more precise actions than choosing a speed. Its noise is
+/// independent from step to step, because a wheel that is held wrong for long leads off the road.
 fn actions(control: &Control) -> Vec<ActionDimension> {
     let steer =
         ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
@@ -361,7 +377,7 @@ fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {
         if edge.function != EdgeFunction::Internal {
             return None;
         }
-        // Internal edges are called after their junction: `:centre_2`.
+        // An internal edge's id begins with that of its junction, as in `:centre_2`.
         let name = edge.id.strip_prefix(':')?.rsplit_once('_')?.0;
         let unregulated = net.junctions.iter().any(|j| j.id == name && j.kind == "unregulated");
         Some(JunctionStretch { from, to, unregulated })

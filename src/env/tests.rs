@@ -1,5 +1,6 @@
-//! Properties of a world, against a simulator that does exactly what it is told: vehicles move along their route's centre
-//! line by speed times the step. What SUMO itself does is tested in `tests/`.
+//! Tests of a world against a fake simulator that carries out the commands exactly: vehicles move
+//! along their route's path by speed times the step length. What SUMO itself does is tested in
+//! `tests/`.
 
 mod driving;
 mod intention;
@@ -18,7 +19,7 @@ use crate::rng::Seed;
 use crate::scenario::{NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::{Body, Command, Snapshot, VehicleState};
 
-/// Vehicles on rails, and a check on every command.
+/// A fake simulator whose vehicles keep to their routes' paths, and which checks every command.
 struct Rails {
     task: Arc<Task>,
     vehicles: Vec<Option<(usize, f64, f64)>>,
@@ -85,7 +86,7 @@ impl Rails {
         snapshot
     }
 
-    /// Centre of a slot's vehicle on its lane's centre line.
+    /// Returns the centre of a slot's vehicle on its route's path.
     fn centre(&self, slot: usize) -> Option<[f64; 2]> {
         let half = self.task.scenario.vehicle.length / 2.0;
         self.vehicles[slot].map(|(route, s, _)| self.task.routes[route].path.at(s - half).0)
@@ -113,7 +114,8 @@ fn exchange(world: &mut World, rails: &mut Rails, actions: &[f32]) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Slots, masks, ends and observations over several episodes of erratic driving.
+    /// Slots, masks, ends of episodes and observations are consistent over several episodes of
+    /// erratic driving.
     #[test]
     fn invariants_hold_under_any_actions(
         agents in 4u32..49,
@@ -181,7 +183,7 @@ proptest! {
                     let linked = frame.comm[i * n + j] > 0.0;
                     prop_assert!(both || !linked, "the absent are cut off");
                     if let (true, Some(a), Some(b)) = (both && i != j, rails.centre(i), rails.centre(j)) {
-                        // Lateral jitter moves centres by up to 0.25 m each.
+                        // Lateral jitter moves each centre by up to 0.25 m.
                         let d = (a[0] - b[0]).hypot(a[1] - b[1]);
                         prop_assert!(linked || d > range - 0.6, "{} {}", d, range);
                         prop_assert!(!linked || d < range + 0.6, "{} {}", d, range);
@@ -205,7 +207,7 @@ proptest! {
         prop_assert!(episodes >= 2, "400 steps of at most 150 each");
     }
 
-    /// An episode is a function of the seed and its number, whatever was played before.
+    /// An episode depends only on the seed and its number, not on what was played before.
     #[test]
     fn episodes_do_not_depend_on_the_past(seed in any::<u64>(), episode in 1u64..1000) {
         let task = task(8, |_| {});
@@ -224,13 +226,15 @@ proptest! {
     }
 }
 
-/// A world and what it gave at every step when slot 0 alone drives at full throttle and the others stand.
+/// Plays an episode in which slot 0 drives at full throttle on a free lane and the other slots
+/// stand. Returns the task, the frames, the front's first position of slot 0 \[m\], and the
+/// episode's record.
 fn lone_driver(change: fn(&mut Scenario)) -> (Arc<Task>, Vec<Frame>, f64, EpisodeRecord) {
     let task = task(4, |s| {
         s.termination.horizon = 120;
         change(s);
     });
-    // An episode whose first agent has a free lane.
+    // Searches for an episode whose first agent has a free lane.
     for episode in 0.. {
         let (mut world, mut rails) = (world(&task, 3), Rails::new(&task));
         world.reset(episode);
@@ -254,7 +258,7 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
     let (task, frames, _, record) = lone_driver(|_| {});
     let scenario = &task.scenario;
     let end = frames.iter().position(|f| f.terminated[0] > 0.0).expect("it arrives");
-    // By the definition, from the law of motion.
+    // Expected rewards by their definition and the longitudinal law.
     let (mut v, mut total) = (0.0, 0.0);
     for frame in &frames[1..end] {
         let (way, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
@@ -273,8 +277,8 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
     assert!((record.efficiency - 0.25 * 4.0 / 120.0).abs() < 1e-12);
 }
 
-/// What agents earn is their own affair in the environment, whatever they share in learning, and
-/// however far their radio reaches.
+/// Rewards in the environment depend neither on the share in other agents' advantages nor on the
+/// communication range.
 #[test]
 fn rewards_depend_neither_on_cooperation_nor_on_the_radio() {
     let own = lone_driver(|_| {}).1;
@@ -289,7 +293,7 @@ fn rewards_depend_neither_on_cooperation_nor_on_the_radio() {
             assert!(other.sharing.is_empty(), "all agents of the world share");
         }
     }
-    // The share has a range of its own.
+    // The share range is independent of the communication range.
     for frame in lone_driver(|s| s.reward.share_range = 0.0).1 {
         let alone = |i: usize, j: usize| f32::from(u8::from(i == j)) * frame.comm[i * 4 + i];
         assert!((0..16).all(|k| frame.sharing[k] == alone(k / 4, k % 4)), "{:?}", frame.sharing);
@@ -317,7 +321,8 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
             if let (Some(at), true, false) =
                 (crashed_at[i], on_road[i], rails.vehicles[i].is_some())
             {
-                // 2.5 s are 25 further steps; the vehicle goes with the exchange after them.
+                // A wreck time of 2.5 s is 25 further steps; the next exchange removes the
+                // vehicle.
                 assert_eq!(step - at, 26, "slot {i}");
                 wrecks_gone += 1;
             }
@@ -329,7 +334,8 @@ fn wrecks_stay_for_their_time_and_others_crash_into_them() {
     assert!(wrecks_gone >= 2, "full throttle crashes");
 }
 
-/// The failures of an episode in which the slots drive that `drives` picks, by route and place in its queue (0: first).
+/// Plays an episode in which the slots that `drives` picks, by route and place in its queue (0:
+/// first), drive at full throttle and the others stand. Returns the episode's record and the task.
 fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRecord, Arc<Task>) {
     let task = task(agents, |s| s.termination.horizon = 60);
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
@@ -352,7 +358,8 @@ fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRe
 
 #[test]
 fn failures_say_how_a_crash_came_about() {
-    // The second of a lane runs into the first, which stands, and the third into the wreck; the fourth stays.
+    // On one lane, the second vehicle hits the first, which stands, and the third hits the wreck;
+    // the fourth stands.
     let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
     let failures = &record.failures;
     assert_eq!((failures.rear_end, failures.wreck, failures.crossing), (2, 1, 0), "{failures:?}");
@@ -372,7 +379,7 @@ fn failures_say_how_a_crash_came_about() {
         "{text}"
     );
 
-    // The first of two routes that cross.
+    // The first vehicles of two routes that cross.
     let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));
     let failures = &record.failures;
     let names = [2, 1].map(|route| task.scenario.routes[route].id.clone());
@@ -394,7 +401,7 @@ fn failures_say_how_a_crash_came_about() {
 
 #[test]
 fn episodes_may_have_fewer_agents() {
-    // All are within range, so that a cooperative share moves rewards, and makes none.
+    // All agents are within communication range.
     let task = task(8, |s| {
         s.termination.horizon = 120;
         s.communication.range = 1e6;
@@ -465,7 +472,7 @@ fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
     assert_eq!(world.frame().active, [0.0; 4]);
     assert!(world.frame().interrupted, "which is no deadline");
     assert!(world.take_finished().expect("a record").interrupted);
-    // The fresh simulator is empty: a Remove would fail the check in `Rails`.
+    // The fresh simulator is empty: a `Remove` would fail the check in `Rails`.
     let mut rails = Rails::new(&task);
     exchange(&mut world, &mut rails, &[0.0; 4]);
     assert!(world.frame().start && !world.frame().interrupted);
@@ -500,7 +507,8 @@ fn features_are_named_once_and_covered_by_their_groups() {
     );
 }
 
-/// `both` shows what `nearest` shows and then what `conflict` shows, whatever happens; none depends on the number of agents.
+/// Observations with `both` consist of those with `nearest` followed by those with `conflict`, and
+/// their size does not depend on the number of agents.
 #[test]
 fn observation_groups_show_the_same_traffic() {
     for agents in [4, 8, 48] {
@@ -536,7 +544,8 @@ fn observation_groups_show_the_same_traffic() {
     }
 }
 
-/// The same vehicles in either order: nearest first, or from those ahead to those behind, with the nearest of those ahead in the first place.
+/// Both orders contain the same vehicles: nearest first, or from ahead to behind with the nearest
+/// vehicle ahead in the first place.
 #[test]
 fn neighbours_come_in_the_order_that_is_asked_for() {
     let orders = [NeighbourOrder::Distance, NeighbourOrder::Bearing];
@@ -570,7 +579,7 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
                 let all = &worlds[order].0.frame().observation[i * width + group.offset..]
                     [..group.count * group.width];
                 let there = all.chunks(group.width).filter(|one| one[group.width - 1] > 0.0);
-                // By bearing, position is told on a second scale, too.
+                // In the order by bearing, positions are given on a second scale, too.
                 let one = |one: &[f32]| {
                     assert!(
                         order == 0
@@ -589,7 +598,8 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
                 near.is_sorted_by(|a, b| far(a) <= far(b) + 1e-5),
                 "step {step}, agent {i}: {near:?}"
             );
-            // Whose directions differ clearly come by direction, others by distance.
+            // Vehicles in clearly different directions are ordered by direction, others by
+            // distance.
             let apart = |a: &Vec<f32>, b: &Vec<f32>| behind(a) - behind(b) > 15.1_f32.to_radians();
             assert!(around.is_sorted_by(|a, b| !apart(a, b)), "step {step}, agent {i}: {around:?}");
             let leader = near.iter().find(|one| behind(one) < 14.9_f32.to_radians());
@@ -635,7 +645,8 @@ fn a_reserved_destination_is_one_vehicles() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Those who will soonest be with an agent where their ways meet, as the routes' geometry has them.
+    /// Encounters are the vehicles that will soonest be with an agent at their conflict point, in
+    /// that order, as computed from the routes' geometry.
     #[test]
     fn encounters_come_in_order(
         agents in 4u32..17,
@@ -664,7 +675,7 @@ proptest! {
                 if i == j || far || !(other.driving || other.wreck) {
                     continue;
                 }
-                // One ahead is met at the end of the gap.
+                // A vehicle ahead is met at the end of the gap to it.
                 let gap = other.position - own.position - task.scenario.vehicle.length;
                 if other.route == own.route && other.position > own.position {
                     expected.push([gap, 0.0]);
@@ -677,7 +688,7 @@ proptest! {
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
             let told = usize::from(turns > 0.0);
             let token = if foresight > 0.0 { 14 } else { 10 } + told;
-            // Behind them, how far the agent can drive.
+            // The encounters are followed by the free-space features.
             let (first, end) = (i * width, (i + 1) * width - 3 * told);
             let seen = &world.frame().observation[end - token * count..end];
             prop_assert!(end - token * count >= first);
@@ -689,7 +700,7 @@ proptest! {
                 prop_assert_eq!(token[token.len() - 1], 1.0);
                 for passing in token[8..token.len() - 2 - told].chunks(2) {
                     prop_assert!(passing.iter().all(|x| (0.0..=1.0).contains(x)), "{token:?}");
-                    // Who is near ahead will be as near at least.
+                    // A vehicle that is near ahead now will come at least as near.
                     let near = 1.0 - 15.0 * token[2] / 3.0;
                     prop_assert!(token[0] == 0.0 || passing[0] >= near.min(1.0) - 1e-4, "{token:?}");
                 }
@@ -702,7 +713,8 @@ proptest! {
     }
 }
 
-/// Whoever gives way by turns gets through, in queues as well; without, they crash.
+/// With the rule first come, first served, all vehicles arrive, also in queues; without it, they
+/// crash.
 #[test]
 fn first_come_first_served_brings_all_home() {
     for (agents, gives_way) in [(4, true), (8, true), (16, true), (48, true), (8, false)] {
@@ -723,7 +735,8 @@ fn first_come_first_served_brings_all_home() {
     }
 }
 
-/// Who sees turns sees when the rule waits, unless what it waits for is farther away than agents are told.
+/// Agents that observe priority can tell when the rule first come, first served waits, unless the
+/// reason is beyond the observed distance.
 #[test]
 fn agents_are_told_what_the_rule_goes_by() {
     let task = task(8, |s| s.observation.turns = 50.0);
@@ -741,7 +754,8 @@ fn agents_are_told_what_the_rule_goes_by() {
             let seen = &world.frame().observation[i * width..(i + 1) * width];
             let at = |k: usize| 15.0 * f64::from(seen[k]);
             let braking = view.speed * view.speed / 12.0;
-            // Within a rounding of 32 bits nothing is sure; 15 m stand for all that is farther.
+            // Comparisons within the rounding of 32 bits are undecided; a value of 15 m stands for
+            // any greater distance.
             let below = |x: f64, least: f64| x < least - 1e-4;
             let above = |x: f64, least: f64| x > least + 1e-4;
             let outside = seen[entry] >= 0.0 && below(at(entry), braking);

@@ -1,5 +1,6 @@
-//! Many worlds in lock-step. Each host is one simulator with one or more worlds; all are set going before the first
-//! answer is awaited, and the work around the exchange runs on all cores.
+//! Many worlds in lock-step. Each host is one simulator with one or more worlds. All hosts are
+//! sent their commands before the first answer is awaited, and the work before and after the
+//! exchange runs on all cores.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,48 +16,52 @@ use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
 /// How to set up a [`VecEnv`].
 #[derive(Debug, Clone)]
 pub struct VecOptions {
-    /// Worlds E.
+    /// Number of worlds E.
     pub worlds: usize,
-    /// Who chooses the speeds.
+    /// What controls the agents' vehicles.
     pub driver: Driver,
     /// Seed of the episode stream.
     pub seed: Seed,
-    /// Which episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …; when they run out it idles.
+    /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …, and then
+    /// idles.
     pub episodes: std::ops::Range<u64>,
-    /// Chance that a world plays one of the episodes again that failed, where there is one, instead of the next.
+    /// Chance that a world repeats one of its failed episodes, if it has any, instead of playing
+    /// the next episode of the stream.
     pub replay: f64,
-    /// Where the worlds run. Nothing but speed depends on it.
+    /// Where the worlds run. It affects the speed only, not the results.
     pub hosting: Hosting,
 }
 
-/// How often worlds were emptied for a new episode, and by which means, the cheapest first.
+/// How often worlds were emptied for a new episode, by the means used, the cheapest first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Resets {
-    /// Vehicles removed and added while the simulation goes on.
+    /// Resets that removed and added vehicles while the simulation went on.
     pub respawns: u64,
-    /// SUMO loaded its net again.
+    /// Resets in which SUMO loaded its net again.
     pub loads: u64,
-    /// SUMO was started again.
+    /// Resets in which SUMO was started again.
     pub restarts: u64,
 }
 
+/// A simulator and the worlds that it hosts.
 struct Host {
     simulation: Box<dyn Simulation>,
-    /// Whether SUMO has to be made fresh for each episode: its own driver's doings depend on what it did before.
+    /// Whether SUMO is renewed for each episode, because the behaviour of its own driver depends
+    /// on what it did before.
     forgetful: bool,
-    /// Whether the fresh SUMO has a seed of the episode's: its drivers may be random.
+    /// Whether the renewed SUMO gets a seed from the episode, because its drivers may be random.
     seeded: bool,
     /// Number of this host's first world.
     first: usize,
     worlds: Vec<World>,
     commands: Vec<Command>,
-    /// What went wrong in the first half of the exchange.
+    /// Error of the first half of the exchange.
     failed: Option<Error>,
     /// Failures since an episode was last played to its end.
     failures: u32,
     loads: u64,
     restarts: u64,
-    /// Of these, how often SUMO had failed.
+    /// How many of these renewals followed a failure of SUMO.
     lost: u64,
 }
 
@@ -68,10 +73,10 @@ pub struct VecEnv {
 }
 
 impl VecEnv {
-    /// Starts the simulators and plays the first respawn of every world.
+    /// Starts the simulators and spawns the vehicles of every world's first episode.
     ///
     /// # Errors
-    /// When SUMO cannot be started or driven.
+    /// If SUMO cannot be started or driven.
     pub fn new(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
         let mut env = Self::idle(task, options)?;
         for (e, world) in env.worlds_mut().enumerate() {
@@ -82,14 +87,14 @@ impl VecEnv {
         Ok(env)
     }
 
-    /// As [`VecEnv::new`], but brought to the states that [`VecEnv::states`] gave earlier, by playing the
-    /// current episodes' actions again.
+    /// Starts the simulators and restores the states that [`VecEnv::states`] returned earlier, by
+    /// repeating the actions of the current episodes.
     ///
     /// # Errors
-    /// As [`VecEnv::new`].
+    /// As [`VecEnv::new`], and [`Error::Replay`] if SUMO dies meanwhile.
     ///
     /// # Panics
-    /// When `states` are not as many as the worlds.
+    /// If the number of `states` differs from the number of worlds.
     pub fn restore(
         task: &Arc<Task>,
         options: &VecOptions,
@@ -101,7 +106,8 @@ impl VecEnv {
         let steps: Vec<usize> = states.iter().map(|state| state.actions.len() / width).collect();
         let longest = steps.iter().copied().max().unwrap_or(0);
         let mut actions = vec![0.0; env.worlds * width];
-        // A world's respawn takes the exchange before its first step; shorter episodes start later.
+        // A world's respawn takes the exchange before its first step. Worlds with fewer steps
+        // start later, so that all end together.
         for t in 0..=longest {
             for (e, world) in env.worlds_mut().enumerate() {
                 let wait = longest - steps[e];
@@ -128,9 +134,11 @@ impl VecEnv {
         Ok(env)
     }
 
+    /// Starts the simulators with worlds that are idle.
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
         let hosting = match options.driver {
-            // SUMO's driver goes by distances that SUMO takes from coordinates, and those of a tile are rounded otherwise.
+            // SUMO's driver uses distances that SUMO computes from coordinates, and the rounding
+            // of coordinates differs from tile to tile.
             _ if task.others > 0 => options.hosting.alone(options.worlds),
             Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
             Driver::Agents => options.hosting,
@@ -174,34 +182,34 @@ impl VecEnv {
         Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds })
     }
 
-    /// Shapes and features.
+    /// Returns the shapes and features.
     pub fn spec(&self) -> &EnvSpec {
         &self.task.spec
     }
 
-    /// Number of worlds E.
+    /// Returns the number of worlds E.
     pub fn len(&self) -> usize {
         self.worlds
     }
 
-    /// Whether there are no worlds.
+    /// Returns whether there are no worlds.
     pub fn is_empty(&self) -> bool {
         self.worlds == 0
     }
 
-    /// Resets so far.
+    /// Returns the number of resets so far, by kind.
     pub fn resets(&self) -> Resets {
         let (loads, restarts) =
             (self.hosts.iter().map(|h| h.loads).sum(), self.hosts.iter().map(|h| h.restarts).sum());
         Resets { respawns: self.worlds().map(World::respawns).sum(), loads, restarts }
     }
 
-    /// Whether every world has played all its episodes.
+    /// Returns whether every world has played all its episodes.
     pub fn is_finished(&self) -> bool {
         self.worlds().all(World::is_idle)
     }
 
-    /// The worlds in order.
+    /// Returns the worlds in order.
     pub fn worlds(&self) -> impl Iterator<Item = &World> {
         self.hosts.iter().flat_map(|host| &host.worlds)
     }
@@ -210,25 +218,27 @@ impl VecEnv {
         self.hosts.iter_mut().flat_map(|host| &mut host.worlds)
     }
 
-    /// Lets the coming step start the next episode in every world, whatever is on the road now.
+    /// Makes every world start its next episode with the coming step, whatever is on the road now.
     pub fn reset(&mut self) {
         self.worlds_mut().for_each(World::start_next);
     }
 
-    /// Where every world stands in its episodes.
+    /// Returns the state of every world, for [`VecEnv::restore`].
     pub fn states(&self) -> Vec<WorldState> {
         self.worlds().map(World::state).collect()
     }
 
-    /// Episodes that the last step ended.
+    /// Takes the records of the episodes that the last step ended.
     pub fn take_finished(&mut self) -> Vec<EpisodeRecord> {
         self.worlds_mut().filter_map(World::take_finished).collect()
     }
 
-    /// One decision of all worlds; `actions` is `[E, N, A]`.
+    /// Performs one decision in all worlds; `actions` is `[E, N, A]`.
     ///
-    /// A SUMO that dies, or refuses what it should do, costs its worlds' episodes (they are truncated and flagged) and is
-    /// made fresh; when the fresh one fails before an episode has come to its end as well, the error is returned.
+    /// If SUMO dies or refuses a command, the current episodes of its worlds are truncated and
+    /// flagged as interrupted, and SUMO is renewed. If a vehicle vanishes, only the episode of its
+    /// world is truncated. The error is returned if there was another failure since an episode was
+    /// last played to its end.
     ///
     /// # Errors
     /// [`Error`].
@@ -241,7 +251,8 @@ impl VecEnv {
     }
 }
 
-/// Makes an error of a panic, so that a defect in one world ends the run in order: with a message and its files whole.
+/// Turns a panic into an error, so that after a defect in one world the run ends in an orderly
+/// way, with a message and with complete files.
 fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
     let message = |panic: Box<dyn Any + Send>| {
         let text = panic.downcast_ref::<&str>().map(ToString::to_string);
@@ -251,14 +262,14 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         .unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
 }
 
-/// An error with its causes, as one line.
+/// Returns an error and its causes as one line.
 fn chain(error: &Error) -> String {
     let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
     causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
 }
 
 impl Host {
-    /// First half of the exchange.
+    /// Performs the first half of the exchange: sends the commands of all worlds.
     fn act(&mut self, actions: &[f32], width: usize) -> Result<(), Error> {
         let stale =
             |world: &World| world.is_between_episodes() && (world.respawns() > 0 || self.seeded);
@@ -277,7 +288,7 @@ impl Host {
         self.simulation.send(&self.commands).map_err(|source| self.place(source))
     }
 
-    /// Second half of the exchange.
+    /// Performs the second half of the exchange: receives the snapshot and handles failures.
     fn finish(&mut self) -> Result<(), Error> {
         let outcome = match self.failed.take() {
             Some(error) => Err(error),
@@ -285,7 +296,8 @@ impl Host {
         };
         match outcome {
             Ok(None) => {
-                // A respawn alone proves nothing: a SUMO that dies in every episode must not be started for ever.
+                // A respawn alone does not reset the count: a SUMO that dies in every episode must
+                // not be started again for ever.
                 if self.worlds.iter().any(World::has_finished) {
                     self.failures = 0;
                 }
@@ -309,7 +321,8 @@ impl Host {
         }
     }
 
-    /// Gives the failure back if it is the first since an episode was played to its end, and may be got over.
+    /// Counts a failure and returns it as `Ok` if the run can go on, which is the case for the
+    /// first failure since an episode was played to its end, except a panic.
     fn fail(&mut self, error: Error) -> Result<Error, Error> {
         self.failures += 1;
         if self.failures > 1 || matches!(error, Error::Panicked { .. }) {
@@ -319,6 +332,7 @@ impl Host {
         }
     }
 
+    /// Renews the simulation and counts how this was done.
     fn renew(&mut self) -> Result<(), Error> {
         match self.simulation.renew().map_err(|source| self.place(source))? {
             Renewal::Loaded => self.loads += 1,
@@ -327,7 +341,9 @@ impl Host {
         Ok(())
     }
 
-    /// Gives what one world was given up for, if it was; the simulation and the other worlds are sound then.
+    /// Receives the snapshot and lets the worlds observe it. If a world lost a vehicle, its
+    /// episode is given up and the reason is returned as `Some`; the simulation and the other
+    /// worlds are sound.
     fn take_in(&mut self) -> Result<Option<Error>, Error> {
         match self.simulation.receive() {
             Ok(snapshot) => {
@@ -348,6 +364,7 @@ impl Host {
         }
     }
 
+    /// Wraps an error of SUMO with the place where it occurred.
     fn place(&self, source: sumo::Error) -> Error {
         let world = &self.worlds[0];
         Error::Sumo {
@@ -367,7 +384,7 @@ mod tests {
     use crate::scenario::Scenario;
     use crate::sumo::{Meter, Snapshot, VehicleState};
 
-    /// What a scripted simulator does in one exchange.
+    /// What the scripted simulator does in one exchange.
     #[derive(Clone, Copy)]
     enum Answer {
         Good,

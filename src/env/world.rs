@@ -1,8 +1,10 @@
-//! One world: an episode's slots, from spawn to arrival or wreck. It needs no simulator: commands go out, a snapshot comes in.
+//! One world: the slots of an episode, from spawn to arrival or wreck. A world needs no simulator:
+//! it emits commands and takes in snapshots.
 //!
-//! An episode that has ended stays visible for one frame, whose
-//! agents are observed but do not act: a truncated agent's last observation, from which its return is bootstrapped.
-//! The respawn travels in the next exchange, so that every world takes exactly one exchange per step, whoever hosts it.
+//! An episode that has ended stays visible for one frame, in which its agents are observed but do
+//! not act. For a truncated agent this is the last observation, from which its return is
+//! bootstrapped. The respawn travels in the next exchange, so that every world takes exactly one
+//! exchange per step, however it is hosted.
 
 mod motion;
 mod others;
@@ -33,54 +35,60 @@ use crate::rng::Seed;
 use crate::scenario::Reward;
 use crate::sumo::{Collision, Snapshot};
 
-/// Fractions of a step at which boxes are tested: the simulator of the paper's task tests every 0.02 s.
+/// Number of times per step at which boxes are tested for overlap: with steps of 0.1 s every
+/// 0.02 s, as in the simulator of the paper's task.
 const SUBSTEPS: u32 = 5;
-/// Margin between wheel track and road border at which a vehicle is out of road \[m\], as measured on the paper's simulator.
+/// Distance between a vehicle's side and the lane's border below which a vehicle that does not
+/// steer is off-road \[m\], as measured on the paper's simulator.
 const BORDER_MARGIN: f64 = 0.035;
 
-/// Vehicles get their turns so close to where their ways first meet others', where agents are not told of them \[m\].
+/// Distance to the first conflict point at which vehicles get their priority, in scenarios whose
+/// observations do not contain priority \[m\].
 const TURNS: f64 = 50.0;
 
-/// Who chooses the speeds.
+/// What controls the agents' vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Driver {
     /// The actions.
     Agents,
-    /// SUMO's own driver and right of way; actions are ignored.
+    /// SUMO's own driver with SUMO's right of way; actions are ignored.
     Sumo,
 }
 
+/// State of a world between two exchanges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     /// Nothing happens until [`World::reset`].
     Idle,
     /// The coming exchange respawns.
     Ended,
-    /// The respawn is under way.
+    /// The respawn has been sent, and its snapshot is awaited.
     Spawning,
+    /// An episode is under way.
     Running,
 }
 
-/// Whom an agent overlaps with.
+/// Another vehicle that a vehicle overlaps with.
 #[derive(Debug, Clone, Copy)]
 struct Partner {
+    /// Route of the other vehicle.
     route: usize,
-    /// One is ahead of the other on its way.
+    /// Whether one of the two is ahead of the other on its route.
     same_way: bool,
-    /// It is a wreck.
+    /// Whether the other vehicle is a wreck.
     wreck: bool,
 }
 
-/// A world's place in its episodes, enough to bring it back to the very same state.
+/// A world's place in its episodes, enough to restore exactly the same state.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WorldState {
     /// Number of the current episode.
     pub episode: u64,
-    /// Actions since its spawn, `[steps, N]`.
+    /// Actions since the episode's spawn, `[steps, N, A]`.
     pub actions: Vec<f32>,
-    /// SUMO died in the last exchange: `episode` is yet to start.
+    /// Whether the simulation broke off in the last exchange, so that `episode` is yet to start.
     pub interrupted: bool,
-    /// Place in the order of episodes.
+    /// Position in the order of episodes.
     pub position: Position,
 }
 
@@ -94,26 +102,30 @@ pub struct World {
     episode: u64,
     phase: Phase,
     step: u32,
-    /// Agents of the current episode; the first slots are theirs.
+    /// Number of agents in the current episode, which occupy the first slots.
     crew: usize,
     traffic: Traffic,
-    /// Routes that the vehicles could take, where the scenario hides which they do.
+    /// Routes that each vehicle could still take, if the scenario hides routes.
     intentions: Option<Intentions>,
     others: Others,
     frame: Frame,
     own_rewards: Vec<f64>,
-    /// Scratch: positions along the routes before the step, poses and presence after it, whom each overlaps with.
+    /// Scratch: positions of the agents along their routes before the step.
     positions: Vec<f64>,
+    /// Scratch: poses of the agents after the step.
     poses: Vec<Pose>,
+    /// Scratch: which agents are present after the step.
     present: Vec<bool>,
+    /// Scratch: the vehicle that the vehicle of each slot overlaps with.
     partners: Vec<Option<Partner>>,
-    /// Scratch: the vehicles' turns, where agents are told of them, and who stands in whose way.
+    /// Scratch: the vehicles' priority numbers, if agents observe them.
     turns: Vec<u32>,
+    /// Scratch: pairs of slots of which the first vehicle blocks the second.
     blocked: Vec<(usize, usize)>,
     total_reward: f64,
     step_rewards: Vec<f32>,
     pairs: Pairs,
-    /// Distance that the agents have driven in this episode, all together \[m\].
+    /// Total distance that the agents have driven in this episode \[m\].
     distance: f64,
     /// Crashes of agents in this episode ([`EpisodeRecord::crashes`]).
     crashes: u32,
@@ -124,8 +136,8 @@ pub struct World {
 }
 
 impl World {
-    /// A world that plays episodes `first, first + stride, …` below `end` of the stream `seed`. It is idle until
-    /// [`World::reset`], and again when there are no more.
+    /// Creates a world that plays the episodes `first, first + stride, …` below `end` of the
+    /// stream `seed`. The world is idle until [`World::reset`], and again after the last episode.
     pub fn new(
         task: Arc<Task>,
         driver: Driver,
@@ -182,58 +194,61 @@ impl World {
         }
     }
 
-    /// The same, which plays an episode that failed again with this chance, where there is one, instead of the next.
+    /// Returns the same world, which with this chance repeats one of its failed episodes, if it
+    /// has any, instead of playing the next episode of the stream.
     #[must_use]
     pub fn with_replay(self, chance: f64) -> Self {
         Self { order: self.order.with_replay(chance), ..self }
     }
 
-    /// The last frame.
+    /// Returns the last frame.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// The episode that the last step ended, if it did.
+    /// Takes the record of the episode that the last step ended, if it ended one.
     pub fn take_finished(&mut self) -> Option<EpisodeRecord> {
         self.finished.take()
     }
 
-    /// Whether the last step ended an episode as it should.
+    /// Returns whether the last step ended an episode that was not interrupted.
     pub(super) fn has_finished(&self) -> bool {
         self.finished.as_ref().is_some_and(|record| !record.interrupted)
     }
 
-    /// Episodes that started while the simulation went on.
+    /// Returns the number of episodes that started while the simulation went on.
     pub fn respawns(&self) -> u64 {
         self.respawns
     }
 
-    /// Number of the current episode in its stream.
+    /// Returns the number of the current episode in its stream.
     pub fn episode(&self) -> u64 {
         self.episode
     }
 
-    /// Number of the turn under way: that of the episode, as long as none was replayed.
+    /// Returns the index of the current episode in the order of play, which is its number in the
+    /// stream as long as no episode was repeated.
     pub fn turn(&self) -> u64 {
         self.order.turn()
     }
 
-    /// Step of the current episode.
+    /// Returns the steps since the start of the current episode.
     pub fn step_count(&self) -> u32 {
         self.step
     }
 
-    /// Whether the current episode goes on.
+    /// Returns whether the current episode goes on.
     pub fn is_running(&self) -> bool {
         self.phase == Phase::Running
     }
 
-    /// Whether the current episode has come to its end and is still to be seen.
+    /// Returns whether the current episode has been played to its end and its last frame is
+    /// visible.
     pub fn has_ended(&self) -> bool {
         self.phase == Phase::Ended && !self.interrupted && self.step > 0
     }
 
-    /// All agents, by slot.
+    /// Returns views of all agents, in the order of the slots.
     pub fn agents(&self) -> impl Iterator<Item = AgentView> + '_ {
         self.traffic.slots.iter().zip(&self.own_rewards).map(|(slot, reward)| AgentView {
             driving: slot.status == Status::Active,
@@ -248,7 +263,7 @@ impl World {
         })
     }
 
-    /// The vehicles on the road that SUMO drives.
+    /// Returns views of the background traffic on the road.
     pub fn others(&self) -> impl Iterator<Item = OtherView> + '_ {
         let slots = self.traffic.slots[self.task.agents..].iter().filter(|slot| slot.departed);
         slots.map(|slot| OtherView {
@@ -261,17 +276,17 @@ impl World {
         })
     }
 
-    /// SUMO's seed for the episode that comes next.
+    /// Returns SUMO's seed for the next episode.
     pub(super) fn simulator_seed(&self) -> u64 {
         self.seed.child("sumo").index(self.order.position.next).word()
     }
 
-    /// Whether there is nothing left to play.
+    /// Returns whether there is nothing left to play.
     pub fn is_idle(&self) -> bool {
         self.phase == Phase::Idle
     }
 
-    /// Place in the episodes, for a checkpoint.
+    /// Returns the state of the world, for a checkpoint.
     pub fn state(&self) -> WorldState {
         let position = self.order.position.clone();
         if self.interrupted {
@@ -290,21 +305,22 @@ impl World {
         }
     }
 
-    /// Lets the coming exchange start `episode`, whatever is on the road now.
+    /// Makes the coming exchange start `episode`, whatever is on the road now.
     pub fn reset(&mut self, episode: u64) {
         self.order.go_to(episode);
         self.phase = Phase::Ended;
     }
 
-    /// Lets the coming exchange start the next episode, whatever is on the road now.
+    /// Makes the coming exchange start the next episode, whatever is on the road now.
     pub(super) fn start_next(&mut self) {
         self.phase = Phase::Ended;
     }
 
-    /// Takes in what the exchange brought, as world number `world` of the snapshot.
+    /// Takes in the snapshot of an exchange, in which this is world number `world`, and writes the
+    /// next frame.
     ///
     /// # Errors
-    /// [`Error::Vanished`] when SUMO lost a vehicle.
+    /// [`Error::Vanished`] if SUMO has lost a vehicle.
     pub fn observe(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         let n = self.task.agents;
         self.frame.interrupted = false;
@@ -386,7 +402,7 @@ impl World {
         let (seen, known) = (&mut self.frame.observation, &mut self.frame.state);
         let looks = &task.scenario.observation;
         if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.turns > 0.0 {
-            // Fewer are not worth another core's while.
+            // Fewer than 16 agents are not worth another core.
             let views = seen
                 .par_chunks_exact_mut(o)
                 .zip(known.par_chunks_exact_mut(s))
@@ -406,12 +422,12 @@ impl World {
         Ok(())
     }
 
-    /// Whether agents steer, so that they follow their routes' paths and not the lanes.
+    /// Returns whether agents steer, so that they follow their routes' paths instead of the lanes.
     fn steers(&self) -> bool {
         self.driver == Driver::Agents && self.task.scenario.control.steering.is_some()
     }
 
-    /// Sends the vehicle of a slot along another route from where it is.
+    /// Puts the vehicle of a slot on another route, at its present pose.
     #[cfg(test)]
     pub(super) fn send(&mut self, slot: usize, route: usize) {
         let slot = &mut self.traffic.slots[slot];
@@ -420,13 +436,14 @@ impl World {
             self.task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
     }
 
-    /// SUMO is gone: the episode is cut short where it stands, and the next one starts with the coming exchange.
+    /// Truncates the current episode because SUMO is gone; the coming exchange starts the next
+    /// one.
     pub fn interrupt(&mut self) {
         self.abandon();
         self.forget_vehicles();
     }
 
-    /// As [`World::interrupt`], in a SUMO that goes on.
+    /// Truncates the current episode as [`World::interrupt`] does, but in a SUMO that goes on.
     pub(super) fn abandon(&mut self) {
         self.interrupted = true;
         if self.phase == Phase::Running {
@@ -445,14 +462,14 @@ impl World {
         self.phase = Phase::Ended;
     }
 
-    /// SUMO is fresh and empty: nothing is left to remove.
+    /// Notes that SUMO has been renewed and is empty, so that no vehicle is left to remove.
     pub(super) fn forget_vehicles(&mut self) {
         for slot in &mut self.traffic.slots {
             slot.added = false;
         }
     }
 
-    /// The last touch of bringing the world back to a state, after its actions were played again.
+    /// Completes the restoration of a state, after the state's actions have been repeated.
     pub(super) fn restore(&mut self, state: &WorldState) {
         if state.interrupted {
             self.interrupted = true;
@@ -461,12 +478,12 @@ impl World {
         self.order.position = state.position.clone();
     }
 
-    /// Whether the coming exchange respawns.
+    /// Returns whether the coming exchange respawns.
     pub(super) fn is_between_episodes(&self) -> bool {
         self.phase == Phase::Ended
     }
 
-    /// One step of a running episode: motion, ends and rewards.
+    /// Performs one step of a running episode: motion, ends and rewards.
     fn advance(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         for (old, slot) in self.positions.iter_mut().zip(&self.traffic.slots) {
             *old = slot.s;
@@ -515,7 +532,7 @@ impl World {
                     upstream,
                 });
             }
-            // The first that applies replaces the step's reward.
+            // The first case that applies replaces the step's reward.
             let reward = if fate.arrived {
                 scenario.reward.arrive
             } else if fate.out_of_road {
@@ -524,7 +541,7 @@ impl World {
                 scenario.reward.crash
             } else {
                 let way = slot.s - self.positions[i];
-                // In any direction: a vehicle that steers may slide, and drive backwards.
+                // The magnitude counts: a vehicle that steers may slide or drive backwards.
                 let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
                 let reward = scenario.reward.progress * way
                     + scenario.reward.speed * speed / Reward::SPEED_UNIT;
@@ -550,8 +567,8 @@ impl World {
         Ok(())
     }
 
-    /// Boxes of active vehicles against all others on the road, at fractions of the step; vehicles that SUMO drives are
-    /// not tested against each other.
+    /// Tests the boxes of active vehicles against all other vehicles on the road, several times
+    /// per step. Background vehicles are not tested against each other.
     fn find_collisions(&mut self, world: u32, snapshot: &Snapshot) {
         let slots = &self.traffic.slots;
         let agents = self.task.agents;
@@ -598,7 +615,8 @@ impl World {
                         same_way,
                         wreck: !moving(i),
                     });
-                    // SUMO has other shapes for pedestrians, so that there is nothing to compare.
+                    // SUMO gives pedestrians other shapes, so that their collisions cannot be
+                    // compared.
                     if j >= agents || self.is_pedestrian(&slots[i]) {
                         continue;
                     }
@@ -612,6 +630,7 @@ impl World {
         }
     }
 
+    /// Returns the record of the current episode.
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
         let n = self.crew as f64;
         let slots = &self.traffic.slots[..self.task.agents];

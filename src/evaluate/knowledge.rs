@@ -1,12 +1,13 @@
-//! What a latent knows beyond the observation from which it is made.
+//! Measures what a latent predicts beyond the observation from which it is computed.
 //!
-//! A decoder predicts a target (the privileged state, the agent's message) from the latent. Most of
-//! that target may already stand in the observation, and predicting it again is no merit. The
-//! decoder is therefore also judged on those features of the target that the observation does not
-//! determine, beside a linear probe: ridge regression from the raw observation to the target.
+//! A decoder predicts a target (the privileged state, or the agent's message) from the latent. Much
+//! of the target may already be contained in the observation, and then predicting it shows nothing.
+//! The decoder is therefore also evaluated on only those features of the target that the
+//! observation does not determine, in comparison with a linear probe: ridge regression from the raw
+//! observation to the target.
 //!
-//! The probe is fitted on the episodes with even numbers. The probe, and whatever it is compared
-//! with, is judged on the episodes with odd numbers, so that no episode is on both sides.
+//! The probe is fitted on the episodes with even numbers. The probe and the decoder are compared on
+//! the episodes with odd numbers, so that no episode is used for both.
 
 use std::collections::BTreeSet;
 
@@ -16,20 +17,22 @@ use tch::{Kind, Tensor};
 
 use crate::algo::Reconstruction;
 
-/// A target feature is determined by the observation where the probe explains at least this share
-/// of its variance in the episodes on which the probe was not fitted.
+/// Limit from which a target feature counts as determined by the observation: the share of its
+/// variance that the probe explains in episodes on which it was not fitted.
 pub const DETERMINED: f64 = 0.99;
-/// Ridge of the regression from standardised features. A target that is one of the observation's
-/// features is explained up to a quarter of this.
+/// Ridge penalty of the regression on standardised features. If a target equals a feature of the
+/// observation, the share of its variance that remains unexplained is at most a quarter of this
+/// value.
 const RIDGE: f64 = 1e-4;
-/// A feature with less variance is constant.
+/// Variance below which a feature counts as constant.
 const CONSTANT: f64 = 1e-10;
-/// Without so many episodes on either side there is no probe.
+/// Minimum number of episodes in each half; with fewer there is no probe.
 const FEWEST_EPISODES: usize = 4;
-/// Without so many samples per feature of the observation to fit on there is no probe.
+/// Minimum number of samples per feature of the observation for fitting; with fewer there is no
+/// probe.
 const FEWEST_SAMPLES: f64 = 10.0;
 
-/// How well a decoder predicts its target from a latent, over the active agents of every eighth
+/// How well a decoder predicts its target from a latent, over the active agents in every eighth
 /// step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Knowledge {
@@ -37,39 +40,42 @@ pub struct Knowledge {
     pub name: &'static str,
     /// Mean squared error over samples and features.
     pub error: f64,
-    /// Share of the target's variance that is predicted: 1 is perfect, 0 as good as always saying
-    /// the mean.
+    /// Share of the target's variance that the decoder explains: 1 is perfect, 0 is as good as
+    /// predicting the mean.
     pub explained: f64,
-    /// The same beside a linear probe from the observation; `None` with too few episodes or
+    /// Comparison with a linear probe from the observation; `None` with too few episodes or
     /// samples.
     pub probe: Option<Probe>,
 }
 
-/// A decoder beside a linear probe from the raw observation, on episodes on which the probe was not
-/// fitted. Features that hardly vary are left out throughout.
+/// Comparison of a decoder with a linear probe from the raw observation, on episodes on which the
+/// probe was not fitted. Features that hardly vary are left out.
 ///
-/// A linear probe finds what is a weighted sum of the observation's features. What the observation
-/// determines in another way (a product, a minimum, a case distinction) counts as undetermined, so
-/// that the number of undetermined features is an upper bound of what the observation leaves open.
+/// A linear probe finds only weighted sums of the observation's features. A feature that the
+/// observation determines in another way (a product, a minimum, a case distinction) counts as
+/// undetermined. The number of undetermined features is therefore an upper bound of the number that
+/// the observation leaves open.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Probe {
-    /// Samples on which the probe and the decoder are compared.
+    /// Number of samples on which probe and decoder are compared.
     pub samples: u64,
-    /// Features of the target that vary.
+    /// Number of features of the target that vary.
     pub features: usize,
     /// Share of the variance of all these features that the probe explains.
     pub explained: f64,
-    /// Features that the observation does not determine: the probe explains less than
+    /// Number of features that the observation does not determine: the probe explains less than
     /// [`DETERMINED`].
     pub undetermined: usize,
-    /// Share of the variance of the undetermined features that the decoder explains; `None` where
-    /// all features are determined.
+    /// Share of the variance of the undetermined features that the decoder explains; `None` if all
+    /// features are determined.
     pub undetermined_explained: Option<f64>,
-    /// Share of the variance of the undetermined features that the probe explains.
+    /// Share of the variance of the undetermined features that the probe explains; `None` if all
+    /// features are determined.
     pub undetermined_probe_explained: Option<f64>,
 }
 
-/// Sums over samples from which [`Knowledge`] follows; index 0 is the half to fit on.
+/// Sums over samples from which [`Knowledge`] is computed. Index 0 is the half for fitting, index 1
+/// the half for comparing.
 #[derive(Default)]
 pub(super) struct Sums {
     /// Products of the observation's features with each other, `[1 + O, 1 + O]`; feature 0 is
@@ -84,19 +90,19 @@ struct Target {
     halves: [Option<TargetSums>; 2],
 }
 
-/// Sums over the samples of a half.
+/// Sums over the samples of one half, for one target.
 struct TargetSums {
-    /// Products of the observation's features with the target's, `[1 + O, K]`.
+    /// Products of the observation's features with the target's features, `[1 + O, K]`.
     products: Tensor,
-    /// Squares of the target's features, `[K]`.
+    /// Sums of squares of the target's features, `[K]`.
     squares: Tensor,
-    /// Squared errors of the decoder, `[K]`.
+    /// Sums of the decoder's squared errors, `[K]`.
     errors: Tensor,
 }
 
 impl Sums {
-    /// Adds the samples of one decision: `observation [E, N, O]` and `active [E, N]` of worlds that
-    /// play these episodes.
+    /// Adds the samples of one decision, with `observation [E, N, O]` and `active [E, N]`; world
+    /// `e` plays `episodes[e]`.
     pub(super) fn add(
         &mut self,
         all: &[Reconstruction],
@@ -192,8 +198,7 @@ fn accumulate(sum: &mut Option<Tensor>, more: Tensor) {
     }
 }
 
-/// 1 − errors / variances, summed over the chosen features; `None` where there is nothing to
-/// explain.
+/// Returns 1 − errors / variances, summed over the chosen features; `None` if their variance is 0.
 fn explained(errors: &[f64], variances: &[f64], chosen: &[bool]) -> Option<f64> {
     let sum = |values: &[f64]| {
         values.iter().zip(chosen).filter(|(_, chosen)| **chosen).map(|(v, _)| v).sum::<f64>()
@@ -202,7 +207,7 @@ fn explained(errors: &[f64], variances: &[f64], chosen: &[bool]) -> Option<f64> 
     (variance > 0.0).then(|| 1.0 - sum(errors) / variance)
 }
 
-/// The sums of a half as matrices.
+/// The sums of one half as matrices.
 #[derive(Clone)]
 struct Moments {
     count: f64,
@@ -241,25 +246,25 @@ impl Moments {
         }
     }
 
-    /// The decoder's mean squared error in each feature of the target.
+    /// Returns the decoder's mean squared error of each feature of the target.
     fn errors(&self) -> Vec<f64> {
         self.errors.iter().map(|error| error / self.count).collect()
     }
 
-    /// Mean of a feature of the target.
+    /// Returns the mean of a feature of the target.
     fn mean(&self, feature: usize) -> f64 {
         self.products[(0, feature)] / self.count
     }
 
-    /// Variance of each feature of the target.
+    /// Returns the variance of each feature of the target.
     fn variances(&self) -> Vec<f64> {
         let variance = |(k, square): (usize, &f64)| square / self.count - self.mean(k).powi(2);
         self.squares.iter().enumerate().map(variance).collect()
     }
 }
 
-/// Weights of the ridge regression, `[1 + O, K]`, of which row 0 is the intercept; `None` with too
-/// few samples.
+/// Returns the weights of the ridge regression, `[1 + O, K]`, with the intercept in row 0; `None`
+/// with too few samples.
 fn fit(moments: &Moments) -> Option<DMatrix<f64>> {
     let (n, targets) = (moments.count, moments.products.ncols());
     let mean = |i: usize| moments.gram[(0, i)] / n;
@@ -292,7 +297,7 @@ fn fit(moments: &Moments) -> Option<DMatrix<f64>> {
 }
 
 impl Probe {
-    /// Fits on one half and judges on the other.
+    /// Fits the probe on one half and compares it with the decoder on the other.
     fn new(fitted: &Moments, test: &Moments) -> Option<Self> {
         let weights = fit(fitted)?;
         let fitted_variances = fitted.variances();
@@ -333,9 +338,9 @@ mod tests {
     const WORLDS: usize = 16;
     const AGENTS: usize = 2;
 
-    /// What is found when `of` gives observation, target and prediction of a sample, from the
-    /// number of the episode and a source of normal numbers; `rounds` times 16 episodes of `steps`
-    /// decisions.
+    /// Returns the result for synthetic samples: `rounds` times 16 episodes of `steps` decisions.
+    /// `of` returns observation, target and prediction of a sample, given the episode number and a
+    /// source of standard normal numbers.
     fn knowledge(
         rounds: u64,
         steps: u64,
@@ -385,8 +390,9 @@ mod tests {
 
     #[test]
     fn what_the_observation_holds_is_determined_and_what_is_independent_is_not() {
-        // The target: a copy of a feature, a sum of two, a constant, and something that is not
-        // observed. The decoder says the last of these exactly, and nothing about the others.
+        // The target consists of a copy of a feature, a sum of two features, a constant, and a
+        // number that is not observed. The decoder predicts the last exactly and the first two not
+        // at all.
         let found = knowledge(4, 20, |_, normal| {
             let [a, b, hidden] = [normal(), normal(), normal()];
             [
@@ -399,9 +405,10 @@ mod tests {
         assert_eq!((probe.features, probe.undetermined, probe.samples), (3, 1, 4 * 8 * 20 * 2));
         close(probe.undetermined_explained.unwrap(), 1.0, 1e-9);
         close(probe.undetermined_probe_explained.unwrap(), 0.0, 0.03);
-        // Variances of 1, 4.09 and 1, of which the probe explains all but the last.
+        // The variances are 1, 4.09 and 1; the probe explains all but the last.
         close(probe.explained, 5.09 / 6.09, 0.03);
-        // Over all features, the decoder's merit drowns in what it leaves out.
+        // Over all features, the decoder's result is dominated by the features that it does not
+        // predict.
         assert!(found.explained < 0.2, "{found:?}");
     }
 
@@ -430,8 +437,8 @@ mod tests {
 
     #[test]
     fn an_episode_is_on_one_side_alone() {
-        // Observations that tell episodes apart, and a target of which each episode has its own
-        // value: samples of one episode on both sides would make it look determined.
+        // The observations identify the episode, and the target is constant within an episode:
+        // samples of one episode in both halves would make the target look determined.
         let of_episode = |episode: u64, count: usize| {
             let mut values = vec![0.0; count];
             rng::fill_normal(&mut Seed::new(9).index(episode).rng(), &mut values);

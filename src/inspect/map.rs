@@ -1,4 +1,4 @@
-//! A scenario drawn: its net, routes, places, radio range, and where routes meet.
+//! A map of a scenario: its net, routes, start places, communication range, and conflict points.
 
 use std::fmt::Write as _;
 
@@ -12,18 +12,18 @@ const JUNCTION: Rgb = [232, 234, 236];
 const VEHICLE: Rgb = [60, 60, 60];
 const FINISH: Rgb = [0, 158, 115];
 const MEETING: Rgb = [213, 94, 0];
-/// None of those that mean something else.
+/// Colours of routes; they differ from all other colours of the map.
 const ROUTES: [Rgb; 4] = [[0, 114, 178], [230, 159, 0], [86, 180, 233], [120, 94, 200]];
 const RADIO: Rgb = [204, 121, 167];
-/// Width of lines and radius of meeting points \[m\].
+/// Width of lines, and radius of conflict points \[m\].
 const LINE: f64 = 0.35;
 const POINT: f64 = 0.9;
-/// What is shown of the net around the routes \[m\].
+/// Width of the net's margin around the routes that is shown \[m\].
 const AROUND: f64 = 25.0;
-/// Meeting points nearer to each other are one on the picture \[m\].
+/// Conflict points closer to each other than this are drawn as one \[m\].
 const SAME: f64 = 1.0;
 
-/// A scenario with a number of agents, from above.
+/// Returns a map of a scenario with a number of agents, seen from above.
 pub fn picture(task: &Task, net: &Net) -> Picture {
     let meetings = meetings(task);
     let counted =
@@ -84,7 +84,7 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     picture
 }
 
-/// The picture with a table of the routes, as one HTML file.
+/// Returns an HTML file with the map and a table of the routes.
 pub fn page(task: &Task, net: &Net) -> String {
     let scenario = &task.scenario;
     let mut rows = String::new();
@@ -117,7 +117,8 @@ pub fn page(task: &Task, net: &Net) -> String {
     )
 }
 
-/// Points at which routes of vehicles cross or merge with others, each once.
+/// Returns the points at which routes of vehicles cross or merge with other routes, each point
+/// once.
 fn meetings(task: &Task) -> Vec<[f64; 2]> {
     let mut points: Vec<[f64; 2]> = Vec::new();
     for route in task.routes.iter().filter(|route| !route.is_walked()) {
@@ -131,7 +132,8 @@ fn meetings(task: &Task) -> Vec<[f64; 2]> {
     points
 }
 
-/// The pieces of a line that lie in a window, given by its lower left and upper right corners.
+/// Returns the pieces of a line that lie in a window, which is given by its lower left and upper
+/// right corners.
 fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
     let mut pieces: Vec<Vec<[f64; 2]>> = Vec::new();
     for pair in line.windows(2) {
@@ -140,7 +142,7 @@ fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
         for axis in 0..2 {
             let ends = [window[0][axis] - pair[0][axis], window[1][axis] - pair[0][axis]];
             if way[axis] == 0.0 {
-                // Beside the window, nothing is left.
+                // A line parallel to an axis and outside the window leaves no piece.
                 span.1 = if ends[0] <= 0.0 && ends[1] >= 0.0 { span.1 } else { -1.0 };
             } else {
                 let [a, b] = ends.map(|end| end / way[axis]);
@@ -159,14 +161,14 @@ fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
     pieces
 }
 
-/// A line across a lane.
+/// Returns a line across a lane.
 fn across([x, y]: [f64; 2], heading: f64, width: f64) -> [[f64; 2]; 2] {
     let (sin, cos) = heading.sin_cos();
     let half = width / 2.0;
     [[x - half * sin, y + half * cos], [x + half * sin, y - half * cos]]
 }
 
-/// Corners of a vehicle, with a pointed front that tells its heading.
+/// Returns the outline of a vehicle, with a pointed front that shows its heading.
 fn body(pose: &Pose, length: f64, width: f64) -> [[f64; 2]; 5] {
     let (sin, cos) = pose.heading.sin_cos();
     let (l, w) = (length / 2.0, width / 2.0);
@@ -183,7 +185,7 @@ mod tests {
         let window = [[0.0, 0.0], [10.0, 10.0]];
         let inside = [[1.0, 1.0], [5.0, 1.0], [5.0, 9.0]];
         assert_eq!(cut(&inside, &window), [inside.to_vec()]);
-        // In, out at the right, and in again from the top.
+        // The line enters the window, leaves it on the right, and enters it again from the top.
         let line = [[-5.0, 5.0], [15.0, 5.0], [15.0, 20.0], [5.0, 20.0], [5.0, 8.0]];
         assert_eq!(
             cut(&line, &window),

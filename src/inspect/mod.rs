@@ -1,4 +1,4 @@
-//! What a scenario looks like, and how it runs: a picture of it ([`picture`], [`page`]) and a short trial ([`Trial`]).
+//! Inspection of a scenario: a map of it ([`picture`], [`page`]) and a short trial run ([`Trial`]).
 
 mod map;
 mod trial;

@@ -1,4 +1,5 @@
-//! A short run of a scenario with SUMO: whether it runs at all, what agents see in it, and how fast it is.
+//! A short run of a scenario with SUMO: whether the scenario runs, what agents observe in it, and
+//! how fast it is.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,63 +12,64 @@ use crate::rng::{Seed, symmetric};
 use crate::scenario::{Finding, Scenario, Severity};
 use crate::sumo::Hosting;
 
-/// Drivers differ in the speed they want: shares of the top speed.
+/// Range of the agents' desired speeds, as shares of the maximum speed.
 const SHARES: std::ops::Range<f64> = 0.3..1.0;
-/// Noise of throttle, brake and steering.
+/// Amplitude of the noise on throttle, brake and steering.
 const NOISE: f64 = 0.3;
-/// Most features that a finding names.
+/// Maximum number of names that a finding lists.
 const NAMED: usize = 8;
 
-/// What a trial saw.
+/// The result of a trial.
 #[derive(Debug, Clone, Serialize)]
 pub struct Trial {
-    /// Agents N.
+    /// Number of agents N.
     pub agents: usize,
-    /// Steps taken.
+    /// Number of steps.
     pub steps: u32,
-    /// Episodes that came to an end.
+    /// Number of finished episodes.
     pub episodes: usize,
-    /// Episodes that were broken off because SUMO lost a vehicle.
+    /// Number of episodes that were interrupted because SUMO lost a vehicle.
     pub lost: usize,
-    /// Episodes in which all drove at full throttle, and those of them in which nobody came to harm.
+    /// Number of episodes in which all agents drove at full throttle, and number of those in which
+    /// no agent crashed or went off-road.
     pub flat_out: [usize; 2],
-    /// Most other routes that a route meets before its finish.
+    /// Largest number of other routes with which a route has a conflict before its finish.
     pub meetings: usize,
-    /// Steps of one world per second.
+    /// Steps per second of one world.
     pub steps_per_second: f64,
-    /// Routes of vehicles that collided in the first step of an episode, sorted.
+    /// Routes of the vehicles that collided in the first step of an episode, sorted.
     pub collided_at_once: Vec<String>,
-    /// What agents that drove saw, feature by feature.
+    /// Values of each feature of the observation, over all active agents.
     pub observation: Vec<Range>,
-    /// The same of the privileged state.
+    /// Values of each feature of the privileged state, over all active agents.
     pub state: Vec<Range>,
 }
 
-/// The values that a feature had.
+/// The range of values of a feature.
 #[derive(Debug, Clone, Serialize)]
 pub struct Range {
-    /// Name.
+    /// Name of the feature.
     pub name: String,
-    /// What one is.
+    /// Unit of the feature.
     pub unit: String,
-    /// Smallest value that it may have.
+    /// Smallest allowed value.
     pub low: f32,
-    /// Largest value that it may have.
+    /// Largest allowed value.
     pub high: f32,
-    /// Smallest value.
+    /// Smallest value in the trial.
     pub least: f32,
-    /// Largest value.
+    /// Largest value in the trial.
     pub most: f32,
-    /// Whether all were numbers.
+    /// Whether all values were finite.
     pub finite: bool,
 }
 
 impl Trial {
-    /// Runs `steps` steps of one world. In every second episode vehicles follow their routes at full throttle, in the others at speeds
-    /// of their own, with some noise.
+    /// Runs `steps` steps of one world. In episodes with an even number, vehicles follow their
+    /// routes at full throttle; in the others they drive at individual speeds with some noise.
     ///
     /// # Errors
-    /// When the scenario does not take so many agents, or SUMO fails.
+    /// [`Error`] if the scenario does not support this number of agents, or SUMO fails.
     pub fn run(
         scenario: &Scenario,
         agents: u32,
@@ -111,7 +113,7 @@ impl Trial {
                     (own.child("speed").index(i as u64).rng().random_range(SHARES), NOISE)
                 };
                 let wanted = world.pursuit(i, share * scenario.vehicle.max_speed);
-                // Where there is one action only, it is the throttle.
+                // A single action is the throttle.
                 for (act, wanted) in acts.iter_mut().zip(&wanted[2 - width..]) {
                     *act = (wanted + noisy * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
                 }
@@ -142,7 +144,7 @@ impl Trial {
         Ok(trial)
     }
 
-    /// What is wrong, or seems to be, going by the trial.
+    /// Returns the errors and warnings that follow from the trial.
     pub fn findings(&self, scenario: &Scenario) -> Vec<Finding> {
         let finding = |severity, message: String, hint: &str| Finding {
             severity,
@@ -213,7 +215,7 @@ impl Trial {
 }
 
 impl Trial {
-    /// Groups of the observation that never changed, as `neighbour_3`.
+    /// Returns the groups of the observation, e.g. `neighbour_3`, that never changed.
     fn constant(&self) -> Vec<String> {
         let group = |range: &Range| range.name.split('.').next().unwrap_or_default().to_owned();
         let groups = self.observation.chunk_by(|a, b| group(a) == group(b));
@@ -223,12 +225,12 @@ impl Trial {
     }
 }
 
-/// Number of other routes that a route meets.
+/// Returns the number of other routes with which a route has a conflict before its finish.
 fn meetings(route: &RouteGeometry) -> usize {
     route.conflicts.iter().filter(|conflict| conflict.own <= route.arrival).count()
 }
 
-/// Every second episode.
+/// Returns whether agents drive at full throttle in an episode: in every second one.
 fn is_flat_out(episode: u64) -> bool {
     episode.is_multiple_of(2)
 }
@@ -246,7 +248,7 @@ fn ranges(features: &Features) -> Vec<Range> {
     features.list.iter().map(range).collect()
 }
 
-/// Takes in what agent `i` saw, of the `[N, F]` that all saw.
+/// Updates the ranges with the values of agent `i`, from `all [N, F]`.
 fn take(ranges: &mut [Range], all: &[f32], i: usize) {
     let width = ranges.len();
     for (range, &value) in ranges.iter_mut().zip(&all[i * width..(i + 1) * width]) {
@@ -256,7 +258,7 @@ fn take(ranges: &mut [Range], all: &[f32], i: usize) {
     }
 }
 
-/// Names in a sentence, the first of many.
+/// Returns the first names as a list for a sentence, with the number of the others.
 fn list(names: &[String]) -> String {
     let more = names.len().saturating_sub(NAMED);
     let shown = names[..names.len() - more].join(", ");

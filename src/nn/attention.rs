@@ -1,23 +1,23 @@
-//! Multi-head self attention with masks, shared by the entity encoder and the message transformer.
+//! Multi-head self-attention with masks, for the entity encoder and the message transformer.
 
 use tch::{Kind, Tensor};
 
 use super::{Init, Linear, Packing, Path};
 
-/// What is done to the attention logits `[B, heads, T, T]` before the softmax.
+/// A mask on attention with logits `[B, heads, T, T]`.
 #[derive(Debug, Clone, Copy)]
 pub enum Mask<'a> {
-    /// Added: 0 for a key that is seen, minus infinity for one that is not. Broadcast to the shape of the logits. Every
-    /// row needs at least one key that is seen.
+    /// Added to the logits: 0 for a key that is seen, minus infinity for a key that is not. The
+    /// tensor broadcasts to the shape of the logits. Every row needs at least one key that is seen.
     Add(&'a Tensor),
-    /// The graph `[B, 1, Q, T]` of 0 and 1 by which weights are multiplied before they are
+    /// A graph `[B, 1, Q, T]` of 0 and 1, by which the weights are multiplied before they are
     /// normalised (`graph_softmax`).
     Graph(&'a Tensor),
-    /// Multiplied: a key with factor 0 keeps the logit 0, hence still gets weight.
+    /// Multiplied with the logits: a key with factor 0 has logit 0, hence still gets weight.
     Multiply(&'a Tensor),
 }
 
-/// Scaled dot-product self attention; queries, keys and values come from one fused linear layer.
+/// Scaled dot-product self-attention. Queries, keys and values come from one fused linear layer.
 #[derive(Debug)]
 pub struct SelfAttention {
     heads: i64,
@@ -26,7 +26,8 @@ pub struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// A layer over tokens of `width` features, which `heads` must divide; all weights drawn by `init`, zero biases.
+    /// Creates a layer over tokens of `width` features, which `heads` must divide. All weights are
+    /// drawn by `init`, biases are zero.
     ///
     /// # Panics
     /// If `heads` does not divide `width`.
@@ -39,14 +40,16 @@ impl SelfAttention {
         SelfAttention { heads, qkv, out: Linear::new(path.sub("out"), width, width, init) }
     }
 
-    /// Tokens `x: [P, width]` of the rows of a packing to the same shape. What stands in empty places must be masked.
+    /// Maps tokens `x: [P, width]` of the occupied slots of a packing to the same shape. The mask
+    /// must exclude empty slots.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
         let [queries, keys, values] = self.project(&packing.unpack(&self.qkv.forward(x)));
         self.out.forward(&packing.pack(&Self::mix(&queries, &keys, &values, mask)))
     }
 
-    /// As [`SelfAttention::forward`] where every place is filled, for one token of each row alone: `x: [B, T, width]`, of which
-    /// `place: [B]` asks, to `[B, width]`; the mask has one row, `[B, 1, 1, T]`.
+    /// Computes [`SelfAttention::forward`] for one token of each row, where every slot is occupied:
+    /// maps `x: [B, T, width]` to `[B, width]` for the tokens in the slots `place: [B]`. The mask
+    /// has one row, `[B, 1, 1, T]`.
     pub fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, tokens, _) = x.size3().expect("tokens are [B, T, width]");
         let [queries, keys, values] =
@@ -57,7 +60,7 @@ impl SelfAttention {
         self.out.forward(&mixed.squeeze_dim(1))
     }
 
-    /// Queries, keys and values, each `[B, heads, T, d]`, of `[B, T, 3 · width]`.
+    /// Splits `[B, T, 3 · width]` into queries, keys and values, each `[B, heads, T, d]`.
     fn project(&self, qkv: &Tensor) -> [Tensor; 3] {
         let (batch, tokens, width) =
             qkv.size3().expect("queries, keys and values are [B, T, 3 · width]");
@@ -67,7 +70,7 @@ impl SelfAttention {
         split.unbind(0).try_into().expect("three of them")
     }
 
-    /// What `queries: [B, heads, Q, d]` read, `[B, Q, width]`.
+    /// Returns what `queries: [B, heads, Q, d]` read, `[B, Q, width]`, before the output layer.
     fn mix(queries: &Tensor, keys: &Tensor, values: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, heads, count, head) = queries.size4().expect("queries are [B, heads, Q, d]");
         let logits = (queries * (1.0 / (head as f64).sqrt())).matmul(&keys.transpose(-2, -1));
@@ -80,24 +83,24 @@ impl SelfAttention {
     }
 }
 
-/// Attention weights over a graph G of 0 and 1: `G_ij exp(logit_ij) / Σ_k G_ik exp(logit_ik)`, over
-/// the last dimension.
+/// Returns attention weights over a graph G of 0 and 1, normalised over the last dimension:
+/// `G_ij exp(logit_ij) / Σ_k G_ik exp(logit_ik)`. Every row needs an open edge.
 ///
-/// A closed edge has weight 0 exactly, whatever its logit. It has a gradient nevertheless: that of
-/// what is read, `out_i = Σ_j weight_ij v_j`, is `∂out_i/∂G_ij = exp(logit_ij) (v_j - out_i) / Σ`,
-/// so that a learned graph finds out what an edge would bring. Edges that are physically impossible
-/// get no gradient where the graph is a product with the physical mask. Every row needs an open
-/// edge.
+/// A closed edge has weight 0 exactly, whatever its logit, but it has a gradient. For the output
+/// `out_i = Σ_j weight_ij v_j` it is `∂out_i/∂G_ij = exp(logit_ij) (v_j - out_i) / Σ`, so that a
+/// learned graph is trained on what opening an edge would change. Edges that are physically
+/// impossible get no gradient if the graph is a product with the physical mask.
 pub(super) fn graph_softmax(logits: &Tensor, graph: &Tensor) -> Tensor {
-    /// A closed edge counts as at most e⁹ times the strongest open one, lest it overflow.
+    /// Largest logit of a closed edge above the strongest open one; a limit prevents overflow.
     const MOST: f64 = 9.0;
     let top = tch::no_grad(|| logits.masked_fill(&graph.le(0.5), f64::NEG_INFINITY).amax(-1, true));
     let exponentials = (logits - top).clamp_max(MOST).exp() * graph;
     &exponentials / exponentials.sum_dim_intlist(-1, true, Kind::Float)
 }
 
-/// Softmax over the last dimension. On rows of fewer than 16 keys libtorch's own takes about twice as long as elementwise operations, and from 16
-/// on, where it fills a vector register, a fifth of their time.
+/// Softmax over the last dimension. For rows of fewer than 16 keys, libtorch's own softmax takes
+/// about twice as long as elementwise operations; from 16 keys on, which fill a vector register, a
+/// fifth of their time.
 pub(super) fn softmax(logits: &Tensor) -> Tensor {
     if logits.size().last().is_some_and(|&keys| keys >= 16) {
         return logits.softmax(-1, Kind::Float);
@@ -113,7 +116,8 @@ mod tests {
     use crate::nn::Params;
     use crate::rng::Seed;
 
-    /// On both sides of the change from one way to the other.
+    /// Short and long rows, which use different code, follow one formula; masked keys have no
+    /// weight.
     #[test]
     fn softmax_is_one_formula_for_short_and_long_rows_and_cut_keys_have_no_part_in_it() {
         for keys in [2, 15, 16, 17, 48] {
@@ -121,7 +125,7 @@ mod tests {
                 let values = Init::Uniform(5.0).sample(&[6, keys], &mut Seed::new(seed).rng());
                 Tensor::from_slice(&values).view([6, keys])
             };
-            // Some are cut in each row, and the first never is.
+            // Some keys of each row are masked, but never the first.
             let cut = draw(keys as u64).gt(1.0);
             let _ = cut.select(1, 0).fill_(0.0);
             let logits = draw(1).set_requires_grad(true);
@@ -195,7 +199,7 @@ mod tests {
         }
     }
 
-    /// Among as many as make libtorch's softmax the faster one.
+    /// A masked key changes nothing in rows that are long enough for libtorch's softmax.
     #[test]
     fn a_cut_key_changes_nothing_among_many() {
         let layer = SelfAttention::new(

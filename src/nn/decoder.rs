@@ -1,6 +1,7 @@
-//! Transformers over the agents of an environment as a sequence: attention of one sequence to another, and the decoder that
-//! lets each agent read what those before it do (MAT, Wen et al. 2022, PKU-MARL/Multi-Agent-Transformer,
-//! `ma_transformer.py`). With relations, it is CommFormer's (Hu et al. 2024, charleshsc/CommFormer, `cformer.py`).
+//! Transformers over the agents of a world as a sequence: attention from one sequence to another,
+//! and the decoder in which each agent reads the actions of the agents before it (MAT, Wen et al.
+//! 2022, PKU-MARL/Multi-Agent-Transformer, `ma_transformer.py`). With relations, the decoder is
+//! that of CommFormer (Hu et al. 2024, charleshsc/CommFormer, `cformer.py`).
 
 use std::cell::RefCell;
 use std::f64::consts::SQRT_2;
@@ -12,25 +13,26 @@ use super::attention::{graph_softmax, softmax};
 use super::{Init, LayerNorm, Linear, Path};
 use crate::rng::Rng;
 
-/// Who attends to whom, among N agents of B environments.
+/// Which agent attends to which, among the N agents of B worlds.
 #[derive(Debug)]
 pub struct Reach {
     bias: Tensor,
-    /// A learned graph, and which of two relations a pair has, both `[B, 1, Q, N]`.
+    /// A learned graph, and the kind of relation of each pair (0 or 1), both `[B, 1, Q, N]`.
     graph: Option<(Tensor, Tensor)>,
 }
 
 impl Reach {
-    /// Those are seen where `seen: [B, N, N]` is not 0 (row = reader). Everybody must see somebody, usually itself.
+    /// Creates a reach in which an agent attends to those for which `seen: [B, N, N]` (row =
+    /// reader) is above 0.5. Every agent must attend to at least one agent, usually itself.
     pub fn of(seen: &Tensor) -> Self {
         let bias =
             seen.zeros_like().masked_fill(&seen.le(0.5), f64::NEG_INFINITY).unsqueeze(1).detach();
         Self { bias, graph: None }
     }
 
-    /// As [`Reach::of`], by a learned graph of 0 and 1, whose edges have gradients whether they are
-    /// open or closed; `relation: [B, N, N]` (0 or 1) is what attention with relations knows of a
-    /// pair.
+    /// Creates a reach over a learned graph `[B, N, N]` of 0 and 1 (row = reader), whose edges have
+    /// gradients whether they are open or closed. `relation: [B, N, N]` (0 or 1) is the kind of
+    /// relation of each pair, for attention with relations.
     pub fn over(graph: &Tensor, relation: &Tensor) -> Self {
         let graph = graph.unsqueeze(1);
         Self {
@@ -39,7 +41,7 @@ impl Reach {
         }
     }
 
-    /// The same without those who come later in the sequence.
+    /// Returns this reach without the agents that come later in the sequence than the reader.
     #[must_use]
     pub fn causal(&self) -> Self {
         let later = Tensor::ones_like(&self.bias).triu(1).gt(0.5);
@@ -48,13 +50,13 @@ impl Reach {
         Self { bias: self.bias.masked_fill(&later, f64::NEG_INFINITY), graph }
     }
 
-    /// Added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen, minus infinity elsewhere;
-    /// a learned graph acts beside it.
+    /// Returns the tensor that is added to attention logits, `[B, 1, Q, N]`: 0 where a key is seen,
+    /// minus infinity elsewhere. A learned graph acts in addition to it.
     pub fn bias(&self) -> &Tensor {
         &self.bias
     }
 
-    /// Of agent `i` alone, among the first of the sequence up to itself.
+    /// Returns the reach of agent `i` alone, among the agents of the sequence up to `i` itself.
     #[must_use]
     pub fn up_to(&self, i: i64) -> Self {
         let cut = |x: &Tensor| x.narrow(2, i, 1).narrow(3, 0, i + 1);
@@ -76,8 +78,9 @@ impl KeysValues {
     }
 }
 
-/// Scaled dot-product attention of one sequence to another, optionally with relations: each pair has one of two kinds, whose
-/// embeddings give each kind a vector that is added to the query and one that is added to the key.
+/// Scaled dot-product attention from one sequence to another, optionally with relations: each pair
+/// has one of two kinds of relation. The embedding of a kind yields one vector that is added to the
+/// query and one that is added to the key.
 #[derive(Debug)]
 pub struct Attention {
     heads: i64,
@@ -88,7 +91,8 @@ pub struct Attention {
 }
 
 impl Attention {
-    /// Attention among sequences of `width` features, which `heads` must divide; all weights drawn by `init`, zero biases.
+    /// Creates attention among sequences of `width` features, which `heads` must divide; with
+    /// relations if `related`. All weights are drawn by `init`, biases are zero.
     ///
     /// # Panics
     /// If `heads` does not divide `width`.
@@ -106,20 +110,21 @@ impl Attention {
         }
     }
 
-    /// `x: [B, T, heads · d]` to `[B, heads, T, d]`.
+    /// Reshapes `x: [B, T, heads · d]` to `[B, heads, T, d]`.
     fn split(&self, x: &Tensor) -> Tensor {
         let (batch, count, width) = x.size3().expect("sequences are [B, T, W]");
         x.view([batch, count, self.heads, width / self.heads]).transpose(1, 2)
     }
 
-    /// What a sequence `[B, N, W]` is to those who attend to it.
+    /// Returns the keys and values of a sequence `[B, N, W]`, for queries that attend to it.
     pub fn keys_values(&self, x: &Tensor) -> KeysValues {
         let parts = self.keys_values.forward(x).chunk(2, -1);
         KeysValues(self.split(&parts[0].contiguous()), self.split(&parts[1].contiguous()))
     }
 
-    /// What `queries: [B, Q, W]` make of a sequence, `[B, Q, W]`; `relations: [2, W]` are the embeddings of both kinds of
-    /// relation, which attention without relations does not read.
+    /// Returns what `queries: [B, Q, W]` read from the sequence `among`, `[B, Q, W]`.
+    /// `relations: [2, W]` are the embeddings of the two kinds of relation; attention without
+    /// relations ignores them.
     pub fn forward(
         &self,
         queries: &Tensor,
@@ -130,7 +135,7 @@ impl Attention {
         self.out.forward(&self.mix(queries, among, reach, relations))
     }
 
-    /// The heads' results side by side, before the output layer.
+    /// Returns the concatenated results of the heads, before the output layer.
     fn mix(
         &self,
         queries: &Tensor,
@@ -145,7 +150,7 @@ impl Attention {
         if let (Some(layer), Some(embeddings), Some((_, kinds))) =
             (&self.relations, relations, &reach.graph)
         {
-            // (q + a)(k + b) for both kinds, of which a pair has one. The reference scales twice.
+            // (q + a)(k + b) for both kinds; each pair has one. The reference, too, scales twice.
             let both = layer.forward(embeddings).chunk(2, -1);
             let of = |kind: i64| {
                 let part = |x: &Tensor| x.get(kind).view([self.heads, 1, -1]);
@@ -167,7 +172,8 @@ impl Attention {
     }
 }
 
-/// A block of the decoder: among the actions so far, then of the agents' representations to those, then each by itself.
+/// A block of the decoder: self-attention among the actions so far, attention from the agents'
+/// representations to the result, then a perceptron for each agent.
 #[derive(Debug)]
 struct Block {
     own: Attention,
@@ -179,7 +185,7 @@ struct Block {
     mlp_norm: LayerNorm,
 }
 
-/// What a block remembers of the agents that have decided: keys and values of both attentions.
+/// Keys and values of a block's two attentions for the agents decoded so far, if there are any.
 type Remembered = Option<(KeysValues, KeysValues)>;
 
 impl Block {
@@ -195,7 +201,7 @@ impl Block {
         }
     }
 
-    /// The next agents of a sequence, after those that are remembered.
+    /// Computes the next agents of a sequence, after those in `remembered`, and adds them to it.
     fn forward(
         &self,
         x: &Tensor,
@@ -218,7 +224,8 @@ impl Block {
     }
 }
 
-/// Decodes agents one after another: each reads the actions of those before it and its own representation.
+/// A decoder that decodes agents one after another: each agent reads the actions of the agents
+/// before it and its own representation.
 #[derive(Debug)]
 pub struct Decoder {
     embed: Linear,
@@ -226,17 +233,18 @@ pub struct Decoder {
     blocks: Vec<Block>,
     head: Linear,
     head_norm: LayerNorm,
-    /// Embeddings of both kinds of relation, `[2, W]`.
+    /// Embeddings of the two kinds of relation, `[2, W]`; `None` without relations.
     relations: Option<Tensor>,
 }
 
-/// What a decoder remembers of the agents that have decided.
+/// Keys and values of all blocks for the agents decoded so far.
 #[derive(Debug, Default)]
 pub struct Decoded(Vec<Remembered>);
 
 impl Decoder {
-    /// A decoder for `actions` dimensions and representations of `width` features. Attention weights are orthogonal with gain 0.01
-    /// (MAT), with relations normal of deviation 0.02 (CommFormer).
+    /// Creates a decoder for actions of `actions` dimensions and representations of `width`
+    /// features. Attention weights are orthogonal with gain 0.01 without relations (MAT), and
+    /// normal with standard deviation 0.02 with relations (CommFormer).
     ///
     /// # Panics
     /// If the heads do not divide the width.
@@ -265,9 +273,12 @@ impl Decoder {
         }
     }
 
-    /// The next agents of a sequence, after those that have `decoded` so far, who join them: `previous: [B, Q, A]` is what each of
-    /// them is told of the action before its own (zeros for the first one), `representation: [B, Q, W]` what it knows. Gives
-    /// `[B, Q, W]` for the action head. All at once, with the actions that were taken, is the same as one after another.
+    /// Computes the next agents of a sequence, after those in `decoded`, and adds them to it.
+    /// `previous: [B, Q, A]` is, for each agent, the action of the agent before it (zeros for the
+    /// first agent, or if the agent does not listen to the one before it);
+    /// `representation: [B, Q, W]` is the agent's own representation. Returns `[B, Q, W]` for the
+    /// action head. Decoding all agents at once, with the actions that were taken, gives the same
+    /// result as decoding one agent after another.
     pub fn forward(
         &self,
         previous: &Tensor,
@@ -284,7 +295,8 @@ impl Decoder {
     }
 }
 
-/// Sets elements to zero at random, and scales up the others; its draws follow from its generator alone.
+/// Dropout: sets random elements to zero and scales up the others. Its draws depend on its own
+/// generator alone.
 #[derive(Debug)]
 pub struct Dropout {
     rate: f64,
@@ -292,7 +304,7 @@ pub struct Dropout {
 }
 
 impl Dropout {
-    /// Drops this share of the elements.
+    /// Creates a dropout that sets the share `rate` of the elements to zero.
     pub fn new(rate: f64, rng: Rng) -> Self {
         Self { rate, rng: RefCell::new(rng) }
     }
@@ -307,8 +319,8 @@ impl Dropout {
     }
 }
 
-/// A block of CommFormer's encoder: attention with relations over the graph, then a perceptron with a rectifier, both post-norm,
-/// weights normal of deviation 0.02.
+/// A block of CommFormer's encoder: attention with relations over the graph, then a perceptron with
+/// a rectifier. Both are post-norm; weights are normal with standard deviation 0.02.
 #[derive(Debug)]
 pub struct RelationBlock {
     attention: Attention,
@@ -319,7 +331,7 @@ pub struct RelationBlock {
 }
 
 impl RelationBlock {
-    /// A block over agents of `width` features.
+    /// Creates a block over agents of `width` features.
     ///
     /// # Panics
     /// If the heads do not divide the width.
@@ -334,8 +346,9 @@ impl RelationBlock {
         }
     }
 
-    /// Agents `x: [B, N, W]` to the same shape; `relations: [2, W]` embeds both kinds of relation. What the heads, the attention and both
-    /// layers of the perceptron bring may be dropped.
+    /// Maps agents `x: [B, N, W]` to the same shape. `relations: [2, W]` are the embeddings of the
+    /// two kinds of relation. `dropout` applies to the results of the heads, of the attention and
+    /// of both layers of the perceptron.
     pub fn forward(
         &self,
         x: &Tensor,
@@ -368,7 +381,8 @@ mod tests {
         Tensor::from_slice(&values).view(shape)
     }
 
-    /// Decoding everyone at once is decoding one after another, and nobody hears of those who come later.
+    /// Decoding all agents at once equals decoding one after another, and no agent depends on
+    /// actions of later agents.
     #[test]
     fn at_once_is_one_after_another() {
         for related in [false, true] {

@@ -1,7 +1,9 @@
-//! Self-attention encoder of one agent's observation: the observation is cut into tokens, one for each thing seen (ego,
-//! navigation, neighbours), so that the encoding treats neighbours alike and ignores those that are absent.
+//! Self-attention encoder of one agent's observation. The observation is cut into tokens, one for
+//! each entity (ego vehicle, navigation, neighbours), so that the encoding treats neighbours alike
+//! and ignores those that are absent.
 //!
-//! The paper names self attention over the observation without saying what the tokens are; entities are our choice.
+//! The paper names self-attention over the observation without saying what the tokens are; entities
+//! are this program's choice.
 
 use std::f64::consts::SQRT_2;
 
@@ -9,22 +11,25 @@ use tch::{Kind, Tensor};
 
 use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
-/// Where in a flat observation the tokens of one kind lie: `count` tokens of `width` features each, one after another.
+/// Position of the tokens of one kind in a flat observation: `count` consecutive tokens of `width`
+/// features each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TokenGroup {
     /// Index of the first feature of the first token.
     pub offset: i64,
-    /// Features of a token.
+    /// Number of features of a token.
     pub width: i64,
     /// Number of tokens.
     pub count: i64,
-    /// Index within a token of the flag that says whether it is present (above 0.5). `None`: always present.
+    /// Index within a token of the feature that flags the token as present (above 0.5); `None` for
+    /// tokens that are always present.
     pub presence: Option<i64>,
 }
 
-/// One linear layer for each group to width `d`, layer normalisation, one post-norm self-attention layer without
-/// feed-forward part; then the mean over present tokens and the ego token, together, through a linear layer, rectifier
-/// and layer normalisation.
+/// The encoder. One linear layer per group maps tokens to width `d`; layer normalisation and one
+/// post-norm self-attention layer without feed-forward part follow. The mean over the present
+/// tokens and the ego token are concatenated and pass a linear layer, a rectifier and layer
+/// normalisation.
 #[derive(Debug)]
 pub struct Entity {
     groups: Vec<(TokenGroup, Linear)>,
@@ -36,13 +41,14 @@ pub struct Entity {
 }
 
 impl Entity {
-    /// An encoder of observations that consist of `groups`, with tokens of `width` features, attention `heads`, and an
-    /// output of `hidden` features. The first token of the first group is the ego vehicle: it counts as present whatever
-    /// its flag says. Orthogonal weights: gain 1 in the attention, √2 elsewhere.
+    /// Creates an encoder of observations that consist of `groups`, with tokens of `width`
+    /// features, `heads` attention heads and an output of `hidden` features. The first token of the
+    /// first group is the ego vehicle, which counts as present whatever its flag is. Weights are
+    /// orthogonal with gain 1 in the attention and √2 elsewhere.
     ///
     /// # Panics
-    /// If there is no group, if a group is empty or its flag lies outside of its tokens, or if the heads do not divide
-    /// the token width.
+    /// If there is no group, if a group is empty or its flag lies outside its tokens, or if the
+    /// heads do not divide the token width.
     pub fn new(
         mut path: Path<'_>,
         groups: &[TokenGroup],
@@ -83,7 +89,7 @@ impl Entity {
         }
     }
 
-    /// Observations `[B, O]` to `[B, H]`.
+    /// Maps observations `[B, O]` to embeddings `[B, H]`.
     pub fn forward(&self, observation: &Tensor) -> Tensor {
         let batch = observation.size()[0];
         let mut tokens = Vec::with_capacity(self.groups.len());
@@ -125,7 +131,8 @@ mod tests {
     use crate::nn::Params;
     use crate::rng::Seed;
 
-    /// Ego (3 features), two neighbours (4 features, the first is the flag).
+    /// Returns an encoder of the ego vehicle (3 features) and two neighbours (4 features, the first
+    /// of which is the flag).
     fn encoder() -> Entity {
         let groups = [
             TokenGroup { offset: 0, width: 3, count: 1, presence: None },

@@ -1,14 +1,16 @@
-//! What can go wrong when tensors come from outside (a checkpoint) or leave the finite numbers (a diverging run).
+//! Errors for tensors that come from outside (a checkpoint) or hold values that are not finite (a
+//! diverging run).
 //!
-//! Wrong shapes between our own layers are bugs and panic in libtorch; they have no place here.
+//! Wrong shapes between this program's own layers are bugs: they panic in libtorch and have no
+//! error here.
 
 use tch::Tensor;
 
-/// A tensor that cannot be used.
+/// An error about a tensor that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The tensors to load lack one that the network has.
+    /// The tensors to load lack a tensor of the network.
     #[error(
         "tensor `{name}` is missing; the weights are of another network or of another configuration"
     )]
@@ -16,15 +18,15 @@ pub enum Error {
         /// Name of the tensor in the network.
         name: String,
     },
-    /// The tensors to load hold one that the network does not have.
+    /// The tensors to load contain a tensor that the network does not have.
     #[error(
         "tensor `{name}` is not part of this network; the weights are of another network or configuration"
     )]
     Unexpected {
-        /// Name of the superfluous tensor.
+        /// Name of the unexpected tensor.
         name: String,
     },
-    /// A tensor to load has another shape than the network's tensor of that name.
+    /// A tensor to load has another shape than the network's tensor of the same name.
     #[error(
         "tensor `{name}` has shape {found:?}, but this network needs {expected:?}; check the configuration"
     )]
@@ -33,21 +35,21 @@ pub enum Error {
         name: String,
         /// Shape in the network.
         expected: Vec<i64>,
-        /// Shape of the tensor that was to be loaded.
+        /// Shape of the tensor to load.
         found: Vec<i64>,
     },
     /// A tensor holds NaN or an infinity.
     #[error("`{what}` holds values that are not finite")]
     NonFinite {
-        /// What the tensor is.
+        /// Description of the tensor.
         what: String,
     },
 }
 
-/// Checks that every element of `tensor` is a finite number.
+/// Checks that every element of `tensor` is finite.
 ///
 /// # Errors
-/// [`Error::NonFinite`], naming `what`, if any element is NaN or infinite.
+/// [`Error::NonFinite`] with the description `what` if any element is NaN or infinite.
 pub fn ensure_finite(what: &str, tensor: &Tensor) -> Result<(), Error> {
     if tensor.isfinite().all().int64_value(&[]) != 0 {
         Ok(())

@@ -1,9 +1,10 @@
-//! The learned communication graph: who listens to whom.
+//! The learned communication graph: which agent listens to which.
 //!
-//! Additive attention scores each ordered pair, a hard Gumbel-softmax turns the score into an edge with a straight-through
-//! gradient, and the physical mask removes what cannot be heard (paper, "Graph-attention Communication Protocol"; MAGIC,
-//! Niu et al. 2021). Where the noise is given by the caller it can be stored and replayed, so that an update sees the
-//! graphs of its rollout.
+//! Additive attention scores each ordered pair. A hard Gumbel-softmax turns the score into an edge
+//! with a straight-through gradient, and the physical mask removes edges that are physically
+//! impossible (paper, "Graph-attention Communication Protocol"; MAGIC, Niu et al. 2021). The caller
+//! can pass the noise, and so store it and use it again: an update then sees the graphs of its
+//! rollout.
 
 use std::f64::consts::SQRT_2;
 
@@ -23,9 +24,10 @@ pub struct CommGraph {
 }
 
 impl CommGraph {
-    /// A graph over features of width `inputs`, with a trunk of its own of width `hidden`. `slope` is that of the leaky
-    /// rectifier for negative scores (0.2 is usual; the released code uses 1.2 in its driving tasks), `bias` is added to
-    /// every score, `temperature` is that of the straight-through gradient.
+    /// Creates a graph over features of width `inputs`, with its own trunk of width `hidden`.
+    /// `slope` is the slope of the leaky rectifier for negative scores (0.2 is usual; the released
+    /// code uses 1.2 in its driving tasks). `bias` is added to every score. `temperature` is that
+    /// of the straight-through gradient.
     pub fn new(
         mut path: Path<'_>,
         inputs: i64,
@@ -47,14 +49,15 @@ impl CommGraph {
         }
     }
 
-    /// Scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a packing; `e[b, i, j]` speaks for `i` listening to `j`, and the
-    /// probability of that edge is `sigmoid(e)`.
+    /// Returns scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a
+    /// packing. `e[b, i, j]` is the score of `i` listening to `j`; the probability of that edge is
+    /// `sigmoid(e)`.
     pub fn scores(&self, f: &Tensor, packing: &Packing) -> Tensor {
         let halves = packing.unpack(&self.halves(f));
         self.leaky(&(halves.narrow(2, 0, 1) + halves.narrow(2, 1, 1).transpose(1, 2)))
     }
 
-    /// What agents `[P, H]` bring to a score as receiver and as sender, `[P, 2]`.
+    /// Returns the parts of a score that agents `[P, H]` add as receiver and as sender, `[P, 2]`.
     fn halves(&self, f: &Tensor) -> Tensor {
         self.base
             .forward(f)
@@ -66,12 +69,12 @@ impl CommGraph {
         if self.bias == 0.0 { scores } else { scores + self.bias }
     }
 
-    /// The graph `G: [B, N, N]` for features `f: [P, H]`, with values exactly 0 or 1 and the gradient of the
-    /// soft sample; row `i` holds those whom `i` listens to.
+    /// Returns the graph `G: [B, N, N]` for features `f: [P, H]`. Its values are exactly 0 or 1,
+    /// and its gradient is that of the soft sample. Row `i` marks the agents that `i` listens to.
     ///
-    /// `physical: [B, N, N]` (any kind; 0 cuts) removes edges; agents always listen to themselves, also dead ones.
-    /// `noise: [B, N, N]` is logistic (the difference of two Gumbel variables); without it an edge exists where its
-    /// probability exceeds one half.
+    /// `physical: [B, N, N]` (any kind; 0 cuts) removes edges. Every slot always listens to itself,
+    /// even if its agent is absent. `noise: [B, N, N]` is logistic (the difference of two Gumbel
+    /// variables); without it, an edge exists where its probability exceeds one half.
     pub fn forward(
         &self,
         f: &Tensor,
@@ -82,8 +85,9 @@ impl CommGraph {
         sample_edges(&self.scores(f, packing), physical, noise, self.temperature)
     }
 
-    /// One row of [`CommGraph::forward`], without noise, where everyone is there: whom the agent `place: [B]` listens to, `[B, 1, N]`,
-    /// among features `f: [B, N, H]`, where `physical: [B, 1, N]` allows it.
+    /// Returns one row of [`CommGraph::forward`], without noise and with all agents present: which
+    /// agents the agent in slot `place: [B]` listens to, `[B, 1, N]`, from features `f: [B, N, H]`,
+    /// where `physical: [B, 1, N]` allows an edge.
     pub fn forward_one(&self, f: &Tensor, place: &Tensor, physical: &Tensor) -> Tensor {
         let (rows, agents, _) = f.size3().expect("features are [B, N, H]");
         let halves = self.halves(&f.flatten(0, 1)).view([rows, agents, 2]);
@@ -95,7 +99,7 @@ impl CommGraph {
     }
 }
 
-/// A graph from scores, as [`CommGraph::forward`] describes it; all arguments `[B, N, N]`.
+/// Samples a graph from scores, as [`CommGraph::forward`] describes. All tensors are `[B, N, N]`.
 pub fn sample_edges(
     scores: &Tensor,
     physical: &Tensor,
@@ -109,8 +113,8 @@ pub fn sample_edges(
     with_self_loops(&(learned * physical.to_kind(Kind::Float)))
 }
 
-/// The `count` best of each row of `scores: [.., N]`: 1 where an entry is among them, else 0, with the gradient of the softmax
-/// of the row at this temperature (CommFormer's static graph).
+/// Marks the `count` largest entries of each row of `scores: [.., N]` with 1 and the others with 0.
+/// The gradient is that of the row's softmax at this temperature (CommFormer's static graph).
 pub fn sample_best(scores: &Tensor, count: i64, temperature: f64) -> Tensor {
     let (_, best) = tch::no_grad(|| scores.topk(count, -1, true, true));
     let hard = scores.zeros_like().scatter_value(-1, &best, 1.0).detach();
@@ -118,8 +122,8 @@ pub fn sample_best(scores: &Tensor, count: i64, temperature: f64) -> Tensor {
     hard + (&soft - soft.detach())
 }
 
-/// For each listener the share of its physically possible edges to others that are open, `[B, N]`,
-/// without gradient; 0 where none is possible. Both arguments are `[B, N, N]`.
+/// Returns for each listener the share of its physically possible edges to other agents that are
+/// open, `[B, N]`, without gradient; 0 if none is possible. Both arguments are `[B, N, N]`.
 pub fn edge_rate(graph: &Tensor, physical: &Tensor) -> Tensor {
     tch::no_grad(|| {
         let physical = physical.to_kind(Kind::Float);
@@ -128,7 +132,8 @@ pub fn edge_rate(graph: &Tensor, physical: &Tensor) -> Tensor {
     })
 }
 
-/// `graph: [B, N, N]` (floating point) with its diagonal set to 1; no gradient flows through the diagonal.
+/// Returns `graph: [B, N, N]` (floating point) with its diagonal set to 1. No gradient flows
+/// through the diagonal.
 pub fn with_self_loops(graph: &Tensor) -> Tensor {
     let eye = Tensor::eye(graph.size()[1], (Kind::Float, graph.device()));
     graph * (1.0 - &eye) + eye
@@ -207,7 +212,7 @@ mod tests {
             Tensor::from_slice(&[1_f32, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).view([1, 3, 3]);
         let physical =
             Tensor::from_slice(&[1_f32, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 1.0]).view([1, 3, 3]);
-        // Possible: 0-1, 0-2, 1-0, 2-0; open among them: 0-1. The edge 1-2 is not possible.
+        // Possible edges: 0-1, 0-2, 1-0, 2-0; open: 0-1. Edge 1-2 is open but not possible.
         let rates = |physical: &Tensor| {
             Vec::<f32>::try_from(edge_rate(&graph, physical).view([-1])).expect("numbers")
         };

@@ -1,13 +1,14 @@
-//! A gated recurrent unit whose memory can be reset inside a sequence.
+//! A gated recurrent unit whose memory can be reset within a sequence.
 //!
-//! Gate order and equations are PyTorch's (`nn.GRUCell`); the memory is multiplied by a mask before every step, as in
-//! MAPPO's reference code, so that the first step of a trajectory starts from zero wherever it lies in a sequence.
+//! Gate order and equations are those of PyTorch's `nn.GRUCell`. The memory is multiplied by a mask
+//! before every step, as in MAPPO's reference code, so that a trajectory starts from zero memory
+//! wherever it begins in a sequence.
 
 use tch::Tensor;
 
 use super::{Init, Path};
 
-/// One gated recurrent layer: orthogonal weights of gain 1, zero biases.
+/// One gated recurrent layer. Weights are orthogonal with gain 1, biases are zero.
 #[derive(Debug)]
 pub struct Gru {
     hidden: i64,
@@ -18,7 +19,7 @@ pub struct Gru {
 }
 
 impl Gru {
-    /// A layer from `inputs` features to a memory of `hidden` features.
+    /// Creates a layer from `inputs` features to a memory of `hidden` features.
     pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64) -> Self {
         Gru {
             hidden,
@@ -29,14 +30,15 @@ impl Gru {
         }
     }
 
-    /// One step: `x: [B, inputs]`, memory `h: [B, H]`, `mask: [B, 1]` (0 where a trajectory begins, else 1), to the new
-    /// memory `[B, H]`, which is also the output.
+    /// Computes one step: maps `x: [B, inputs]`, memory `h: [B, H]` and `mask: [B, 1]` (0 where a
+    /// trajectory begins, else 1) to the new memory `[B, H]`, which is also the output.
     pub fn step(&self, x: &Tensor, h: &Tensor, mask: &Tensor) -> Tensor {
         self.advance(&x.linear(&self.weight_ih, Some(&self.bias_ih)), h, mask)
     }
 
-    /// All steps of `x: [L, B, inputs]` from the memory `h0: [B, H]`, with `mask: [L, B, 1]`, to the memories after
-    /// each step, `[L, B, H]`. Equals `L` calls of [`Gru::step`]; gradients flow through time except where the mask is 0.
+    /// Computes all steps of `x: [L, B, inputs]` from the memory `h0: [B, H]` with
+    /// `mask: [L, B, 1]`, and returns the memory after each step, `[L, B, H]`. The result equals
+    /// `L` calls of [`Gru::step`]. Gradients flow through time except where the mask is 0.
     pub fn sequence(&self, x: &Tensor, h0: &Tensor, mask: &Tensor) -> Tensor {
         let inputs = x.linear(&self.weight_ih, Some(&self.bias_ih)).unbind(0);
         let mut outputs: Vec<Tensor> = Vec::with_capacity(inputs.len());
@@ -47,7 +49,7 @@ impl Gru {
         Tensor::stack(&outputs, 0)
     }
 
-    /// A step whose input part `W_i x + b_i: [B, 3H]` is known.
+    /// Computes a step from its input part `W_i x + b_i: [B, 3H]`.
     fn advance(&self, input: &Tensor, h: &Tensor, mask: &Tensor) -> Tensor {
         let sizes = [2 * self.hidden, self.hidden];
         let h = h * mask;
@@ -86,7 +88,7 @@ mod tests {
             h = gru.step(&x.get(t), &h, &mask.get(t));
             assert!(h.allclose(&all.get(t), 1e-6, 1e-6, false));
         }
-        // The first of the pair started anew at step 2: nothing before it is seen in its values or gradients.
+        // The first batch entry starts anew at step 2 and depends on no earlier step.
         let fresh = gru.sequence(
             &x.narrow(0, 2, 3),
             &h0.zeros_like(),

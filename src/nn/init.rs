@@ -1,31 +1,34 @@
-//! Initial weights, computed here from a Rust generator in `f64` so that they are a function of the seed alone: not of
-//! libtorch's global generator, nor of its thread count or its linear algebra.
+//! Initial weights, computed from a Rust generator in `f64`, so that they depend on the seed alone
+//! and not on libtorch's global generator, its thread count or its linear algebra.
 
 use crate::rng::{Rng, fill_normal, symmetric};
 
-/// How the initial values of one parameter are drawn.
+/// The distribution from which the initial values of one parameter are drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Init {
-    /// All zero.
+    /// Zero everywhere.
     Zeros,
-    /// All equal to the value.
+    /// The same value everywhere.
     Constant(f64),
-    /// A `[rows, columns]` matrix with orthonormal rows (or columns, where there are fewer of those) times a gain, drawn
-    /// uniformly (Haar measure). The distribution of PyTorch's `init.orthogonal_`.
+    /// A `[rows, columns]` matrix with orthonormal rows (orthonormal columns if there are fewer
+    /// columns than rows) times a gain, drawn uniformly (Haar measure). This is the distribution of
+    /// PyTorch's `init.orthogonal_`.
     Orthogonal(f64),
-    /// Normal with this standard deviation.
+    /// Normal with mean 0 and this standard deviation.
     Normal(f64),
-    /// Normal with standard deviation `gain * sqrt(2 / (rows + columns))`.
+    /// Normal with mean 0 and standard deviation `gain * sqrt(2 / (rows + columns))`, for this
+    /// gain.
     XavierNormal(f64),
-    /// Uniform in `[-bound, bound)`.
+    /// Uniform in `[-bound, bound)`, for this bound.
     Uniform(f64),
 }
 
 impl Init {
-    /// Draws the values of a parameter of `shape` in row-major order.
+    /// Draws the values of a parameter of shape `shape`, in row-major order.
     ///
     /// # Panics
-    /// If the scheme is defined for matrices only and `shape` has not two dimensions (a bug in the layer).
+    /// If the distribution is defined for matrices only and `shape` does not have two dimensions (a
+    /// bug in the layer).
     pub fn sample(self, shape: &[i64], rng: &mut Rng) -> Vec<f32> {
         let count = shape.iter().product::<i64>() as usize;
         match self {
@@ -55,17 +58,18 @@ fn matrix(shape: &[i64]) -> (usize, usize) {
     }
 }
 
-/// Standard normal numbers.
+/// Draws `count` standard normal numbers.
 fn gaussians(count: usize, rng: &mut Rng) -> Vec<f64> {
     let mut values = vec![0.0_f32; count];
     fill_normal(rng, &mut values);
     values.into_iter().map(f64::from).collect()
 }
 
-/// The orthogonal factor of a Gaussian matrix, by Gram and Schmidt's process.
+/// Returns the orthogonal factor of a Gaussian matrix times `gain`, by the Gram–Schmidt process.
 ///
-/// Each vector is orthogonalised twice, which keeps the result orthogonal to rounding error. The triangular factor has
-/// a positive diagonal by construction: that is the sign convention that makes the result uniformly distributed.
+/// Each vector is orthogonalised twice, which keeps the result orthogonal up to rounding error. The
+/// triangular factor has a positive diagonal by construction; this sign convention makes the result
+/// uniformly distributed.
 fn orthogonal(rows: usize, columns: usize, gain: f64, rng: &mut Rng) -> Vec<f32> {
     let (count, length) = (rows.min(columns), rows.max(columns));
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(count);
@@ -116,8 +120,8 @@ mod tests {
         }
     }
 
-    /// For the uniform distribution over rotations every entry has mean 0 and variance 1/n; with a fixed sign
-    /// convention on the wrong factor the diagonal would be biased.
+    /// Every entry has mean 0 and variance 1/n, as in the uniform distribution over rotations. A
+    /// sign convention on the wrong factor would bias the diagonal.
     #[test]
     fn orthogonal_matrices_are_uniform() {
         let mut rng = Seed::new(2).rng();

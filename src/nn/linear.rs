@@ -4,7 +4,7 @@ use tch::{Tensor, no_grad};
 
 use super::{Init, Path};
 
-/// `y = x Wᵀ + b`, with `W: [out, in]` and `b: [out]`.
+/// An affine layer `y = x Wᵀ + b`, with `W: [out, in]` and `b: [out]`.
 #[derive(Debug)]
 pub struct Linear {
     weight: Tensor,
@@ -12,26 +12,29 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// Weights drawn by `init` (for instance [`Init::Orthogonal`] with the gain of what follows), zero bias.
+    /// Creates a layer with weights drawn by `init` (for instance [`Init::Orthogonal`] with the
+    /// gain of the activation that follows) and zero bias.
     pub fn new(mut path: Path<'_>, inputs: i64, outputs: i64, init: Init) -> Self {
         let weight = path.create("weight", &[outputs, inputs], init);
         Linear { weight, bias: path.create("bias", &[outputs], Init::Zeros) }
     }
 
-    /// PyTorch's default: weights and bias uniform within `1 / sqrt(inputs)`.
+    /// Creates a layer with PyTorch's default initialisation: weights and bias are uniform in
+    /// ±`1 / sqrt(inputs)`.
     pub fn torch_default(mut path: Path<'_>, inputs: i64, outputs: i64) -> Self {
         let init = Init::Uniform(1.0 / (inputs as f64).sqrt());
         let weight = path.create("weight", &[outputs, inputs], init);
         Linear { weight, bias: path.create("bias", &[outputs], init) }
     }
 
-    /// `blocks` layers of the same input fused into one, each block drawn on its own; zero bias.
+    /// Creates `blocks` layers of the same input, fused into one layer. Each block is drawn
+    /// separately; the bias is zero.
     pub fn fused(mut path: Path<'_>, inputs: i64, outputs: i64, blocks: i64, init: Init) -> Self {
         let weight = path.create_stacked("weight", blocks, [outputs, inputs], init);
         Linear { weight, bias: path.create("bias", &[blocks * outputs], Init::Zeros) }
     }
 
-    /// Makes of what it gives `scale · y + shift`, in place.
+    /// Changes weights and bias in place so that an output `y` becomes `scale · y + shift`.
     pub fn rescale(&self, scale: f64, shift: f64) {
         no_grad(|| {
             let _ = self.weight.shallow_clone().g_mul_scalar_(scale);
@@ -39,12 +42,12 @@ impl Linear {
         });
     }
 
-    /// The shift `b: [out]`.
+    /// Returns the bias `b: [out]`.
     pub fn bias(&self) -> &Tensor {
         &self.bias
     }
 
-    /// `x: [.., in]` to `[.., out]`.
+    /// Maps `x: [.., in]` to `[.., out]`.
     pub fn forward(&self, x: &Tensor) -> Tensor {
         x.linear(&self.weight, Some(&self.bias))
     }

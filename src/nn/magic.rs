@@ -1,5 +1,6 @@
-//! The layers of MAGIC (Niu et al. 2021, CORE-Robotics-Lab/MAGIC, `magic.py`, `gnn_layers.py`): a scheduler that decides on the
-//! edges of a communication graph, and graph attention over it.
+//! The layers of MAGIC (Niu et al. 2021, CORE-Robotics-Lab/MAGIC, `magic.py`, `gnn_layers.py`): a
+//! scheduler that decides on the edges of a communication graph, and graph attention over that
+//! graph.
 
 use std::f64::consts::SQRT_2;
 
@@ -9,11 +10,12 @@ use super::attention::graph_softmax;
 use super::graph::sample_edges;
 use super::{Init, Linear, Packing, Path};
 
-/// Decides who listens to whom: a perceptron over both agents' features gives each ordered pair two logits, of no edge and of an
-/// edge; its three layers have a quarter, a sixteenth and two of the pair's features.
+/// Decides which agent listens to which: a perceptron over the features of both agents gives each
+/// ordered pair two logits, one for no edge and one for an edge. For features of width `H` its
+/// three layers have `H / 2`, `H / 8` and 2 outputs.
 #[derive(Debug)]
 pub struct Scheduler {
-    /// The first layer, `[H / 2, 2 H]`, listener first, and its shift.
+    /// Weights of the first layer, `[H / 2, 2 H]` with the listener's part first, and its bias.
     first: Tensor,
     shift: Tensor,
     second: Linear,
@@ -21,7 +23,7 @@ pub struct Scheduler {
 }
 
 impl Scheduler {
-    /// A scheduler over features of width `inputs`; weights as PyTorch draws them by default.
+    /// Creates a scheduler over features of width `inputs`, with PyTorch's default initial weights.
     pub fn new(mut path: Path<'_>, inputs: i64) -> Self {
         let (wide, narrow) = ((inputs / 2).max(1), (inputs / 8).max(1));
         let init = Init::Uniform(1.0 / ((2 * inputs) as f64).sqrt());
@@ -34,11 +36,12 @@ impl Scheduler {
         }
     }
 
-    /// Scores `[B, N, N]` from features `f: [P, H]` of the agents in the rows of a packing: how much more likely an edge (row =
-    /// listener) is than none, as the logarithm of their ratio.
+    /// Returns scores `[B, N, N]` (row = listener) from features `f: [P, H]` of the agents in the
+    /// rows of a packing. A score is the logarithm of the ratio between the probabilities of an
+    /// edge and of no edge.
     pub fn scores(&self, f: &Tensor, packing: &Packing) -> Tensor {
         let inputs = f.size()[1];
-        // The first layer of a pair is a sum of a part of each.
+        // A pair's first layer is the sum of a listener's and a speaker's part.
         let part = |from: i64, shift: Option<&Tensor>| {
             packing.unpack(&f.linear(&self.first.narrow(1, from, inputs), shift))
         };
@@ -47,7 +50,8 @@ impl Scheduler {
         logits.select(-1, 1) - logits.select(-1, 0)
     }
 
-    /// The graph, as [`CommGraph::forward`](super::CommGraph::forward) gives it, at temperature 1.
+    /// Returns the graph at temperature 1, as [`CommGraph::forward`](super::CommGraph::forward)
+    /// does.
     pub fn forward(
         &self,
         f: &Tensor,
@@ -59,9 +63,9 @@ impl Scheduler {
     }
 }
 
-/// Multi-head graph attention by additive scores, whose weights are normalised over the graph's
-/// open edges. The reference multiplies scores, weights and normalised weights by the graph: the
-/// same weights, but no gradient for a closed edge.
+/// Multi-head graph attention with additive scores, whose weights are normalised over the graph's
+/// open edges. The reference multiplies scores, weights and normalised weights by the graph, which
+/// gives the same weights but no gradient for a closed edge.
 #[derive(Debug)]
 pub struct GraphAttention {
     heads: i64,
@@ -74,8 +78,9 @@ pub struct GraphAttention {
 }
 
 impl GraphAttention {
-    /// A layer from `inputs` features to `heads` times `width`, side by side if `joined`, else their mean. Weights Xavier normal
-    /// with gain √2, zero shift.
+    /// Creates a layer from `inputs` features to `heads` heads of `width` features, which are
+    /// concatenated if `joined` and averaged otherwise. Weights are Xavier normal with gain √2; the
+    /// bias is zero.
     pub fn new(mut path: Path<'_>, inputs: i64, heads: i64, width: i64, joined: bool) -> Self {
         let init = Init::XavierNormal(SQRT_2);
         Self {
@@ -89,8 +94,10 @@ impl GraphAttention {
         }
     }
 
-    /// Features `f: [P, inputs]` of the agents in the rows of a packing over `graph: [B, N, N]` (row = listener) to
-    /// `[P, heads · width]` or `[P, width]`. Every agent must listen to somebody, usually itself.
+    /// Maps features `f: [P, inputs]` of the agents in the rows of a packing, over
+    /// `graph: [B, N, N]` (row = listener), to `[P, heads · width]` if the heads are concatenated
+    /// and to `[P, width]` otherwise. Every agent must listen to at least one agent, usually
+    /// itself.
     pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
         let (batch, agents) = packing.size();
         let h = packing

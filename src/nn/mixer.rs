@@ -1,4 +1,5 @@
-//! The monotonic mixer of QMIX (Rashid et al. 2018; marlbenchmark/off-policy, `q_mixer.py`), for any number of agents.
+//! The monotonic mixer of QMIX (Rashid et al. 2018; marlbenchmark/off-policy, `q_mixer.py`), for
+//! any number of agents.
 
 use tch::{Kind, Tensor};
 
@@ -6,12 +7,14 @@ use super::{Init, Linear, Path};
 
 /// Width of the mixing layer.
 const MIXED: i64 = 32;
-/// Width of the hypernetworks.
+/// Width of the hypernetworks' hidden layers.
 const HYPER: i64 = 64;
 
-/// A team's value that rises with the value of each of its agents: a layer with an ELU between, whose weights are absolute values
-/// of what hypernetworks make of the state. As in the reference, but that an agent's weights come from its own view of the
-/// state, by the same hypernetwork for all, and what belongs to the team is a mean over its agents; so any number may be there.
+/// A team value that increases with the value of each agent: two layers with an ELU in between,
+/// whose weights are absolute values of the outputs of hypernetworks over the state. Unlike in the
+/// reference, an agent's weights come from its own view of the state, by the same hypernetwork for
+/// all agents, and everything that belongs to the team is a mean over its agents. So any number of
+/// agents may be present.
 #[derive(Debug)]
 pub struct Mixer {
     weights: [Linear; 2],
@@ -21,7 +24,7 @@ pub struct Mixer {
 }
 
 impl Mixer {
-    /// For views of the state with `inputs` features. Orthogonal weights of gain 1.
+    /// Creates a mixer for state views with `inputs` features; weights are orthogonal with gain 1.
     pub fn new(mut path: Path<'_>, inputs: i64) -> Self {
         let mut layer = |name: &str, inputs, outputs| {
             Linear::new(path.sub(name), inputs, outputs, Init::Orthogonal(1.0))
@@ -37,7 +40,8 @@ impl Mixer {
         }
     }
 
-    /// Values `[B, N]`, each agent's view of the state `[B, N, S]`, and who is there `[B, N]`, to the team's value `[B]`.
+    /// Maps values `[B, N]`, each agent's view of the state `[B, N, S]` and the agents' presence
+    /// `[B, N]` (0 or 1) to the team's value `[B]`.
     pub fn forward(&self, values: &Tensor, state: &Tensor, present: &Tensor) -> Tensor {
         let two = |[first, second]: &[Linear; 2]| second.forward(&first.forward(state).relu());
         let there = present.unsqueeze(-1);

@@ -1,5 +1,5 @@
-//! The feed-forward trunk of MAPPO (Yu et al. 2022, reference code `onpolicy/algorithms/utils/mlp.py`), which every
-//! learner here shares.
+//! The feed-forward trunk of MAPPO (Yu et al. 2022, reference code
+//! `onpolicy/algorithms/utils/mlp.py`), which all learners here share.
 
 use std::f64::consts::SQRT_2;
 
@@ -7,7 +7,8 @@ use tch::Tensor;
 
 use super::{Init, LayerNorm, Linear, Path};
 
-/// Layer normalisation of the input, then blocks of linear (orthogonal, gain √2), rectifier, layer normalisation.
+/// A trunk: layer normalisation of the input, then blocks of a linear layer (orthogonal weights,
+/// gain √2), a rectifier and layer normalisation.
 #[derive(Debug)]
 pub struct Mlp {
     norm: LayerNorm,
@@ -15,7 +16,8 @@ pub struct Mlp {
 }
 
 impl Mlp {
-    /// A trunk from `inputs` to `hidden` features with `1 + extra_layers` blocks (MAPPO's default is one extra).
+    /// Creates a trunk from `inputs` to `hidden` features with `1 + extra_layers` blocks (MAPPO's
+    /// default: one extra layer).
     pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, extra_layers: usize) -> Self {
         let norm = LayerNorm::new(path.sub("norm"), inputs);
         let mut layers_path = path.sub("layers");
@@ -31,7 +33,7 @@ impl Mlp {
         Mlp { norm, layers }
     }
 
-    /// `x: [.., inputs]` to `[.., hidden]`.
+    /// Maps `x: [.., inputs]` to `[.., hidden]`.
     pub fn forward(&self, x: &Tensor) -> Tensor {
         let x = self.norm.forward(x);
         self.layers.iter().fold(x, |x, (linear, norm)| norm.forward(&linear.forward(&x).relu()))

@@ -1,11 +1,15 @@
-//! Neural building blocks on libtorch: what the learners of `algo` are made of.
+//! Neural-network layers on libtorch, from which the learners of `algo` are built.
 //!
-//! A layer is a small struct that owns shallow copies of its tensors; the tensors themselves are registered by name,
-//! in order, in a [`Params`] store, which is what optimisers ([`optim::Adam`]) and checkpoints see. Initial weights and
-//! all sampling noise come from a Rust generator, never from libtorch's global one, so a run is a function of its seed.
-//! All tensors are `f32` unless a doc says otherwise.
+//! A layer is a small struct that owns shallow copies of its tensors. The tensors themselves are
+//! registered by name and in order in a [`Params`] store, which optimisers ([`optim::Adam`]) and
+//! checkpoints use. Initial weights and all sampling noise come from a Rust generator, never from
+//! libtorch's global one, so that a run is a function of its seed. All tensors are `f32` unless a
+//! comment says otherwise.
 //!
-//! Shapes in the docs: `B` batch, `N` agents, `L` steps of a sequence, `T` tokens, `H` hidden width, `d` token width.
+//! Sizes in the comments: `B` batch, `N` agent slots, `P` occupied slots of a [`Packing`], `L`
+//! steps of a sequence (in a transformer: rounds), `T` tokens, `Q` queries, `H` hidden width, `W`
+//! width of a sequence, `d` token width or width of an attention head, `O` observation, `S`
+//! privileged state, `A` action.
 
 pub mod attention;
 pub mod decoder;

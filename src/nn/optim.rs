@@ -1,30 +1,30 @@
-//! Adam with its state in our hands.
+//! The Adam optimiser, with access to its state.
 //!
-//! libtorch's optimisers cannot be saved from tch, so a resumed run would not equal an uninterrupted one. This one keeps
-//! parameters, gradients and moments as flat tensors: clipping and a step are a handful of operations however many
-//! parameters there are. The gradients of the parameters are views of the flat gradient, into which `loss.backward()`
-//! accumulates.
+//! libtorch's optimisers cannot be saved from tch, so a resumed run would differ from an
+//! uninterrupted one. [`Adam`] keeps parameters, gradients and moments as flat tensors, so that
+//! clipping and a step take a handful of operations for any number of parameters. The gradients of
+//! the parameters are views of the flat gradient, into which `loss.backward()` accumulates.
 
 use tch::{Kind, Tensor};
 
 use super::params::{match_by_name, views};
 use super::{Error, Params};
 
-/// Coefficients of [`Adam`]; the learning rate is given at each step.
+/// Coefficients of [`Adam`]. The learning rate is passed at each step instead.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdamConfig {
-    /// Decay of the mean of gradients.
+    /// Decay rate of the running mean of the gradients.
     pub beta1: f64,
-    /// Decay of the mean of squared gradients.
+    /// Decay rate of the running mean of the squared gradients.
     pub beta2: f64,
-    /// Added to the root of the second moment.
+    /// Constant that is added to the square root of the second moment.
     pub eps: f64,
 }
 
 impl AdamConfig {
-    /// Those of MAPPO's reference code.
+    /// The coefficients of MAPPO's reference code.
     pub const MAPPO: Self = AdamConfig { beta1: 0.9, beta2: 0.999, eps: 1e-5 };
-    /// PyTorch's.
+    /// PyTorch's default coefficients.
     pub const TORCH: Self = AdamConfig { eps: 1e-8, ..Self::MAPPO };
 }
 
@@ -36,7 +36,7 @@ pub struct Adam {
     shapes: Vec<Vec<i64>>,
     weights: Tensor,
     gradient: Tensor,
-    /// Gradients of the replicas, added to `gradient` before it is used.
+    /// Gradients of the replicas, which are added to `gradient` before it is used.
     others: Vec<Tensor>,
     first: Tensor,
     second: Tensor,
@@ -44,7 +44,8 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// An optimiser of `params` with MAPPO's coefficients. The parameters are flattened: the network must be complete.
+    /// Creates an optimiser of `params` with MAPPO's coefficients. It flattens the parameters, so
+    /// the network must be complete.
     ///
     /// # Panics
     /// If there are no parameters (a bug).
@@ -52,7 +53,7 @@ impl Adam {
         Adam::with_config(params, AdamConfig::MAPPO)
     }
 
-    /// As [`Adam::new`], with other coefficients.
+    /// Creates an optimiser as [`Adam::new`] does, with the coefficients `config`.
     ///
     /// # Panics
     /// If there are no parameters (a bug).
@@ -71,30 +72,31 @@ impl Adam {
         }
     }
 
-    /// Makes `params`, those of a second copy of the network, share the weights of the first. The copy has gradients of
-    /// its own, so that both can be differentiated at the same time; [`Adam::clip_grad_norm`] and [`Adam::step`] add
-    /// them up, in the order of the copies.
+    /// Makes `params`, the parameters of a second copy of the network, share the weights of the
+    /// first. The copy has its own gradients, so that both copies can be differentiated at the same
+    /// time; [`Adam::clip_grad_norm`] and [`Adam::step`] add the gradients up in the order of the
+    /// copies.
     ///
     /// # Panics
-    /// If they are the parameters of another network (a bug).
+    /// If `params` are the parameters of another network (a bug).
     pub fn replica(&mut self, params: &mut Params) {
         assert!(params.shapes() == self.shapes, "a replica is of another network");
         params.share(&self.weights);
         self.others.push(flat_gradient(params, &self.weights));
     }
 
-    /// All weights, `[count]`: what the optimiser moves.
+    /// Returns all weights that the optimiser updates, `[count]`.
     pub fn weights(&self) -> &Tensor {
         &self.weights
     }
 
-    /// Sets the gradient to zero. [`Adam::step`] does so too.
+    /// Sets the gradient to zero. [`Adam::step`] also does this.
     pub fn zero_grad(&mut self) {
         self.gather();
         let _ = tch::no_grad(|| self.gradient.zero_());
     }
 
-    /// Moves the replicas' gradients into the first one.
+    /// Adds the replicas' gradients to the gradient of the first copy and sets them to zero.
     fn gather(&mut self) {
         tch::no_grad(|| {
             for other in &mut self.others {
@@ -104,8 +106,9 @@ impl Adam {
         });
     }
 
-    /// Scales the gradient so that its Euclidean norm is at most `max` (as PyTorch's `clip_grad_norm_`), and returns the
-    /// norm before. A norm that is not finite is returned with the gradient untouched: do not step then.
+    /// Scales the gradient so that its Euclidean norm is at most `max` (as PyTorch's
+    /// `clip_grad_norm_`), and returns the norm before scaling. If that norm is not finite, the
+    /// gradient is left unchanged and must not be used for a step.
     pub fn clip_grad_norm(&mut self, max: f64) -> f64 {
         self.gather();
         let norm = self.gradient.norm().double_value(&[]);
@@ -116,9 +119,10 @@ impl Adam {
         norm
     }
 
-    /// Moves the parameters against the gradient with learning rate `lr`, then sets the gradient to zero.
+    /// Moves the parameters against the gradient with learning rate `lr` and clears the gradient.
     ///
-    /// The parameters change in place, unseen by libtorch's own checks: differentiate every loss before this.
+    /// The parameters change in place, which libtorch's own checks do not notice: differentiate
+    /// every loss before this call.
     pub fn step(&mut self, lr: f64) {
         let AdamConfig { beta1, beta2, eps } = self.config;
         self.gather();
@@ -128,7 +132,7 @@ impl Adam {
         tch::no_grad(|| {
             let _ = self.first.lerp_(&self.gradient, 1.0 - beta1);
             let _ = self.second.lerp_(&self.gradient.square_(), 1.0 - beta2);
-            // lr / c1 * m / (sqrt(v) / c2 + eps), with c2 moved out of the denominator
+            // lr / c1 * m / (sqrt(v) / c2 + eps), with c2 moved out of the denominator.
             let mut denominator = self.second.sqrt();
             denominator += eps * correction2;
             let _ = self
@@ -138,8 +142,8 @@ impl Adam {
         });
     }
 
-    /// Moments and step count by name, for a checkpoint: `<parameter>.m`, `<parameter>.v` and `step` (`i64`). The
-    /// tensors are views: copy or write them before the next step.
+    /// Returns moments and step count by name, for a checkpoint: `<parameter>.m`, `<parameter>.v`
+    /// and `step` (`i64`). The tensors are views: copy or write them before the next step.
     pub fn state(&self) -> Vec<(String, Tensor)> {
         let mut state = vec![("step".to_owned(), Tensor::from(self.steps))];
         for (suffix, flat) in [("m", &self.first), ("v", &self.second)] {
@@ -149,10 +153,11 @@ impl Adam {
         state
     }
 
-    /// Restores what [`Adam::state`] gave. Nothing is changed if there is an error.
+    /// Restores a state that [`Adam::state`] returned. On an error nothing changes.
     ///
     /// # Errors
-    /// [`Error::Missing`], [`Error::Unexpected`] or [`Error::Shape`] if the state is of other parameters.
+    /// [`Error::Missing`], [`Error::Unexpected`] or [`Error::Shape`] if the state belongs to other
+    /// parameters.
     pub fn load_state(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         let own = self.state();
         let pairs = match_by_name(&own, state)?;
@@ -164,10 +169,11 @@ impl Adam {
     }
 }
 
-/// A flat tensor for the gradients of parameters that are views of `weights`: `loss.backward()` accumulates into it.
+/// Creates a flat tensor for the gradients of parameters that are views of `weights`;
+/// `loss.backward()` accumulates into it.
 fn flat_gradient(params: &Params, weights: &Tensor) -> Tensor {
     let gradient = weights.zeros_like();
-    // A first backward pass makes libtorch create the gradients, whose memory is then exchanged for the views.
+    // A first backward pass makes libtorch create the gradients; views then replace their memory.
     let all: Vec<Tensor> = params.named().iter().map(|(_, t)| t.sum(Kind::Float)).collect();
     Tensor::stack(&all, 0).sum(Kind::Float).backward();
     for ((_, parameter), view) in params.named().iter().zip(views(&gradient, &params.shapes())) {
@@ -247,7 +253,7 @@ mod tests {
         );
     }
 
-    /// Half a batch on each of two copies moves the weights as the whole batch on one does.
+    /// Half a batch on each of two copies moves the weights as the whole batch on one copy does.
     #[test]
     fn replicas_add_their_gradients() {
         let (mut params, mlp, x) = network();

@@ -1,30 +1,31 @@
-//! Batches in which some places are empty.
+//! Batches in which some slots are empty.
 
 use tch::{Kind, Tensor};
 
-/// Which of the `rows × places` of a batch are filled. Layers that treat every place alone work on the filled ones,
-/// `[P, ..]`; only what looks across a row needs the whole, `[rows, places, ..]`, with zeros where nothing is.
+/// Which of the `rows × places` slots of a batch are occupied. Layers that treat each slot by
+/// itself work on the occupied slots, `[P, ..]`. Only operations across the slots of a row need the
+/// whole batch, `[rows, places, ..]`, with zeros in empty slots.
 #[derive(Debug)]
 pub struct Packing {
     rows: i64,
     places: i64,
-    /// Filled places in order, `[P]`; `None`: all of them.
+    /// Indices of the occupied slots, ascending, `[P]`; `None` if all slots are occupied.
     filled: Option<Tensor>,
 }
 
 impl Packing {
-    /// Every place is filled.
+    /// Creates a packing in which every slot is occupied.
     pub fn full(rows: i64, places: i64) -> Self {
         Packing { rows, places, filled: None }
     }
 
-    /// Those places are filled where `present: [rows, places]` is not 0.
+    /// Creates a packing in which the slots where `present: [rows, places]` is not 0 are occupied.
     pub fn of(present: &Tensor) -> Self {
         let (rows, places) = present.size2().expect("presence is [rows, places]");
         Packing { rows, places, filled: Some(present.reshape([-1]).nonzero().squeeze_dim(-1)) }
     }
 
-    /// The filled places of `x: [rows, places, ..]`, as `[P, ..]`.
+    /// Returns the occupied slots of `x: [rows, places, ..]` as `[P, ..]`.
     pub fn pack(&self, x: &Tensor) -> Tensor {
         let flat = x.flatten(0, 1);
         self.filled
@@ -32,7 +33,8 @@ impl Packing {
             .map_or_else(|| flat.shallow_clone(), |filled| flat.index_select(0, filled))
     }
 
-    /// `x: [P, K]` put back into its places, `[rows, places, K]`.
+    /// Puts `x: [P, K]` back into its slots and returns `[rows, places, K]`, with zeros in empty
+    /// slots.
     pub fn unpack(&self, x: &Tensor) -> Tensor {
         let width = x.size()[1];
         let flat = match &self.filled {
@@ -45,7 +47,8 @@ impl Packing {
         flat.view([self.rows, self.places, width])
     }
 
-    /// Of tensors of the filled places, `[P, ..]`, what stands in `samples: [S]`, which are ascending numbers among all places, and filled.
+    /// Selects the slots `samples: [S]` from tensors of the occupied slots, `[P, ..]`. The samples
+    /// are ascending indices among all slots, and the slots must be occupied.
     pub fn take<const K: usize>(&self, tensors: [&Tensor; K], samples: &Tensor) -> [Tensor; K] {
         let count = self.filled.as_ref().map_or(self.rows * self.places, |filled| filled.size()[0]);
         if samples.size()[0] == count {
@@ -59,7 +62,7 @@ impl Packing {
         tensors.map(|x| x.index_select(0, positions.as_ref().unwrap_or(samples)))
     }
 
-    /// Rows and places.
+    /// Returns the number of rows and the number of slots per row.
     pub fn size(&self) -> (i64, i64) {
         (self.rows, self.places)
     }

@@ -1,9 +1,10 @@
-//! The parameters of a network: named, ordered tensors.
+//! The parameters of a network: named tensors in a fixed order.
 //!
-//! tch's own `VarStore` keeps its variables in an unordered map and its optimisers hide their state; resuming a run bit
-//! for bit needs both in our hands. A [`Params`] keeps the order of creation, and once [`Params::flatten`] has run
-//! (an optimiser does so) all tensors are views of one flat tensor, so that an update is a few operations in all
-//! instead of a few for each parameter.
+//! tch's own `VarStore` keeps its variables in an unordered map, and libtorch's optimisers hide
+//! their state from tch. Resuming a run bit for bit needs both the order and the state. A
+//! [`Params`] keeps the order of creation. After [`Params::flatten`], which an optimiser calls, all
+//! tensors are views of one flat tensor, so that an update takes a few operations in all instead of
+//! a few for each parameter.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt::Display;
@@ -13,7 +14,7 @@ use tch::{Device, Tensor};
 use super::{Error, Init};
 use crate::rng::Rng;
 
-/// Named parameters in the order of their creation. All require gradients and are `f32`.
+/// Named parameters in the order of their creation. All are `f32` and require gradients.
 #[derive(Debug)]
 pub struct Params {
     device: Device,
@@ -22,41 +23,45 @@ pub struct Params {
 }
 
 impl Params {
-    /// An empty store whose parameters will live on `device`.
+    /// Returns an empty store whose parameters will live on `device`.
     pub fn new(device: Device) -> Self {
         Params { device, named: Vec::new(), flat: None }
     }
 
-    /// The place where the parameters of a network are created; initial values are drawn from `rng`.
+    /// Returns the root path, under which a network creates its parameters; `rng` draws their
+    /// initial values.
     pub fn root<'a>(&'a mut self, rng: &'a mut Rng) -> Path<'a> {
         Path { params: self, rng, prefix: String::new() }
     }
 
-    /// Where the parameters live.
+    /// Returns the device on which the parameters live.
     pub fn device(&self) -> Device {
         self.device
     }
 
-    /// Every parameter with its name, such as `actor.base.layers.0.linear.weight`, in the order of creation.
+    /// Returns every parameter with its name, such as `actor.base.layers.0.linear.weight`, in the
+    /// order of creation.
     pub fn named(&self) -> &[(String, Tensor)] {
         &self.named
     }
 
-    /// Number of scalar weights.
+    /// Returns the number of scalar weights.
     pub fn count(&self) -> i64 {
         self.named.iter().map(|(_, t)| t.numel() as i64).sum()
     }
 
-    /// Overwrites the values with those of `tensors`, matched by name. Nothing is changed if there is an error.
+    /// Overwrites the values with those of `tensors`, matched by name. On an error nothing changes.
     ///
     /// # Errors
-    /// [`Error::Missing`] or [`Error::Unexpected`] if the sets of names differ, [`Error::Shape`] if a shape does.
+    /// [`Error::Missing`] or [`Error::Unexpected`] if the sets of names differ, [`Error::Shape`] if
+    /// a shape differs.
     pub fn copy_from(&self, tensors: &[(String, Tensor)]) -> Result<(), Error> {
         copy_named(&self.named, tensors)
     }
 
-    /// Moves all parameters into one flat tensor `[count]`, of which they become views, and returns that tensor.
-    /// Layers that hold the parameters see the change. From then on no parameter can be added.
+    /// Moves all parameters into one flat tensor `[count]`, makes them views of that tensor and
+    /// returns it. Layers that hold the parameters see the change. No parameter can be added after
+    /// this call.
     ///
     /// # Panics
     /// If the store is empty (a bug).
@@ -74,10 +79,10 @@ impl Params {
         flat
     }
 
-    /// Makes all parameters views of `flat`, which holds the weights of another copy of the same network.
+    /// Makes all parameters views of `flat`, the weights of another copy of the same network.
     ///
     /// # Panics
-    /// If it is of another size (a bug).
+    /// If `flat` does not have as many elements as this store (a bug).
     pub(super) fn share(&mut self, flat: &Tensor) {
         assert!(flat.numel() as i64 == self.count(), "the shared weights are of another network");
         let views = views(flat, &self.shapes());
@@ -87,16 +92,17 @@ impl Params {
         self.flat = Some(flat.shallow_clone());
     }
 
-    /// The shape of every parameter, in order.
+    /// Returns the shape of every parameter, in order.
     pub(super) fn shapes(&self) -> Vec<Vec<i64>> {
         self.named.iter().map(|(_, t)| t.size()).collect()
     }
 }
 
-/// Overwrites tensors with those of the same names. Nothing is changed if there is an error.
+/// Overwrites the tensors in `own` with the tensors of the same names in `tensors`. On an error
+/// nothing changes.
 ///
 /// # Errors
-/// As [`Params::copy_from`].
+/// As for [`Params::copy_from`].
 pub fn copy_named(own: &[(String, Tensor)], tensors: &[(String, Tensor)]) -> Result<(), Error> {
     for (own, value) in match_by_name(own, tensors)? {
         tch::no_grad(|| own.shallow_clone().copy_(value));
@@ -104,7 +110,7 @@ pub fn copy_named(own: &[(String, Tensor)], tensors: &[(String, Tensor)]) -> Res
     Ok(())
 }
 
-/// A flat tensor as views with the names and shapes of `params`.
+/// Returns views of a flat tensor with the names and shapes of `params`.
 pub fn named_views(flat: &Tensor, params: &Params) -> Vec<(String, Tensor)> {
     params.named.iter().map(|(name, _)| name.clone()).zip(views(flat, &params.shapes())).collect()
 }
@@ -121,7 +127,8 @@ pub(super) fn views(flat: &Tensor, shapes: &[Vec<i64>]) -> Vec<Tensor> {
     shapes.iter().map(cut).collect()
 }
 
-/// Pairs each tensor of `own` with the one of the same name in `given`; the sets of names and the shapes must agree.
+/// Pairs each tensor of `own` with the tensor of the same name in `given`. The sets of names and
+/// the shapes must agree.
 pub(super) fn match_by_name<'a>(
     own: &'a [(String, Tensor)],
     given: &'a [(String, Tensor)],
@@ -144,7 +151,8 @@ pub(super) fn match_by_name<'a>(
     own.iter().map(pair).collect()
 }
 
-/// A place in a [`Params`] under which a layer creates its parameters, together with the generator of their values.
+/// A node in the name tree of a [`Params`] store, under which a layer creates its parameters,
+/// together with the generator of their initial values.
 pub struct Path<'a> {
     params: &'a mut Params,
     rng: &'a mut Rng,
@@ -152,25 +160,25 @@ pub struct Path<'a> {
 }
 
 impl Path<'_> {
-    /// The place `part` below this one; names are joined by dots.
+    /// Returns the path `part` below this one; names are joined by dots.
     pub fn sub(&mut self, part: impl Display) -> Path<'_> {
         let prefix = self.join(part);
         Path { params: self.params, rng: self.rng, prefix }
     }
 
-    /// Creates a parameter and registers it under `name` at this place.
+    /// Creates a parameter, registers it under `name` below this path and returns it.
     ///
     /// # Panics
-    /// If the name is taken, or if the store has been flattened (bugs).
+    /// If the name is taken or the store has been flattened (bugs).
     pub fn create(&mut self, name: &str, shape: &[i64], init: Init) -> Tensor {
         let values = init.sample(shape, self.rng);
         self.register(name, shape, &values)
     }
 
-    /// Creates a parameter from several matrices, each drawn on its own, stacked along the rows.
+    /// Creates a parameter of `blocks` matrices, each drawn separately, stacked along the rows.
     ///
     /// # Panics
-    /// As [`Path::create`].
+    /// As for [`Path::create`].
     pub fn create_stacked(
         &mut self,
         name: &str,

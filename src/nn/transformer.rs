@@ -1,7 +1,9 @@
-//! The message transformer: `L` rounds of attention over the communication graph turn the agents' features into messages.
+//! The message transformer: `L` rounds of attention over the communication graph turn the agents'
+//! features into messages.
 //!
-//! Architecture of the released IWoL code (`transformer_comm.py`), itself the encoder of MAT (Wen et al. 2022): post-norm
-//! blocks whose output layers start near zero. How the graph acts on the attention is a choice, see [`MaskMode`].
+//! The architecture is that of the released IWoL code (`transformer_comm.py`), which is the encoder
+//! of MAT (Wen et al. 2022): post-norm blocks whose output layers start near zero. [`MaskMode`]
+//! selects how the graph acts on the attention.
 
 use std::f64::consts::SQRT_2;
 
@@ -14,17 +16,17 @@ use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskMode {
-    /// Only edges are attended to: what is sent over a cut edge changes nothing, bit for bit, and
-    /// gets no gradient. The gradient of an edge, open or closed, is that of its renormalised
-    /// attention weight, so a learned graph is trained.
+    /// Attention is limited to open edges: what is sent over a cut edge changes nothing, bit for
+    /// bit, and gets no gradient. The gradient of an edge, open or closed, is that of its
+    /// renormalised attention weight, so that a learned graph is trained.
     #[default]
     Hard,
-    /// Logits are multiplied by the graph, as in the released code: a cut edge has logit 0 and still leaks.
+    /// Logits are multiplied by the graph (released code): a cut edge has logit 0 and still leaks.
     LogitMul,
 }
 
-/// A post-norm block of a transformer: self attention, then a perceptron of the same width with GELU; the output layers of both
-/// start near zero (MAT's encoder, `ma_transformer.py`).
+/// A post-norm transformer block: self-attention, then a perceptron of the same width with GELU.
+/// The output layers of both start near zero (MAT's encoder, `ma_transformer.py`).
 #[derive(Debug)]
 pub struct Block {
     attention: SelfAttention,
@@ -35,7 +37,7 @@ pub struct Block {
 }
 
 impl Block {
-    /// A block over tokens of `width` features.
+    /// Creates a block over tokens of `width` features.
     ///
     /// # Panics
     /// If the heads do not divide the width.
@@ -54,12 +56,13 @@ impl Block {
         }
     }
 
-    /// Tokens `x: [P, width]` of the rows of a packing to the same shape.
+    /// Maps tokens `x: [P, width]` of the occupied slots of a packing to the same shape.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
         self.think(&(x + self.attention.forward(x, packing, mask)))
     }
 
-    /// As [`Block::forward`] where every place is filled, for one token of each row: [`SelfAttention::forward_one`].
+    /// Computes [`Block::forward`] for one token of each row, where every slot is occupied, as
+    /// [`SelfAttention::forward_one`] does.
     fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, _, width) = x.size3().expect("tokens are [B, T, width]");
         let asks = place.view([batch, 1, 1]).expand([batch, 1, width], false);
@@ -67,7 +70,7 @@ impl Block {
         self.think(&(own + self.attention.forward_one(x, place, mask)))
     }
 
-    /// What comes after the attention and what it is added to, `[P, width]`.
+    /// Applies the rest of the block to the sum of input and attention, `[P, width]`.
     fn think(&self, x: &Tensor) -> Tensor {
         let x = self.attention_norm.forward(x);
         let change = self.down.forward(&self.up.forward(&x).gelu("none"));
@@ -75,8 +78,8 @@ impl Block {
     }
 }
 
-/// Input layer (normalisation, linear, GELU, normalisation), `L` post-norm blocks over the graph, output head (linear,
-/// GELU, normalisation, linear with gain 0.01).
+/// The transformer: input layer (normalisation, linear, GELU, normalisation), `L` post-norm blocks
+/// over the graph, and output head (linear, GELU, normalisation, linear with gain 0.01).
 #[derive(Debug)]
 pub struct GraphTransformer {
     mask: MaskMode,
@@ -90,8 +93,8 @@ pub struct GraphTransformer {
 }
 
 impl GraphTransformer {
-    /// A transformer from features of `inputs` entries to messages of `width` entries, with that many `rounds` and attention
-    /// `heads`.
+    /// Creates a transformer from features of `inputs` entries to messages of `width` entries, with
+    /// `rounds` rounds and `heads` attention heads.
     ///
     /// # Panics
     /// If the heads do not divide the width.
@@ -120,8 +123,9 @@ impl GraphTransformer {
         }
     }
 
-    /// Features `f: [P, H]` of the agents in the `B` rows of a packing, and graph `G: [B, N, N]` (0 or 1, row = listener),
-    /// to messages `[P, D]`. Every agent must listen to somebody, usually itself, and none to an empty place.
+    /// Maps features `f: [P, H]` of the agents in the `B` rows of a packing, over the graph
+    /// `G: [B, N, N]` (0 or 1, row = listener), to messages `[P, D]`. Every agent must listen to at
+    /// least one agent, usually itself, and none to an empty slot.
     pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
         let mut x = self.embed(f);
         let mask = graph.unsqueeze(1);
@@ -131,18 +135,19 @@ impl GraphTransformer {
         self.speak(&x)
     }
 
-    /// As [`GraphTransformer::forward`] where everyone is there and there is one round, for one agent of each row alone: features
-    /// `f: [B, N, H]`, whom the agent `place: [B]` listens to, `[B, 1, N]`, to its message `[B, D]`.
+    /// Computes [`GraphTransformer::forward`] for one agent of each row, with all agents present
+    /// and one round: maps features `f: [B, N, H]` and the edges `graph: [B, 1, N]` of the agent in
+    /// slot `place: [B]` to its message `[B, D]`.
     ///
     /// # Panics
-    /// If there are more rounds or none, in which others matter as well.
+    /// If there is not exactly one round: with more, a message depends on other agents' edges.
     pub fn forward_one(&self, f: &Tensor, place: &Tensor, graph: &Tensor) -> Tensor {
         let [block] = &self.blocks[..] else { panic!("{} rounds, and not one", self.blocks.len()) };
         let x = self.embed(&f.flatten(0, 1)).view([f.size()[0], f.size()[1], -1]);
         self.speak(&block.forward_one(&x, place, self.masked(&graph.unsqueeze(1))))
     }
 
-    /// Rounds L.
+    /// Returns the number of rounds L.
     pub fn rounds(&self) -> usize {
         self.blocks.len()
     }
@@ -178,7 +183,7 @@ mod tests {
         let mut params = Params::new(Device::Cpu);
         let network =
             GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2, mask);
-        // The gain of 0.01 would hide any flow of information below rounding: make all matrices large.
+        // Larger matrices: with the gain of 0.01, rounding would hide any flow of information.
         tch::no_grad(|| {
             for (name, tensor) in params.named() {
                 if name.ends_with("qkv.weight")
@@ -192,7 +197,7 @@ mod tests {
         network
     }
 
-    /// Messages `[B, N, H]` where everyone is there.
+    /// Returns the messages `[B, N, H]` where all agents are present.
     fn messages(network: &GraphTransformer, f: &Tensor, graph: &Tensor) -> Tensor {
         let packing = Packing::full(f.size()[0], AGENTS);
         packing.unpack(&network.forward(&f.flatten(0, 1), &packing, graph))
@@ -209,7 +214,7 @@ mod tests {
         other
     }
 
-    /// Columns of `sender` zero, except for itself.
+    /// Returns the complete graph without the edges from `sender` to other agents.
     fn silenced(sender: i64) -> Tensor {
         let graph = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
         let _ = graph.select(2, sender).fill_(0.0);
@@ -250,7 +255,7 @@ mod tests {
         }
     }
 
-    /// One agent of each row alone, in one round, as all of them at once.
+    /// One agent of each row alone, in one round, gets the same message as among all agents.
     #[test]
     fn one_agent_reads_as_it_does_among_all() {
         for mask in [MaskMode::Hard, MaskMode::LogitMul] {
@@ -280,7 +285,8 @@ mod tests {
         }
     }
 
-    /// Scheduler and transformer together: a dead agent has no physical edges, whatever the scheduler would like.
+    /// An absent agent changes nothing through scheduler and transformer, because it has no
+    /// physical edges, whatever the scheduler decides.
     #[test]
     fn a_dead_agent_changes_nothing_through_the_learned_graph() {
         let mut params = Params::new(Device::Cpu);
@@ -313,8 +319,7 @@ mod tests {
         );
     }
 
-    /// Where the scheduler closes every edge, it still finds out what the possible ones would
-    /// bring, and nothing of those that are physically cut.
+    /// Edges that the scheduler closes have a gradient, unless they are physically impossible.
     #[test]
     fn closed_edges_have_a_gradient_where_they_are_possible() {
         let scheduler_gradient = |physical: &Tensor| {
@@ -323,7 +328,7 @@ mod tests {
                 CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
             let network = transformer(MaskMode::Hard);
             let f = uniform(&[3, AGENTS, WIDTH], 5);
-            // Far below zero: no edge is sampled, though the soft sample is not quite 0.
+            // Far below zero: no edge is sampled, though the soft sample is slightly above 0.
             let noise = Tensor::full([3, AGENTS, AGENTS], -20.0, (Kind::Float, Device::Cpu));
             let graph = scheduler.forward(
                 &f.flatten(0, 1),
@@ -349,7 +354,7 @@ mod tests {
         assert_eq!(scheduler_gradient(&alone), 0.0);
     }
 
-    /// Leaving the absent out changes nothing for those who are there.
+    /// Leaving absent agents out of the layers changes nothing for the agents that are present.
     #[test]
     fn packed_agents_send_the_same_messages() {
         let network = transformer(MaskMode::Hard);

@@ -1,13 +1,15 @@
-//! Running normalisation of value targets (ValueNorm of MAPPO's reference code, `onpolicy/utils/valuenorm.py`).
+//! Running normalisation of value targets (ValueNorm of MAPPO's reference code,
+//! `onpolicy/utils/valuenorm.py`).
 //!
-//! With the reference's decay of 0.99999 it is in effect a cumulative mean over all batches seen. State is in `f64`.
+//! With the reference's decay of 0.99999, the statistics are in effect cumulative means over all
+//! batches seen. The state is in `f64`.
 
 use tch::{Kind, Tensor};
 
 const MIN_WEIGHT: f64 = 1e-5;
 const MIN_VARIANCE: f64 = 1e-2;
 
-/// Running mean and mean square of the returns, each with the same debiasing weight.
+/// Running mean and mean square of the returns, with a common debiasing weight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ValueNorm {
     decay: f64,
@@ -17,12 +19,14 @@ pub struct ValueNorm {
 }
 
 impl ValueNorm {
-    /// Nothing seen yet: mean 0, standard deviation 0.1. With every batch the old statistics are weighted by `decay`.
+    /// Creates statistics that have seen no returns: mean 0, standard deviation 0.1. Every batch
+    /// multiplies the weight of the old statistics by `decay`.
     pub fn new(decay: f64) -> Self {
         ValueNorm { decay, mean: 0.0, mean_square: 0.0, weight: 0.0 }
     }
 
-    /// Takes in a batch of returns of any shape, those of active agents only; an empty one leaves the state as it is.
+    /// Adds a batch of returns of any shape to the statistics. The caller passes the returns of
+    /// active agents only. An empty batch changes nothing.
     pub fn update(&mut self, returns: &Tensor) {
         if returns.numel() == 0 {
             return;
@@ -35,7 +39,7 @@ impl ValueNorm {
         self.weight = self.decay * self.weight + (1.0 - self.decay);
     }
 
-    /// Debiased mean and standard deviation (at least 0.1) of the returns seen.
+    /// Returns the debiased mean and standard deviation (at least 0.1) of the returns seen.
     pub fn mean_std(&self) -> (f64, f64) {
         let weight = self.weight.max(MIN_WEIGHT);
         let mean = self.mean / weight;
@@ -43,31 +47,33 @@ impl ValueNorm {
         (mean, variance.max(MIN_VARIANCE).sqrt())
     }
 
-    /// By which scale and shift normalised values mean under these statistics what they meant under `old` ones; none where nothing had
-    /// been seen by then (PopArt: van Hasselt et al. 2016, "Learning values across many orders of magnitude", proposition 1).
+    /// Returns the scale and shift that convert values normalised by the statistics `old` to values
+    /// normalised by these ones, so that they stand for the same returns; `None` if `old` has seen
+    /// no returns (PopArt: van Hasselt et al. 2016, "Learning values across many orders of
+    /// magnitude", proposition 1).
     pub fn rescaling(&self, old: &Self) -> Option<(f64, f64)> {
         let ((old_mean, old_std), (mean, std)) = (old.mean_std(), self.mean_std());
         (old.weight > 0.0).then_some((old_std / std, (old_mean - mean) / std))
     }
 
-    /// Returns to the network's scale, elementwise.
+    /// Converts returns to the network's scale, elementwise.
     pub fn normalize(&self, returns: &Tensor) -> Tensor {
         let (mean, std) = self.mean_std();
         (returns - mean) / std
     }
 
-    /// The network's values to the scale of the returns, elementwise.
+    /// Converts the network's values to the scale of the returns, elementwise.
     pub fn denormalize(&self, values: &Tensor) -> Tensor {
         let (mean, std) = self.mean_std();
         values * std + mean
     }
 
-    /// Running mean, mean square and weight, for a checkpoint.
+    /// Returns running mean, mean square and weight, for a checkpoint.
     pub fn state(&self) -> [f64; 3] {
         [self.mean, self.mean_square, self.weight]
     }
 
-    /// Takes over what [`ValueNorm::state`] gave.
+    /// Restores a state that [`ValueNorm::state`] returned.
     pub fn load_state(&mut self, [mean, mean_square, weight]: [f64; 3]) {
         *self = ValueNorm { decay: self.decay, mean, mean_square, weight };
     }

@@ -1,13 +1,14 @@
-//! Linear axes: which range the data needs, where the ticks go, how their numbers are written.
+//! Linear axes: the range that the data needs, the positions of the ticks, and their labels.
 
 use std::ops::Range;
 
-/// Whether a number can be placed on an axis. Beyond the bound, pixel arithmetic and labels stop making sense.
+/// Returns whether a number can be placed on an axis. Beyond the bound, pixel arithmetic and labels
+/// are meaningless.
 pub(super) fn usable(v: f64) -> bool {
     v.abs() <= 1e30
 }
 
-/// The stretches of consecutive present items.
+/// Returns the runs of consecutive present items.
 pub(super) fn runs<T>(items: impl Iterator<Item = Option<T>>) -> Vec<Vec<T>> {
     let mut runs = vec![Vec::new()];
     for item in items {
@@ -20,8 +21,8 @@ pub(super) fn runs<T>(items: impl Iterator<Item = Option<T>>) -> Vec<Vec<T>> {
     runs
 }
 
-/// The range of the usable values plus `margin` of its span on both sides; begins at 0 where the values are positive
-/// and come near it. Never empty.
+/// Returns the range of the usable values plus `margin` of its span on both sides. The range begins
+/// at 0 if all values are non-negative and the smallest is close to 0. The range is never empty.
 pub(super) fn enclosing(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
     let (low, high) = values
         .filter(|v| usable(*v))
@@ -38,17 +39,18 @@ pub(super) fn enclosing(values: impl Iterator<Item = f64>, margin: f64) -> Range
     from..high + margin * span
 }
 
-/// A linear axis with round ticks. What lies outside its range is placed at the nearer end.
+/// A linear axis with round ticks. Values outside its range are placed at the nearer end.
 pub(super) struct Axis {
     pub(super) range: Range<f64>,
     pub(super) ticks: Vec<f64>,
     step: f64,
-    /// What a label counts in, and the letter for it.
+    /// Unit of the labels, and its letter (k, M, G).
     unit: (f64, &'static str),
 }
 
 impl Axis {
-    /// Ticks at multiples of 1, 2 or 5 times a power of ten, about `count` intervals of them. The range is not empty.
+    /// Creates an axis with ticks at multiples of 1, 2 or 5 times a power of ten and about `count`
+    /// intervals. `range` must not be empty.
     pub(super) fn new(range: Range<f64>, count: u32) -> Self {
         let rough = (range.end - range.start) / f64::from(count);
         let power = 10f64.powf(rough.log10().floor());
@@ -82,10 +84,10 @@ impl Axis {
         } else {
             format!("{value:.1e}")
         };
-        // A true minus sign, as wide as the digits.
+        // The Unicode minus sign is as wide as a digit.
         text.replace('-', "\u{2212}")
     }
-    /// The pixel of a value on an axis that runs from pixel `first` to pixel `last`.
+    /// Returns the pixel of a value on an axis from pixel `first` to pixel `last`.
     pub(super) fn place(&self, value: f64, first: i32, last: i32) -> i32 {
         let share = (value - self.range.start) / (self.range.end - self.range.start);
         first + (share.clamp(0.0, 1.0) * f64::from(last - first)).round() as i32

@@ -1,4 +1,4 @@
-//! What the figure is drawn with: lines and text on a canvas finer than the picture, and the way back to the picture.
+//! Lines and text on a canvas that is finer than the picture, and averaging down to the picture.
 
 use std::sync::OnceLock;
 
@@ -7,7 +7,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, FontTransform, register_font};
 
-/// Every pixel of the picture is the mean of `FINE` x `FINE` drawn ones.
+/// Oversampling factor: every pixel of the picture is the mean of `FINE` x `FINE` drawn pixels.
 pub(super) const FINE: u32 = 3;
 
 /// Name under which the built-in font is registered with the drawing library.
@@ -28,7 +28,8 @@ pub(super) fn provide_font() -> Result<(), Box<dyn std::error::Error + Send + Sy
     }
 }
 
-/// Averages blocks of `FINE` x `FINE` pixels (three bytes each) into one; `width` is the resulting width.
+/// Averages each block of `FINE` x `FINE` pixels (three bytes each) to one pixel; `width` is the
+/// width of the result.
 pub(super) fn averaged(fine: &[u8], width: usize) -> Vec<u8> {
     let fine_side = FINE as usize;
     let fine_row = width * fine_side * 3;
@@ -47,22 +48,23 @@ pub(super) fn averaged(fine: &[u8], width: usize) -> Vec<u8> {
     out
 }
 
-/// A length in pixels of the picture, in drawn pixels.
+/// Converts a length from pixels of the picture to drawn pixels.
 pub(super) const fn px(length: i32) -> i32 {
     length * FINE as i32
 }
 
-/// How a text lies to the point it is drawn at; vertically the point is at the middle of its capitals.
+/// Position of a text relative to the point at which it is drawn. Vertically, the point is at the
+/// middle of the capitals.
 #[derive(Clone, Copy)]
 pub(super) enum Place {
     RightOf,
     LeftOf,
     Centred,
-    /// Centred, read from below to above.
+    /// Centred, and read from bottom to top.
     Upwards,
 }
 
-/// Draws text of a height in pixels of the picture at a drawn pixel.
+/// Draws a text at a drawn pixel; `height` is in pixels of the picture.
 pub(super) fn write(
     canvas: &Canvas,
     text: &str,
@@ -71,7 +73,8 @@ pub(super) fn write(
     place: Place,
     (x, y): (i32, i32),
 ) -> Drawn {
-    // The library centres the space between the lines; this much further down is the middle of the capitals.
+    // The library centres the space between the lines; the middle of the capitals is this much
+    // lower.
     let down = px(height) / 5;
     let font = (FONT, px(height)).into_font();
     let (font, h, x, y) = match place {
@@ -81,19 +84,20 @@ pub(super) fn write(
         Place::Upwards => (font.transform(FontTransform::Rotate270), HPos::Center, x + down, y),
     };
     let style = font.color(&color).pos(Pos::new(h, VPos::Center));
-    // Twice, a third of a pixel apart: the font's strokes are too light for small letters.
+    // The text is drawn twice, a third of a pixel apart: the font's strokes are too light for small
+    // letters.
     canvas.draw_text(text, &style, (x, y))?;
     canvas.draw_text(text, &style, (x + 1, y))
 }
 
-/// Width of a text in drawn pixels.
+/// Returns the width of a text in drawn pixels.
 pub(super) fn text_width(canvas: &Canvas, text: &str, height: i32) -> i32 {
     canvas
         .estimate_text_size(text, &(FONT, px(height)).into_text_style(canvas))
         .map_or(0, |(width, _)| width as i32)
 }
 
-/// Draws a line of a width in drawn pixels.
+/// Draws a line; `width` is in drawn pixels.
 pub(super) fn line(
     canvas: &Canvas,
     from: (i32, i32),
@@ -110,7 +114,7 @@ mod tests {
 
     #[test]
     fn averaging_takes_the_mean_of_each_block() {
-        // Two pixels side by side: the left block all 90 but one 0, the right one 200.
+        // Two pixels side by side: the left block is 90 except for one 0, the right block is 200.
         let mut fine = vec![0; 3 * 6 * 3];
         for (i, byte) in fine.iter_mut().enumerate() {
             *byte = if (i / 3) % 6 < 3 { 90 } else { 200 };

@@ -1,9 +1,10 @@
-//! Curves, and points with intervals, as PNG pictures.
+//! Plots of curves, and of points with intervals, as PNG pictures.
 //!
-//! A figure is a row of panels that share one legend below them; a label has the same colour in every panel.
-//! Horizontal reference lines (policies that need no training) are named at the right margin, so that no text lies on
-//! the data. The font is part of the program: nothing has to be installed. Everything is drawn at three times the size
-//! and averaged down, which smooths what the bitmap backend leaves ragged.
+//! A figure is a row of panels that share one legend below them; a label has the same colour in
+//! every panel. Names of horizontal reference lines (policies without training) stand at the right
+//! margin, so that no text covers data. The font is part of the program, so nothing has to be
+//! installed. Everything is drawn at three times the size and averaged down, because the bitmap
+//! backend does not smooth all edges.
 
 mod axis;
 mod canvas;
@@ -25,19 +26,20 @@ use crate::record;
 /// One curve of a panel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Name in the legend; curves of one name share a colour in all panels.
+    /// Name in the legend; curves with the same name have the same colour in all panels.
     pub label: String,
-    /// `(x, y)` in order of `x`. A point with a NaN or infinity is left out and interrupts the line.
+    /// `(x, y)` in the order of `x`. A point with a NaN or infinity is left out and interrupts the
+    /// line.
     pub points: Vec<(f64, f64)>,
-    /// `(x, low, high)` in order of `x`: shaded behind the line, for example a 95 % interval. Entries with a NaN or
-    /// infinity (the interval of a single value) are left out.
+    /// `(x, low, high)` in the order of `x`: shaded behind the line, for example a 95 % interval.
+    /// Entries with a NaN or infinity (the interval of a single value) are left out.
     pub band: Option<Vec<(f64, f64, f64)>>,
-    /// How it is drawn.
+    /// How the series is drawn.
     pub style: Style,
 }
 
 impl Series {
-    /// A curve with a shaded band.
+    /// Creates a curve with a shaded band.
     pub fn curve(
         label: String,
         points: Vec<(f64, f64)>,
@@ -50,50 +52,52 @@ impl Series {
 /// How a series is drawn.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Style {
-    /// A line; the band is shaded.
+    /// A line with a shaded band.
     #[default]
     Curve,
-    /// A line through points, each of which has its interval as a whisker: for a few places along the x axis.
+    /// A line through points whose intervals are drawn as whiskers, for a few places along the x
+    /// axis.
     Whiskers,
-    /// A dashed line in the colour of the series with this label: values to compare it with.
+    /// A dashed line in the colour of the series with this label, e.g. published values to compare
+    /// that series with.
     Beside(String),
 }
 
 /// One pair of axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
-    /// Heading, may be empty.
+    /// Heading; may be empty.
     pub title: String,
-    /// What the x axis shows, with its unit.
+    /// Label of the x axis, with its unit.
     pub x_label: String,
-    /// What the y axis shows, with its unit.
+    /// Label of the y axis, with its unit.
     pub y_label: String,
-    /// Ends of the y axis, bottom first; chosen from the data if `None` or not a proper range. What lies outside is
-    /// drawn at the edge.
+    /// Ends of the y axis, bottom first; chosen from the data if `None` or not a proper range.
+    /// Values outside are drawn at the edge.
     pub y_range: Option<(f64, f64)>,
-    /// Names of the places 0, 1, … along the x axis; empty: it is a scale of numbers.
+    /// Names of the places 0, 1, … along the x axis; if empty, the axis is a numeric scale.
     pub categories: Vec<String>,
     /// The curves.
     pub series: Vec<Series>,
-    /// Horizontal dashed lines: name and y. One outside `y_range` is not drawn.
+    /// Horizontal dashed lines: name and y. Lines outside `y_range` are not drawn.
     pub references: Vec<(String, f64)>,
 }
 
-/// Why a figure could not be made.
+/// An error of drawing or writing a figure.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The picture is too small to hold the panels, or too large to be a picture.
+    /// The picture is too small to hold the panels, or larger than the limit.
     #[error(
         "cannot draw {panels} panel(s) on {width} x {height} pixels; each panel needs at least \
          {MIN_PANEL} x {MIN_PANEL}, the whole at most {MAX_SIDE} x {MAX_SIDE}"
     )]
     Size {
-        /// Panels asked for.
+        /// Requested number of panels.
         panels: usize,
-        /// Width asked for, pixels.
+        /// Requested width \[pixels\].
         width: u32,
-        /// Height asked for, pixels.
+        /// Requested height \[pixels\].
         height: u32,
     },
     /// The drawing library failed.
@@ -104,9 +108,9 @@ pub enum Error {
     Write(#[from] record::Error),
 }
 
-/// Least width and height per panel, pixels.
+/// Minimum width and height per panel \[pixels\].
 const MIN_PANEL: u32 = 280;
-/// Greatest width and height of a figure, pixels.
+/// Maximum width and height of a figure \[pixels\].
 const MAX_SIDE: u32 = 4096;
 
 // Letter heights in pixels of the picture.
@@ -115,8 +119,9 @@ const HEADING: i32 = 24;
 const TEXT: i32 = 21;
 const TICK: i32 = 19;
 
-/// The colours of Okabe and Ito, which people with any colour vision tell apart (without the yellow, too pale for a
-/// line on white), and four darker ones of Tol's for figures of all methods.
+/// The colours of Okabe and Ito, which people with any colour vision can tell apart (without
+/// yellow, which is too pale for a line on white), and four darker colours of Tol for figures with
+/// all algorithms.
 const PALETTE: [RGBColor; 11] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -134,16 +139,17 @@ const INK: RGBColor = RGBColor(25, 25, 25);
 const REFERENCE: RGBColor = RGBColor(70, 70, 70);
 const GRID: RGBColor = RGBColor(226, 226, 226);
 
-/// Lines with at most this many points also get a dot at each.
+/// Maximum number of points of a line that also gets a dot at each point.
 const DOTS_UP_TO: usize = 40;
 
-/// Draws `panels` side by side under `title` and writes them as a PNG of `size` (width, height in pixels) to `path`,
-/// which appears whole or not at all.
+/// Draws `panels` side by side under `title` and writes them as a PNG of `size` (width, height in
+/// pixels) to `path`. The file appears complete or not at all.
 ///
-/// Panels and series without a single usable point are drawn as such ("no data").
+/// Panels and series without a usable point are marked "no data".
 ///
 /// # Errors
-/// [`Error::Size`] for a size that cannot hold the panels, [`Error::Write`] if the file cannot be written.
+/// [`Error::Size`] for a size that cannot hold the panels, [`Error::Write`] if the file cannot be
+/// written.
 pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> Result<(), Error> {
     let (width, height) = size;
     let least_width =
@@ -160,7 +166,8 @@ pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> R
     save(path, size, &fine)
 }
 
-/// Writes what was drawn on a canvas of a picture of `size` as PNG to `path`, which appears whole or not at all.
+/// Averages a drawing down to a picture of `size` and writes it as PNG to `path`. The file appears
+/// complete or not at all.
 fn save(path: &Path, size: (u32, u32), fine: &[u8]) -> Result<(), Error> {
     let file = record::temporary_beside(path, ".png")?;
     let mut picture = BitMapBackend::new(file.path(), size);
@@ -195,10 +202,11 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     canvas.present()
 }
 
-/// One entry of the legend: index of its color, text, width in drawn pixels.
+/// One entry of the legend: index of its label, text, width in drawn pixels.
 type Entry = (usize, String, i32);
 
-/// Draws the legend at the bottom, in as many rows as it needs, and returns the y of its upper edge.
+/// Draws the legend at the bottom, in as many rows as it needs, and returns the y of its upper
+/// edge.
 fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32> {
     const SWATCH: i32 = px(34);
     const GAP: i32 = px(9);
@@ -258,7 +266,8 @@ fn is_dashed(label: &str, panels: &[Panel]) -> bool {
     series_called(label, panels).any(|series| matches!(series.style, Style::Beside(_)))
 }
 
-/// Whether there are points without a line between any of them, and more than one in a panel.
+/// Returns whether the series with this label consist of unconnected points, with more than one
+/// point in some panel.
 fn is_scattered(label: &str, panels: &[Panel]) -> bool {
     let alone = |series: &Series| {
         runs(series.points.iter().map(|p| (usable(p.0) && usable(p.1)).then_some(())))
@@ -269,13 +278,14 @@ fn is_scattered(label: &str, panels: &[Panel]) -> bool {
         && series_called(label, panels).all(alone)
 }
 
-/// A point; a ring where it is somebody else's.
+/// Draws a point as a dot, or as a ring for values to compare with.
 fn dot(canvas: &Canvas, at: (i32, i32), radius: i32, color: RGBColor, ring: bool) -> Drawn {
     canvas.draw(&Circle::new(at, radius, color.filled()))?;
     if ring { canvas.draw(&Circle::new(at, radius - px(3) / 2, WHITE.filled())) } else { Ok(()) }
 }
 
-/// The colour of a label: that of the one it is beside, or else the next of the palette, of which dashed ones use none up.
+/// Returns the colour of a label: that of its partner ([`Style::Beside`]), otherwise the next
+/// colour of the palette. Dashed series do not use up colours of the palette.
 fn color_of(label: &str, panels: &[Panel], labels: &[&str]) -> RGBColor {
     let beside = series_called(label, panels).find_map(|series| match &series.style {
         Style::Beside(other) => labels.iter().find(|known| **known == other.as_str()),
@@ -287,7 +297,7 @@ fn color_of(label: &str, panels: &[Panel], labels: &[&str]) -> RGBColor {
     PALETTE[solid.iter().position(|known| **known == own).unwrap_or(0) % PALETTE.len()]
 }
 
-/// A dashed line as wide as a curve.
+/// Draws a dashed line as wide as a curve.
 fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), color: RGBColor) -> Drawn {
     const DASH: f64 = px(9) as f64;
     const GAP: f64 = px(6) as f64;
@@ -337,7 +347,7 @@ fn draw_panel(
         .map_or(0, |w| w + px(LEADER + 4));
     let heading = if panel.title.is_empty() { 0 } else { px(HEADING + 8) };
     let widest_category = widest(&mut panel.categories.iter()).unwrap_or(0);
-    // Never inside out, however long the labels.
+    // The limits keep the plot area from inverting, however long the labels are.
     let left =
         (area.left + px(TEXT + 34) + tick_width).min(area.left + (area.right - area.left) / 2);
     let plot = Area {
@@ -408,7 +418,8 @@ fn draw_panel(
             empty = false;
             let dotted = series.points.len() <= DOTS_UP_TO || run.len() == 1;
             let radius = if dotted { px(7) / 2 } else { LINE_WIDTH / 2 };
-            // Piece by piece with round joints: the library's own joints of sharp turns shoot far beyond the data.
+            // Lines are drawn piece by piece with round joints: the drawing library's joints of
+            // sharp turns extend far beyond the data.
             for pair in run.windows(2).filter(|pair| pair[0] != pair[1]) {
                 if matches!(series.style, Style::Beside(_)) {
                     dashed(canvas, pair[0], pair[1], color)?;
@@ -451,7 +462,7 @@ fn draw_panel(
     )
 }
 
-/// An interval with its two ends.
+/// Draws an interval with bars at both ends.
 fn whisker(canvas: &Canvas, low: (i32, i32), high: (i32, i32), color: RGBColor) -> Drawn {
     const HALF: i32 = px(5);
     line(canvas, low, high, px(3) / 2, color)?;
@@ -461,17 +472,19 @@ fn whisker(canvas: &Canvas, low: (i32, i32), high: (i32, i32), color: RGBColor) 
     Ok(())
 }
 
-/// Width of a curve, drawn pixels.
+/// Width of a curve \[drawn pixels\].
 const LINE_WIDTH: i32 = px(5) / 2;
 
-/// Length of the stroke between a reference line and its label, pixels of the picture.
+/// Length of the stroke between a reference line and its label \[pixels of the picture\].
 const LEADER: i32 = 12;
 
-/// Writes the names of the reference lines right of the plot, each as near to its line's height as the others let it.
+/// Writes the names of the reference lines right of the plot, each as close to the height of its
+/// line as the others allow.
 fn draw_reference_labels(canvas: &Canvas, plot: Area, mut marks: Vec<(i32, Vec<String>)>) -> Drawn {
     const LINE: i32 = px(TICK);
     marks.sort_by_key(|(y, _)| *y);
-    // Top edges of the labels: downwards past each other, then back up from the plot's lower edge.
+    // Top edges of the labels: first moved down past each other, then up again from the plot's
+    // lower edge.
     let mut tops = Vec::with_capacity(marks.len());
     let mut free_from = i32::MIN;
     for (y, lines) in &marks {
@@ -503,7 +516,8 @@ fn draw_reference_labels(canvas: &Canvas, plot: Area, mut marks: Vec<(i32, Vec<S
     Ok(())
 }
 
-/// Breaks a label between words into lines of at most `width`; a longer word stays whole.
+/// Breaks a label between words into lines of at most `width` drawn pixels; a longer word stays
+/// whole.
 fn wrapped(canvas: &Canvas, label: &str, width: i32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in label.split_whitespace() {
@@ -563,7 +577,7 @@ mod tests {
         }
     }
 
-    /// Draws and returns width, height and size in bytes of the PNG.
+    /// Draws a figure and returns width, height, and size in bytes of the PNG.
     fn drawn(panels: &[Panel], size: (u32, u32)) -> (u32, u32, usize) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.png");

@@ -1,4 +1,4 @@
-//! Pictures of plain shapes in metres, as SVG or PNG: what nets are drawn with.
+//! Pictures of plain shapes in metres, as SVG or PNG. Maps of nets are drawn with them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -8,26 +8,26 @@ use plotters::prelude::*;
 use super::canvas::{Canvas, Drawn, FINE, Place, provide_font, px, write};
 use super::{Error, INK, save};
 
-/// Longest side of a picture \[pixels\].
+/// Length of the longer side of the drawing \[pixels\].
 const SIDE: f64 = 1200.0;
-/// White around all shapes \[pixels\].
+/// White margin around all shapes \[pixels\].
 const MARGIN: f64 = 24.0;
 /// Height of letters \[pixels\].
 const LETTERS: i32 = 18;
 /// Height of a line of text \[pixels\].
 const LINE: f64 = 28.0;
-/// Straight pieces of which a circle is made.
+/// Number of straight pieces that form a circle.
 const SIDES: u32 = 72;
 
-/// Red, green, blue.
+/// A colour: red, green, blue.
 pub type Rgb = [u8; 3];
 
-/// A picture; what is drawn later lies on top.
+/// A picture; later shapes are drawn on top of earlier ones.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Picture {
     title: String,
     shapes: Vec<Shape>,
-    /// What a colour means.
+    /// Colours and their meaning.
     legend: Vec<(Rgb, String)>,
 }
 
@@ -36,27 +36,27 @@ struct Shape {
     /// \[m\]
     points: Vec<[f64; 2]>,
     color: Rgb,
-    /// Width of the line along the points \[m\]; none: the area between them.
+    /// Width of the line along the points \[m\]; `None` fills the area between them.
     width: Option<f64>,
 }
 
 impl Picture {
-    /// An empty one.
+    /// Creates an empty picture.
     pub fn new(title: impl Into<String>) -> Self {
         Self { title: title.into(), ..Self::default() }
     }
 
-    /// Adds a line of a width \[m\].
+    /// Adds a line; `width` in metres.
     pub fn line(&mut self, points: &[[f64; 2]], width: f64, color: Rgb) {
         self.shapes.push(Shape { points: points.to_vec(), color, width: Some(width) });
     }
 
-    /// Adds an area.
+    /// Adds a filled area.
     pub fn area(&mut self, points: &[[f64; 2]], color: Rgb) {
         self.shapes.push(Shape { points: points.to_vec(), color, width: None });
     }
 
-    /// Adds a disc, or a circle's line of a width \[m\].
+    /// Adds a circular line of the given width \[m\], or a disc if the width is `None`.
     pub fn circle(&mut self, [x, y]: [f64; 2], radius: f64, width: Option<f64>, color: Rgb) {
         let angles = (0..=SIDES).map(|k| std::f64::consts::TAU * f64::from(k) / f64::from(SIDES));
         let points =
@@ -64,7 +64,7 @@ impl Picture {
         self.shapes.push(Shape { points, color, width });
     }
 
-    /// Says what a colour means.
+    /// Adds an entry to the legend: a colour and its meaning.
     pub fn explain(&mut self, color: Rgb, text: impl Into<String>) {
         self.legend.push((color, text.into()));
     }
@@ -84,14 +84,15 @@ impl Picture {
             left,
             top,
             scale,
-            // Room for the title at least.
+            // The picture is at least wide enough for the title.
             width: length(left, right).max(SIDE / 2.0) + 2.0 * MARGIN,
             map_bottom: MARGIN + LINE + length(bottom, top),
             lines: self.legend.len() + 1,
         }
     }
 
-    /// A length for the scale bar, in round numbers of metres, about a fifth of the picture.
+    /// Returns the length of the scale bar: a round number of metres, at most a fifth of the
+    /// picture.
     fn ruler(frame: &Frame) -> f64 {
         let fifth = SIDE / frame.scale / 5.0;
         let decade = 10_f64.powf(fifth.log10().floor());
@@ -102,7 +103,7 @@ impl Picture {
             .unwrap_or(decade)
     }
 
-    /// The picture as SVG.
+    /// Returns the picture as SVG.
     pub fn svg(&self) -> String {
         let frame = self.frame();
         let mut svg = String::new();
@@ -154,10 +155,10 @@ impl Picture {
         svg
     }
 
-    /// Writes the picture as PNG to `path`, which appears whole or not at all.
+    /// Writes the picture as PNG to `path`. The file appears complete or not at all.
     ///
     /// # Errors
-    /// [`Error::Write`] if the file cannot be written, [`Error::Draw`].
+    /// [`Error::Write`] if the file cannot be written, [`Error::Draw`] if drawing fails.
     pub fn png(&self, path: &Path) -> Result<(), Error> {
         provide_font().map_err(Error::Draw)?;
         let frame = self.frame();
@@ -184,7 +185,7 @@ impl Picture {
                 ))?;
                 continue;
             };
-            // Thick lines as areas with round joints.
+            // Thick lines are drawn as areas with round joints.
             let half = frame.width_of(*width) / 2.0;
             for pair in places.windows(2) {
                 let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
@@ -221,7 +222,7 @@ impl Picture {
         canvas.present()
     }
 
-    /// The scale bar, and what colours mean.
+    /// Returns the scale bar and the legend.
     fn notes(&self, metres: f64) -> Vec<(Rgb, String)> {
         std::iter::once(([25; 3], format!("{metres} m")))
             .chain(self.legend.iter().cloned())
@@ -229,14 +230,14 @@ impl Picture {
     }
 }
 
-/// From metres to pixels.
+/// The transformation from metres to pixels.
 struct Frame {
     left: f64,
     top: f64,
     scale: f64,
     width: f64,
     map_bottom: f64,
-    /// Below the map.
+    /// Number of lines of text below the map.
     lines: usize,
 }
 
@@ -245,7 +246,8 @@ impl Frame {
         [MARGIN + self.scale * (x - self.left), MARGIN + LINE + self.scale * (self.top - y)]
     }
 
-    /// Lines stay visible in pictures of large nets.
+    /// Returns the width of a line in pixels; at least one pixel, so that lines stay visible in
+    /// pictures of large nets.
     fn width_of(&self, metres: f64) -> f64 {
         (self.scale * metres).max(1.0)
     }
@@ -263,7 +265,7 @@ fn hex([r, g, b]: Rgb) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-/// Text as it may stand in an element of SVG or HTML.
+/// Escapes text for use in an element of SVG or HTML.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;")
 }
@@ -286,7 +288,7 @@ mod tests {
         let svg = picture().svg();
         let document = roxmltree::Document::parse(&svg).unwrap();
         let path = document.descendants().find(|node| node.has_tag_name("path")).unwrap();
-        // 50 m are 1200 pixels, and up is up.
+        // 50 m are 1200 pixels, and the y axis points up.
         assert_eq!(path.attribute("d"), Some("M24.00 532.00L1224.00 532.00L1224.00 52.00"));
         assert_eq!(path.attribute("stroke-width"), Some("72.00"));
         assert!(

@@ -1,4 +1,5 @@
-//! Files of one JSON value per line (`metrics.jsonl`, `eval.jsonl`) that survive being killed and resumed.
+//! Files with one JSON value per line (`metrics.jsonl`, `eval.jsonl`) that survive a kill and can
+//! be resumed.
 
 use std::fs::{self, OpenOptions};
 use std::path::Path;
@@ -8,13 +9,13 @@ use serde::de::{DeserializeOwned, IgnoredAny};
 
 use super::{Appender, Error, write_atomic};
 
-/// A line that is read.
+/// A line as it is read: a JSON object.
 pub type JsonObject = serde_json::Map<String, serde_json::Value>;
 
-/// Appends values to a JSON-lines file, one line each.
+/// Writer that appends values to a JSON-lines file, one line each.
 ///
-/// Every line is handed to the operating system when [`append`](Self::append) returns. Numbers that JSON does not know
-/// (NaN, infinities) are written as `null`.
+/// When [`append`](Self::append) returns, the line has been passed to the operating system. Numbers
+/// that JSON cannot express (NaN, infinities) are written as `null`.
 #[derive(Debug)]
 pub struct JsonLines {
     appender: Appender,
@@ -22,17 +23,17 @@ pub struct JsonLines {
 }
 
 impl JsonLines {
-    /// Starts an empty file; one that exists is emptied.
+    /// Creates an empty file, or empties an existing one.
     ///
     /// # Errors
-    /// [`Error::Io`] if the file cannot be made.
+    /// [`Error::Io`] if the file cannot be created.
     pub fn create(path: &Path) -> Result<Self, Error> {
         Self::open(path, Some(0))
     }
 
-    /// Continues a file; one that does not exist is made.
+    /// Opens a file to continue it, or creates it.
     ///
-    /// A last line that was only half written when the last run was killed is removed.
+    /// An incomplete last line, left by a run that was killed, is removed.
     ///
     /// # Errors
     /// [`Error::Io`] if the file cannot be read or opened.
@@ -41,7 +42,7 @@ impl JsonLines {
         let text = fs::read(path).map_err(Error::io("read", path))?;
         let (complete, tail) = split_complete(&text);
         if is_object(tail) {
-            // Only the line's end was lost: a JSON object that was cut short does not parse.
+            // Only the newline is missing: an incomplete JSON object does not parse.
             resumed.appender.append(b"\n")?;
         } else if !tail.is_empty() {
             resumed = Self::open(path, Some(complete.len() as u64))?;
@@ -54,11 +55,12 @@ impl JsonLines {
         Ok(Self { appender, line: Vec::new() })
     }
 
-    /// Removes the lines of which `gone` is true, so that a run resumed from a checkpoint does not record twice what came after it.
+    /// Removes the lines for which `gone` returns true. A run that is resumed from a checkpoint
+    /// thus does not record the steps after the checkpoint twice.
     ///
     /// # Errors
-    /// [`Error::Line`] if a line is not a JSON object, [`Error::Io`] if the file cannot be rewritten; the file is then
-    /// unchanged.
+    /// [`Error::Line`] if a line is not a JSON object, [`Error::Io`] if the file cannot be
+    /// rewritten; the file is then unchanged.
     pub fn remove_where(&mut self, gone: impl Fn(&JsonObject) -> bool) -> Result<(), Error> {
         let path = self.appender.path.clone();
         let text = fs::read(&path).map_err(Error::io("read", &path))?;
@@ -80,8 +82,8 @@ impl JsonLines {
     /// Appends `value` as one line.
     ///
     /// # Errors
-    /// [`Error::Encode`] if it has no JSON form, [`Error::Io`] if it cannot be written; the file then ends with the
-    /// line before.
+    /// [`Error::Encode`] if the value has no JSON form, [`Error::Io`] if the line cannot be
+    /// written; the file then ends with the previous line.
     pub fn append(&mut self, value: &impl Serialize) -> Result<(), Error> {
         self.line.clear();
         serde_json::to_writer(&mut self.line, value)
@@ -90,20 +92,20 @@ impl JsonLines {
         self.appender.append(&self.line)
     }
 
-    /// Forces all lines to disk; call it before writing a checkpoint that presumes them.
+    /// Forces all lines to disk; call it before writing a checkpoint that relies on them.
     ///
     /// # Errors
-    /// [`Error::Io`] if the disk refuses.
+    /// [`Error::Io`] if the operating system reports an error.
     pub fn sync(&self) -> Result<(), Error> {
         self.appender.sync()
     }
 }
 
-/// Reads every line of a JSON-lines file. A last line that is still being written, or was cut short, is left out.
+/// Reads every line of a JSON-lines file. An incomplete last line is left out.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be read, [`Error::Line`] with the number of the first complete line that is not a
-/// `T`.
+/// [`Error::Io`] if the file cannot be read, [`Error::Line`] with the number of the first complete
+/// line that is not a `T`.
 pub fn read_json_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, Error> {
     let text = fs::read(path).map_err(Error::io("read", path))?;
     let (complete, tail) = split_complete(&text);
@@ -121,7 +123,7 @@ pub fn read_json_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, Error
         .collect()
 }
 
-/// Splits into the complete lines and what follows the last line's end.
+/// Splits a text into its complete lines and the rest after the last newline.
 fn split_complete(text: &[u8]) -> (&[u8], &[u8]) {
     text.split_at(text.iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1))
 }

@@ -1,9 +1,9 @@
-//! The files of a run folder: metrics as JSON lines, TensorBoard events, and whole files that appear at once or not at
-//! all.
+//! The files of a run folder: metrics as JSON lines, TensorBoard events, and files that appear
+//! complete or not at all.
 //!
-//! A run may be killed at any moment and resumed later, so nothing here leaves a file half-made: whole files are
-//! written beside the target and renamed, and appended records are cut back to the last complete one when the file is
-//! opened again or when a write fails.
+//! A run may be killed at any moment and resumed later, so no file may stay incomplete. Complete
+//! files are written under a temporary name in the same folder and renamed. Files that grow are cut
+//! back to the last complete record when they are opened again or when a write fails.
 
 mod json_lines;
 mod tensor_board;
@@ -18,55 +18,57 @@ use tempfile::NamedTempFile;
 pub use json_lines::{JsonLines, JsonObject, read_json_lines};
 pub use tensor_board::TensorBoard;
 
-/// Why a run file could not be written or read. Every message names the file.
+/// An error of writing or reading a run file. Every message names the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The operating system refused (no such folder, no permission, disk full, ...).
+    /// The operating system refused (missing folder, no permission, full disk, ...).
     #[error("cannot {action} `{}`", path.display())]
     Io {
-        /// What was being done, as a verb.
+        /// The attempted action, as a verb.
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The operating system's error.
         source: io::Error,
     },
     /// A value has no JSON form, for example a map whose keys are not strings.
     #[error("cannot write a line to `{}`: the value has no JSON form", path.display())]
     Encode {
-        /// The file that was to hold the value.
+        /// The file that the value should be written to.
         path: PathBuf,
-        /// The serialiser's reason.
+        /// The serialiser's error.
         source: serde_json::Error,
     },
-    /// A complete line of a JSON-lines file is not what it should be: the file was edited, or is another one.
+    /// A complete line of a JSON-lines file is not valid: the file was edited, or is another kind
+    /// of file.
     #[error("line {line} of `{}` is damaged; delete the line, or move the file away", path.display())]
     Line {
         /// The file.
         path: PathBuf,
-        /// The line, counted from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// The parser's reason.
+        /// The parser's error.
         source: serde_json::Error,
     },
 }
 
 impl Error {
-    /// Wraps a system error; for `map_err`.
+    /// Returns a function for `map_err` that wraps a system error.
     fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { action, path: path.to_owned(), source }
     }
 }
 
-/// Writes a whole file so that a reader sees the old content or the new, never a part.
+/// Writes a complete file, so that a reader sees the old content or the new content, never a part.
 ///
-/// The bytes go to a temporary name in the same folder, are forced to disk, and take the place of `path` by a rename.
-/// If anything fails on the way (disk full, killed), the old file is untouched; only a kill can leave the temporary
-/// file, whose name begins with `.tmp`. What is no file (a pipe, a device) is written to, and a link to a file stays one.
+/// The bytes are written to a temporary file in the same folder and forced to disk; a rename then
+/// replaces `path`. If a step fails, the old file is unchanged. Only a kill can leave the temporary
+/// file, whose name begins with `.tmp`. A path that is no regular file (a pipe, a device) is
+/// written to directly, and a symbolic link to a file stays a link.
 ///
 /// # Errors
-/// [`Error::Io`], naming `path`.
+/// [`Error::Io`], which names `path`.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     if is_stream(path) {
         return std::fs::write(path, bytes).map_err(Error::io("write", path));
@@ -76,10 +78,10 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     replace(file, path)
 }
 
-/// Finds out whether [`write_atomic`] could write a file there now, without doing so.
+/// Checks whether [`write_atomic`] could write to `path` now, without writing.
 ///
 /// # Errors
-/// [`Error::Io`], naming `path`.
+/// [`Error::Io`], which names `path`.
 pub fn check_writable(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
         return Err(Error::io("write", path)(io::ErrorKind::IsADirectory.into()));
@@ -87,28 +89,30 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
     if is_stream(path) { Ok(()) } else { temporary_beside(path, "").map(drop) }
 }
 
-/// Whether it is there, but neither a file nor a folder.
+/// Returns whether `path` exists and is neither a file nor a folder.
 fn is_stream(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
 }
 
-/// Where a link leads, or else the path itself.
+/// Returns the target of a symbolic link, or the path itself if it is no link.
 fn followed(path: &Path) -> PathBuf {
     let linked = path.is_symlink().then(|| path.canonicalize().ok()).flatten();
     linked.unwrap_or_else(|| path.to_owned())
 }
 
-/// An empty temporary file in the folder of `path`, deleted on drop; [`replace`] turns it into `path`.
+/// Creates an empty temporary file in the folder of `path`. The file is deleted on drop;
+/// [`replace`] renames it to `path`.
 pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFile, Error> {
     tempfile::Builder::new()
         .suffix(suffix)
-        // The usual rights of a new file (less the umask), where temporary files are private by default.
+        // Temporary files are private by default; these get the usual permissions of a new file
+        // (minus the umask).
         .permissions(Permissions::from_mode(0o666))
         .tempfile_in(folder_of(&followed(path)))
         .map_err(Error::io("create", path))
 }
 
-/// Forces `file` to disk and gives it the name `path`, replacing what was there in one step.
+/// Forces `file` to disk and renames it to `path`, which replaces an existing file in one step.
 pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
     if is_stream(path) {
         let bytes = std::fs::read(file.path()).map_err(Error::io("write", path))?;
@@ -121,29 +125,30 @@ pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
         path: path.to_owned(),
         source: e.error,
     })?;
-    // The rename itself survives a power cut only once the folder is on disk; not every file system can do that.
+    // The rename survives a power cut only once the folder is on disk; not every file system
+    // supports that.
     if let Ok(folder) = File::open(folder_of(&place)) {
         let _ = folder.sync_all();
     }
     Ok(())
 }
 
-/// The folder a file lies in; `.` for a bare file name.
+/// Returns the folder that contains `path`; `.` for a bare file name.
 fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// A file that grows by whole records: one write each, undone if it fails half-way.
+/// A file that grows by complete records: one write each, undone if it fails.
 #[derive(Debug)]
 struct Appender {
     file: File,
     path: PathBuf,
-    /// Length up to which the file holds complete records, bytes.
+    /// Length up to which the file contains complete records \[bytes\].
     len: u64,
 }
 
 impl Appender {
-    /// Opens `path` as `options` say (append is added), keeping the first `keep` bytes of it, or all.
+    /// Opens `path` with `options` in append mode and keeps its first `keep` bytes, or all of them.
     fn open(path: &Path, options: &mut OpenOptions, keep: Option<u64>) -> Result<Self, Error> {
         let file = options.append(true).open(path).map_err(Error::io("open", path))?;
         let len = match keep {
@@ -153,11 +158,12 @@ impl Appender {
         Ok(Self { len: len.map_err(Error::io("open", path))?, file, path: path.to_owned() })
     }
 
-    /// Appends one record and hands it to the operating system, so that killing this process cannot lose it.
+    /// Appends one record and passes it to the operating system, so that killing this process
+    /// cannot lose it.
     fn append(&mut self, record: &[u8]) -> Result<(), Error> {
         if let Err(source) = self.file.write_all(record) {
-            // Cut off what was written, or the next record would continue a broken one. Should this fail as well, the
-            // error to report is the first.
+            // A partial record is cut off, because the next record would continue it. If that fails
+            // as well, the first error is reported.
             let _ = self.file.set_len(self.len);
             return Err(Error::Io { action: "append to", path: self.path.clone(), source });
         }
@@ -201,7 +207,7 @@ mod tests {
     #[test]
     fn write_atomic_that_fails_leaves_the_target_and_no_litter() {
         let folder = tempfile::tempdir().unwrap();
-        // The rename fails because the target is a folder with something in it.
+        // The rename fails because the target is a folder that is not empty.
         let path = folder.path().join("target");
         fs::create_dir(&path).unwrap();
         fs::write(path.join("old"), b"old").unwrap();

@@ -1,10 +1,10 @@
-//! TensorBoard event files: just enough of the format to show scalars.
+//! TensorBoard event files; supports only scalars.
 //!
-//! An event file is a sequence of framed records (`length: u64`, masked CRC-32C of the length, the data, masked
-//! CRC-32C of the data; little endian), each an `Event` protocol buffer. Of that message only the time, the step, the
-//! version mark that begins a file, the mark of a restart and scalar summaries are written. See
-//! `tensorflow/core/util/event.proto`, `tensorflow/core/framework/summary.proto` and the TFRecord format for the field
-//! numbers.
+//! An event file is a sequence of framed records (`length: u64`, masked CRC-32C of the length, the
+//! data, masked CRC-32C of the data; little endian). Each record is an `Event` protocol buffer, of
+//! which only the time, the step, the file version, the mark of a restart and scalar summaries are
+//! written. For the field numbers see `tensorflow/core/util/event.proto`,
+//! `tensorflow/core/framework/summary.proto` and the TFRecord format.
 
 use std::fs::OpenOptions;
 use std::io;
@@ -13,23 +13,25 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::{Appender, Error};
 
-/// Writes scalars into a TensorBoard event file.
+/// Writer of scalars into a TensorBoard event file.
 #[derive(Debug)]
 pub struct TensorBoard {
     appender: Appender,
 }
 
 impl TensorBoard {
-    /// Starts a new event file in `folder`, which must exist.
+    /// Creates a new event file in `folder`, which must exist.
     ///
-    /// A run that is resumed after step `k` passes `resumed_after: Some(k)`: its folder then holds several event
-    /// files, and TensorBoard discards what earlier ones recorded for steps after `k`.
+    /// A run that is resumed after step `k` passes `resumed_after: Some(k)`. Its folder then
+    /// contains several event files, and TensorBoard discards what the earlier ones recorded for
+    /// steps after `k`.
     ///
     /// # Errors
-    /// [`Error::Io`] if the file cannot be made or written.
+    /// [`Error::Io`] if the file cannot be created or written.
     pub fn create(folder: &Path, resumed_after: Option<u64>) -> Result<Self, Error> {
         let mut now = now();
-        // TensorBoard knows event files by the part `tfevents` and reads them in the order of their names.
+        // TensorBoard recognises event files by `tfevents` in their names and reads them in the
+        // order of their names.
         let appender = loop {
             let path = folder.join(format!(
                 "events.out.tfevents.{:010}.{:09}.iwol",
@@ -53,10 +55,11 @@ impl TensorBoard {
         Ok(board)
     }
 
-    /// Records scalars of one step under their tags, such as `loss/policy`. TensorBoard stores 32-bit floats.
+    /// Writes scalars of one step under their tags, such as `loss/policy`. TensorBoard stores
+    /// 32-bit floats.
     ///
     /// # Errors
-    /// [`Error::Io`] if they cannot be written; the file then ends with the record before.
+    /// [`Error::Io`] if the record cannot be written; the file then ends with the previous record.
     pub fn write<'a>(
         &mut self,
         step: u64,
@@ -73,7 +76,7 @@ impl TensorBoard {
         self.event(step, SUMMARY, &summary)
     }
 
-    /// Writes an event of which `field` holds `content`.
+    /// Writes an event whose field `field` contains `content`.
     fn event(&mut self, step: u64, field: u32, content: &[u8]) -> Result<(), Error> {
         let mut event = Vec::with_capacity(content.len() + 32);
         put_key(&mut event, EVENT_WALL_TIME, WIRE_64_BIT);
@@ -129,7 +132,7 @@ fn put_bytes_field(out: &mut Vec<u8>, field: u32, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-/// Frames one record.
+/// Returns the data as a framed record.
 fn frame(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     let mut out = Vec::with_capacity(data.len() + 16);
@@ -140,8 +143,8 @@ fn frame(data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The checksum as the format stores it: rotated and offset, so that a record which itself holds checksums is still
-/// checked well.
+/// Returns the checksum as the format stores it: rotated and offset, so that checksums of data that
+/// contain checksums stay effective.
 fn masked_crc(bytes: &[u8]) -> u32 {
     crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
 }
@@ -151,7 +154,7 @@ fn crc32c(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0, |crc, &byte| CRC_TABLE[usize::from(crc as u8 ^ byte)] ^ (crc >> 8))
 }
 
-/// Remainder of each byte value.
+/// CRC remainder of each byte value.
 const CRC_TABLE: [u32; 256] = {
     let mut table = [0; 256];
     let mut byte = 0;
@@ -175,7 +178,7 @@ mod tests {
 
     use super::*;
 
-    /// Bit by bit, straight from the definition.
+    /// Computes the CRC bit by bit, directly from its definition.
     fn slow_crc(bytes: &[u8]) -> u32 {
         let mut crc = u32::MAX;
         for byte in bytes {
@@ -187,7 +190,7 @@ mod tests {
         crc ^ u32::MAX
     }
 
-    /// Takes a file of records apart, checking both checksums of each.
+    /// Splits a file into its records and checks both checksums of each.
     fn records(path: &Path) -> Vec<Vec<u8>> {
         let bytes = fs::read(path).unwrap();
         let mut rest = &bytes[..];

@@ -1,12 +1,15 @@
-//! Recordings of episodes, and what people look at: a player in one HTML file, and stills as SVG.
+//! Recordings of episodes, and their displays: a player in one HTML file, and still pictures as
+//! SVG.
 //!
-//! A recording is JSON. Row `k` of its columns is what an agent was, saw and did at step `k`: pose and speed before the
-//! decision, the action decided on, the reward that it brought (its own, without the cooperative mix), and the value of what was seen. Numbers are 16-bit integers
-//! with a scale, in base64, so that 48 vehicles over 1000 steps take 1.4 MB:
+//! A recording is JSON. Row `k` of its columns describes the agents at step `k`: pose and speed
+//! before the decision, the chosen action, the reward for it (the agent's own, without the
+//! cooperative mix), and the value estimate for the observation. Numbers are stored as 16-bit
+//! integers with a scale, in base64, so that 48 vehicles over 1000 steps take 1.4 MB:
 //!
 //! ```python
 //! column = recording["columns"]["speed"]
-//! speed = np.frombuffer(base64.b64decode(column["data"]), "<i2").reshape(steps, agents) * column["scale"]
+//! data = base64.b64decode(column["data"])
+//! speed = np.frombuffer(data, "<i2").reshape(steps, agents) * column["scale"]
 //! ```
 
 mod still;
@@ -22,63 +25,64 @@ use crate::env::{EpisodeRecord, Fate, Task, World};
 use crate::record;
 use crate::sumo::net::{EdgeFunction, Net};
 
-/// The player; the recording takes the place of [`HOLE`].
+/// The player's HTML; the recording replaces [`HOLE`].
 const PLAYER: &str = include_str!("player.html");
 const HOLE: &str = "__RECORDING__";
-/// Version of the layout.
+/// Version of the recording format.
 const FORMAT: u32 = 1;
-/// Stands for a number that is not there.
+/// Integer that marks a missing number.
 const NOTHING: i16 = i16::MIN;
-/// Steps for which a vehicle that has arrived is still shown.
+/// Number of steps for which a vehicle that has arrived stays visible.
 const FAREWELL: u32 = 5;
 
-/// An episode, step by step.
+/// A recorded episode, step by step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Recording {
-    /// Version of the layout.
+    /// Version of the recording format.
     pub format: u32,
     /// Name of the scenario.
     pub scenario: String,
-    /// Who drove.
+    /// Name of the policy.
     pub policy: String,
     /// Seed of the evaluation.
     pub seed: u64,
-    /// Number of the episode in it.
+    /// Number of the episode within the evaluation.
     pub episode: u64,
-    /// \[s\]
+    /// Duration of a step \[s\].
     pub step_length: f64,
-    /// Agents N.
+    /// Number of agents N.
     pub agents: usize,
-    /// Rows T.
+    /// Number of rows T.
     pub steps: usize,
-    /// Range of the physical mask \[m\].
+    /// Communication range \[m\]; `None` if it is unlimited.
     pub comm_range: Option<f64>,
-    /// Whether agents send messages at run time. If not, edges tell who is within range.
+    /// Whether agents send messages at run time. If not, the edges show which agents are in range.
     pub communicates: bool,
-    /// Size of every vehicle.
+    /// Size of every agent's vehicle.
     pub vehicle: Size,
-    /// The net.
+    /// The lanes of the net.
     pub lanes: Vec<Lane>,
-    /// Numbers per step and agent, `[T, N]` each.
+    /// Columns of numbers per step and agent, `[T, N]` each, by name.
     pub columns: BTreeMap<String, Column>,
-    /// Base64 of `[T, N]` bytes: 0 not there, 1 driving, 2 arrived, 3 crashed.
+    /// Base64 of `[T, N]` bytes: 0 absent, 1 driving, 2 arrived, 3 crashed.
     pub status: String,
-    /// Base64 of bits `[T, N, ⌈N/8⌉]`, least significant first: row i says whom i hears.
+    /// Base64 of bits `[T, N, ⌈N/8⌉]`, least significant bit first: row i marks the agents whose
+    /// messages reach agent i.
     pub edges: Option<String>,
-    /// Vehicles that SUMO drives, per step: `[x, y, heading, length, width, wreck]` in metres and radians, wreck 0 or 1; none in
-    /// tasks without.
+    /// Background traffic per step: `[x, y, heading, length, width, wreck]` in metres and radians,
+    /// wreck 0 or 1; empty in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<Vec<[f64; 6]>>,
-    /// Metrics of the episode.
+    /// Metrics of the episode, by name.
     pub summary: BTreeMap<String, f64>,
 }
 
 /// Length and width \[m\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Size {
-    /// \[m\]
+    /// Length \[m\].
     pub length: f64,
-    /// \[m\]
+    /// Width \[m\].
     pub width: f64,
 }
 
@@ -87,36 +91,36 @@ pub struct Size {
 pub struct Lane {
     /// SUMO id.
     pub id: String,
-    /// \[m\]
+    /// Width \[m\].
     pub width: f64,
-    /// Whether it lies in a junction.
+    /// Whether the lane lies in a junction.
     pub internal: bool,
-    /// Whether pedestrians cross a road there.
+    /// Whether the lane is a pedestrian crossing.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub crossing: bool,
     /// Centre line \[m\].
     pub shape: Vec<[f64; 2]>,
 }
 
-/// Numbers per step and agent.
+/// A column of numbers per step and agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Column {
-    /// Unit.
+    /// Unit of the numbers.
     pub unit: String,
-    /// A number is its integer times this.
+    /// Factor by which the integers are multiplied.
     pub scale: f64,
-    /// Base64 of little-endian 16-bit integers `[T, N]`; −32768 where there is no number.
+    /// Base64 of little-endian 16-bit integers `[T, N]`; −32768 marks a missing number.
     pub data: String,
 }
 
 impl Column {
-    /// NaN is kept as "no number".
+    /// Encodes numbers; NaN and infinities become missing numbers.
     fn new(unit: &str, values: &[f64]) -> Self {
         let largest = values
             .iter()
             .filter(|v| v.is_finite())
             .fold(0.0_f64, |largest, v| largest.max(v.abs()));
-        // Never finer than a thousandth of the unit needs, never coarser than the range allows.
+        // The range of 16-bit integers limits the resolution; a scale below 1e-4 is never needed.
         let scale = (largest / 32_000.0).max(1e-4);
         let bytes = values.iter().flat_map(|value| {
             let number = if value.is_finite() { (value / scale).round() as i16 } else { NOTHING };
@@ -125,7 +129,7 @@ impl Column {
         Self { unit: unit.to_owned(), scale, data: STANDARD.encode(bytes.collect::<Vec<u8>>()) }
     }
 
-    /// The numbers, `[T, N]`; NaN where there is none.
+    /// Returns the numbers, `[T, N]`, with NaN for missing ones; `None` if the data are damaged.
     fn values(&self) -> Option<Vec<f64>> {
         let bytes = STANDARD.decode(&self.data).ok()?;
         let number = |pair: &[u8]| match i16::from_le_bytes([pair[0], pair[1]]) {
@@ -137,10 +141,11 @@ impl Column {
 }
 
 impl Recording {
-    /// Reads a recording.
+    /// Reads a recording from a file.
     ///
     /// # Errors
-    /// [`Error::Read`], or [`Error::Damaged`] when it is none, or its parts do not fit together.
+    /// [`Error::Read`] if the file cannot be read, [`Error::Damaged`] if it is no recording or its
+    /// parts do not fit together.
     pub fn load(path: &Path) -> Result<Self, Error> {
         let text =
             std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
@@ -171,10 +176,10 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Writes it.
+    /// Writes the recording to a file.
     ///
     /// # Errors
-    /// [`Error::Record`].
+    /// [`Error::Record`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), Error> {
         Ok(record::write_atomic(path, self.json().as_bytes())?)
     }
@@ -183,16 +188,17 @@ impl Recording {
         serde_json::to_string(self).expect("a recording is plain data")
     }
 
-    /// One HTML file that plays it and needs nothing else.
+    /// Returns a self-contained HTML file that plays the recording.
     pub fn player(&self) -> String {
-        // No text of a recording can end the script element that it is put into, or start another.
+        // The escape keeps text of the recording from closing the script element around it or
+        // opening another one.
         let json = self.json().replace('<', "\\u003c");
         let (before, after) =
             PLAYER.split_once(HOLE).expect("the player has a place for the recording");
         format!("{before}{json}{after}")
     }
 
-    /// What the vehicles were at a step.
+    /// Returns status and pose `[x, y, heading]` of every agent at a step.
     fn vehicles(&self, step: usize) -> Vec<(Status, [f64; 3])> {
         let status = STANDARD.decode(&self.status).unwrap_or_default();
         let columns: Vec<Vec<f64>> = ["x", "y", "heading"]
@@ -205,7 +211,7 @@ impl Recording {
         (0..self.agents).map(vehicle).collect()
     }
 
-    /// Whom each agent hears at a step, as pairs of receiver and sender.
+    /// Returns the communication links at a step, as pairs of receiver and sender.
     fn heard(&self, step: usize) -> Vec<(usize, usize)> {
         let bytes =
             self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
@@ -220,7 +226,7 @@ impl Recording {
     }
 }
 
-/// What became of a vehicle.
+/// Status of an agent in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Status {
     Gone = 0,
@@ -240,16 +246,16 @@ impl From<u8> for Status {
     }
 }
 
-/// What a policy thinks at a decision of one world.
+/// Diagnostics of a policy at a decision of one world.
 #[derive(Debug, Clone, Default)]
 pub struct Thoughts {
-    /// `[N]`; empty where it does not say.
+    /// Value estimates, `[N]`; empty if the policy has none.
     pub value: Vec<f32>,
-    /// Who listens to whom, `[N, N]`; empty for methods without messages.
+    /// Communication graph, `[N, N]`, row = receiver; empty for algorithms without messages.
     pub graph: Vec<f32>,
 }
 
-/// Collects one episode while it is played.
+/// Records one episode while it is played.
 #[derive(Debug)]
 pub struct Recorder {
     episode: u64,
@@ -263,16 +269,16 @@ pub struct Recorder {
     value: Vec<f64>,
     status: Vec<u8>,
     edges: Vec<u8>,
-    /// Of tasks in which SUMO drives some.
+    /// Background traffic; `None` in tasks without.
     others: Option<Vec<Vec<[f64; 6]>>>,
-    /// Steps since each agent arrived.
+    /// Number of steps since each agent arrived.
     arrived: Vec<u32>,
     graph: bool,
     finished: bool,
 }
 
 impl Recorder {
-    /// Waits for this episode of a task.
+    /// Creates a recorder that waits for the given episode of a task.
     pub fn new(task: &Task, episode: u64) -> Self {
         let mut recorder = Self {
             episode,
@@ -313,17 +319,17 @@ impl Recorder {
         self.arrived = vec![0; agents];
     }
 
-    /// Whether a world plays the episode that is waited for.
+    /// Returns whether a world plays the episode that the recorder waits for.
     pub fn watches(&self, world: &World) -> bool {
         !self.finished
             && world.episode() == self.episode
             && (world.is_running() || world.has_ended())
     }
 
-    /// Before a decision of the watched world: what there is, and what is done, `actions [N, A]`.
+    /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
     pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &Thoughts) {
         let agents = world.agents().count();
-        // An episode in which SUMO died is played again.
+        // An episode in which SUMO died is played again from its start.
         if world.step_count() == 0 {
             self.clear(agents);
         }
@@ -338,7 +344,7 @@ impl Recorder {
             self.arrived[i] += u32::from(agent.fate.arrived);
             self.x.push(agent.pose.x);
             self.y.push(agent.pose.y);
-            // Into −π..π, which a scale of 1e-4 can hold.
+            // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
             let (sin, cos) = agent.pose.heading.sin_cos();
             self.heading.push(sin.atan2(cos));
             let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
@@ -382,7 +388,7 @@ impl Recorder {
         self.finished |= world.has_ended();
     }
 
-    /// After the step that the decision led to.
+    /// Records the rewards of the step that followed the last decision.
     pub fn reward(&mut self, world: &World) {
         if self.finished || world.episode() != self.episode || world.step_count() == 0 {
             return;
@@ -395,10 +401,10 @@ impl Recorder {
         }
     }
 
-    /// The recording, once the episode is over; `None` when it was not played to its end.
+    /// Returns the recording; `None` if the episode was not played to its end.
     ///
     /// # Errors
-    /// When the net cannot be read again.
+    /// [`Error::Net`] if the net cannot be read.
     pub fn finish(
         self,
         task: &Task,
@@ -476,7 +482,7 @@ impl Recorder {
     }
 }
 
-/// What can go wrong with a recording.
+/// An error of reading or writing a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -485,15 +491,15 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The file is no recording.
+    /// The file is not a recording.
     #[error("`{}` is no recording that `iwol evaluate --record` wrote: {why}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the damage.
         why: String,
     },
     /// The net cannot be read.
@@ -501,7 +507,7 @@ pub enum Error {
     Net {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The net reader's error.
         source: crate::sumo::net::NetError,
     },
     /// The file cannot be written.

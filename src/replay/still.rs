@@ -1,23 +1,25 @@
-//! A step of a recording as an SVG picture, for papers and pages.
+//! A step of a recording as an SVG picture, for papers and web pages.
 
 use std::fmt::Write as _;
 
 use super::{Lane, Recording, Status};
 use crate::plot::escaped;
 
-/// Metres shown around the net.
+/// Margin around the net \[m\].
 const MARGIN: f64 = 4.0;
-/// Colours of Okabe and Ito.
+/// Colours of the palette of Okabe and Ito.
 const DRIVING: &str = "#0072b2";
 const ARRIVED: &str = "#009e73";
 const CRASHED: &str = "#d55e00";
-/// Of vehicles that SUMO drives, and of pedestrians.
+/// Colour of background traffic and pedestrians.
 const OTHER: &str = "#59616b";
-/// Whoever is narrower is a pedestrian, drawn larger than life \[m\].
+/// Pedestrians are recognised by a width below this limit, and drawn as circles with it as the
+/// radius \[m\].
 const PERSON: f64 = 0.6;
 
 impl Recording {
-    /// The net, the vehicles and who hears whom at `step` (the last one if there are fewer). One metre is one unit.
+    /// Draws the net, the vehicles and the communication links at `step` (the last step if there
+    /// are fewer). One metre is one SVG unit.
     pub fn still(&self, step: usize) -> String {
         let step = step.min(self.steps - 1);
         let points = || self.lanes.iter().flat_map(|lane| &lane.shape);
@@ -28,7 +30,7 @@ impl Recording {
         let (left, bottom, right, top) =
             (left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN);
         let mut svg = String::new();
-        // SVG's y points down.
+        // SVG's y axis points down.
         let _ = writeln!(
             svg,
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.2} {:.2} {:.2} {:.2}\" width=\"900\">\n\
@@ -138,10 +140,11 @@ mod tests {
     #[test]
     fn a_still_shows_those_who_are_there() {
         let svg = recording().still(1);
-        // One wreck with its cross, and nobody else; a lane and an edge of the graph.
+        // The picture shows one crashed agent with its cross and no other vehicle, one lane, and
+        // one communication link.
         assert_eq!(svg.matches("<rect").count(), 2);
         assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script>"));
-        // Two agents, and one that SUMO drives.
+        // The picture shows two agents and one vehicle of the background traffic.
         assert_eq!(recording().still(0).matches("<rect").count(), 5);
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
         roxmltree::Document::parse(&svg).expect("well-formed");

@@ -1,4 +1,5 @@
-//! A document of headings, paragraphs, tables and figures, as Markdown and as one HTML file that needs nothing else.
+//! A document of headings, paragraphs, tables and figures. It is written as Markdown, and as a
+//! single self-contained HTML file.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use base64::Engine as _;
 use super::Error;
 use crate::record;
 
-/// See the module.
+/// A document; see the module.
 pub(super) struct Document {
     title: String,
     parts: Vec<Part>,
@@ -84,7 +85,7 @@ impl Document {
         out
     }
 
-    /// Figures are part of the file.
+    /// Returns the document as HTML with embedded figures.
     pub(super) fn html(&self) -> Result<String, Error> {
         let title = escaped(&self.title);
         let mut out = format!(

@@ -10,11 +10,11 @@ use crate::record::read_json_lines;
 use crate::stats::aggregate::{performance_profile, sample_efficiency};
 use crate::sweep::{Reference, Sweep};
 
-/// Width and height of a panel, pixels.
+/// Width and height of a panel \[pixels\].
 const PANEL: (u32, u32) = (640, 560);
 
-/// Success, safety and window reward along the axis, or success alone in panels of its own; each line dodged a little so that no
-/// interval hides another; published values dashed.
+/// Draws the metrics along the axis, or only success in one panel per value of `panels`. Lines are
+/// shifted a little sideways, so that no interval hides another; published values are dashed.
 pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(), Error> {
     let mut names: Vec<&str> = Vec::new();
     for (_, name) in block.series.iter().filter_map(|line| line.panel.as_ref()) {
@@ -64,7 +64,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         });
     }
     for (reference, points) in references(sweep, block, metric) {
-        // Beside the line that it is to be compared with.
+        // Published values get the same shift as the line that they are compared with.
         let partner = lines.iter().position(|(label, _)| *label == reference.beside);
         let aside = partner.map_or(0.0, |k| dodge(k, count, block.categories.len()));
         let points = points.into_iter().map(|(x, y)| (x as f64 + aside, y)).collect();
@@ -75,7 +75,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
             style: Style::Beside(reference.beside.clone()),
         });
     }
-    // Panels side by side have one scale.
+    // All panels of a metric have the same scale.
     let of_all = |line: &Line<'_>| {
         line.rows
             .iter()
@@ -98,7 +98,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     }
 }
 
-/// The lines of one place beside each other, each with its name below.
+/// Draws the lines side by side, each at its own place of the axis with its name below.
 fn side_by_side(
     lines: &[(&str, &Line<'_>)],
     published: &[(&Reference, Vec<(usize, f64)>)],
@@ -106,7 +106,7 @@ fn side_by_side(
     unit: Unit,
 ) -> Panel {
     const HERE: &str = "here";
-    // What is not a number keeps points apart that no line should join.
+    // A NaN between two points keeps the plot from joining them by a line.
     let apart = |points: Vec<(f64, f64)>| {
         points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect()
     };
@@ -115,7 +115,8 @@ fn side_by_side(
         .enumerate()
         .filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric, unit)?)));
     let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
-    // Published values stand a little aside of the line that they belong to, or by themselves.
+    // Published values are drawn next to the line that they belong to, otherwise at a place of
+    // their own.
     let mut categories: Vec<String> = lines.iter().map(|(label, _)| (*label).to_owned()).collect();
     let mut known: Vec<(f64, f64)> = Vec::new();
     for (reference, values) in published.iter().filter(|(_, values)| !values.is_empty()) {
@@ -153,19 +154,21 @@ fn side_by_side(
     }
 }
 
-/// Ends of an axis of shares. Where everything succeeds, differences are in the last percent.
+/// Returns the ends of the axis of a rate; `None` for other metrics. The axis begins at 85 % if all
+/// values exceed 90 %, because the differences then lie in the last percent.
 fn scale(metric: &Metric, values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let lowest = values.fold(f64::INFINITY, f64::min);
     (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0))
 }
 
-/// How far line `k` of `count` is moved aside, of the distance between two of `places`.
+/// Returns the shift of line `k` of `count`, as a fraction of the distance between two of the
+/// `places`.
 fn dodge(k: usize, count: usize, places: usize) -> f64 {
     let step = if places == 1 { 0.6 } else { 0.5 } / count as f64;
     (k as f64 - (count as f64 - 1.0) / 2.0) * if places == 1 { step } else { step.min(0.08) }
 }
 
-/// A key as an axis says it.
+/// Returns the label of the axis for a key.
 fn axis_label(key: &str) -> String {
     match key {
         "agents" => "vehicles".to_owned(),
@@ -175,7 +178,8 @@ fn axis_label(key: &str) -> String {
     }
 }
 
-/// Performance profiles; `false` where there is too little to draw.
+/// Draws performance profiles. Returns `false`, and draws nothing, if fewer than two lines have
+/// results.
 pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     let thresholds: Vec<f64> = (0..=100).map(f64::from).collect();
     let series: Vec<Series> = (block.series.iter())
@@ -203,8 +207,8 @@ pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     Ok(true)
 }
 
-/// Validation success against steps: a panel per place of an axis that training knows, else a single one; `false` where there
-/// is no curve.
+/// Draws validation success against environment steps: one panel per value of the axis if it is a
+/// setting of training, otherwise a single panel. Returns `false` if there is no curve.
 pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     let trained = block.x.as_deref().is_some_and(|x| !block.evaluate.grid.contains_key(x));
     let places: Vec<usize> = if trained { (0..block.categories.len()).collect() } else { vec![0] };
@@ -232,7 +236,7 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
         });
     }
     panels.retain(|panel| !panel.series.is_empty());
-    // More do not fit side by side.
+    // More panels do not fit side by side.
     panels.truncate(8);
     if panels.is_empty() {
         return Ok(false);

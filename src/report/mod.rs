@@ -1,8 +1,9 @@
-//! The report of a sweep: tables, figures and data for other programs, made from the files of its cells alone.
+//! The report of a sweep: tables, figures and data for other programs, made only from the files of
+//! its cells.
 //!
-//! The unit is the seed: a row's mean is over trained runs, its interval Student's t. A table or
-//! figure has one unit of interval and names it (`Unit`). Aggregates over several places of the
-//! horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see
+//! The unit is the seed: the mean of a row is over trained runs, and its interval is Student's t.
+//! Each table or figure has one unit of interval and names it (`Unit`). Aggregates over several
+//! places of the horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see
 //! [`crate::stats::aggregate`].
 
 mod document;
@@ -20,20 +21,20 @@ use crate::stats::Estimate;
 use crate::sweep::{self, Cell, Evaluate, Reference, Sweep, plain};
 use crate::{plot, stats};
 
-/// A metric that is shown: key in the JSON of `iwol evaluate`, heading, factor.
+/// A metric that reports show: key in the JSON of `iwol evaluate`, heading, factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Metric {
-    /// Key; one within another is separated by a point.
+    /// Key in the JSON; the parts of a nested key are separated by dots.
     pub key: &'static str,
-    /// Heading, with the unit.
+    /// Heading of the table, with the unit.
     pub title: &'static str,
-    /// What an axis says.
+    /// Label of the axis.
     pub axis: &'static str,
-    /// By which the value is multiplied.
+    /// Factor by which the value is multiplied.
     pub factor: f64,
 }
 
-/// What is tabulated and drawn of each evaluation.
+/// Metrics that are tabulated and drawn for each evaluation.
 pub const METRICS: [Metric; 3] = [
     Metric { key: "success", title: "success %", axis: "agents (%)", factor: 100.0 },
     Metric { key: "safety", title: "safety %", axis: "agents (%)", factor: 100.0 },
@@ -45,11 +46,11 @@ pub const METRICS: [Metric; 3] = [
     },
 ];
 
-/// What is tabulated besides, of results that have it.
+/// Metrics that are tabulated as well, for results that contain them.
 pub const OF_DRIVING: [Metric; 1] =
     [Metric { key: "loitering", title: "loitering %", axis: "agents (%)", factor: 100.0 }];
 
-/// What is tabulated and drawn besides where SUMO drives some vehicles.
+/// Metrics that are tabulated and drawn as well where SUMO drives some vehicles.
 pub const OF_OTHERS: [Metric; 5] = [
     Metric { key: "others.crash", title: "others' crash %", axis: "others (%)", factor: 100.0 },
     Metric {
@@ -84,46 +85,48 @@ struct Block<'a> {
     evaluate: &'a Evaluate,
     /// The key along the horizontal axis, if there is one.
     x: Option<String>,
-    /// Its values.
+    /// The values of that key.
     categories: Vec<String>,
-    /// One per combination of what else varies, in the sweep's order.
+    /// One line per combination of the other keys that vary, in the sweep's order.
     series: Vec<Line<'a>>,
 }
 
-/// Results that belong together in a figure.
+/// The results that form one line of a figure.
 #[derive(Debug)]
 struct Line<'a> {
     label: String,
-    /// The label within its panel, and the panel, where the figure has panels of its own.
+    /// The label within the panel and the name of the panel; `None` if the figure has no panels of
+    /// its own.
     panel: Option<(String, String)>,
-    /// One per category.
+    /// One row per category.
     rows: Vec<Row<'a>>,
 }
 
-/// The seeds of one place in a figure.
+/// The runs of all seeds at one place of a figure.
 #[derive(Debug, Default)]
 struct Row<'a> {
-    /// Cells that belong here, and what was found if they are that far.
+    /// The cells at this place, each with its result; `None` until the cell is evaluated.
     runs: Vec<(&'a Cell, Option<Value>)>,
 }
 
-/// The independent values of which an interval is made. The intervals of one table or figure have
-/// one unit.
+/// The unit of an interval: the values that count as independent. All intervals of one table or
+/// figure have the same unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
-    /// Trained runs: Student's t interval of their mean, which says what another seed may give.
-    /// Where all runs give the same it is a point.
+    /// Trained runs: Student's t interval of their mean, which says what another seed may give. The
+    /// interval is a point if all runs have the same value.
     Seeds,
-    /// The episodes of the one run that there is: what that policy does, whatever another seed
-    /// would give.
+    /// The episodes of a single run: the interval says how that policy performs, not what another
+    /// seed would give.
     Episodes,
-    /// The episodes of all runs together, of a rate: Wilson's interval, which is no point where all
-    /// runs give the same. It says what these policies do, whatever another seed would give.
+    /// The episodes of all runs together, for rates: Wilson's interval, which is not a point even
+    /// if all runs have the same value. The interval says how these policies perform, not what
+    /// another seed would give.
     Together,
 }
 
 impl Unit {
-    /// As a table's heading says it.
+    /// Returns the description of the unit in a table's heading.
     fn describe(self) -> &'static str {
         match self {
             Self::Seeds => "± t-interval over seeds",
@@ -134,25 +137,26 @@ impl Unit {
 }
 
 impl Metric {
-    /// A number of it in what was found, times its factor.
+    /// Returns a number of this metric (`mean`, `low`, `high`) in a result, multiplied by the
+    /// factor.
     fn of(&self, found: &Value, number: &str) -> Option<f64> {
         let metric = self.key.split('.').fold(&found["metrics"], |value, key| &value[key]);
         Some(metric[number].as_f64()? * self.factor)
     }
 
-    /// Whether it is a share, in percent.
+    /// Returns whether the metric is a rate in percent.
     fn is_rate(&self) -> bool {
         self.factor == 100.0
     }
 }
 
 impl Block<'_> {
-    /// The metrics that its runs have, for tables.
+    /// Returns the metrics that the tables of this block show.
     fn metrics(&self) -> impl Iterator<Item = &'static Metric> {
         METRICS.iter().chain(OF_DRIVING.iter().chain(&OF_OTHERS).filter(|metric| self.has(metric)))
     }
 
-    /// The metrics of which there are figures.
+    /// Returns the metrics that the figures of this block show.
     fn drawn(&self) -> impl Iterator<Item = &'static Metric> {
         METRICS.iter().chain(OF_OTHERS.iter().filter(|metric| self.has(metric)))
     }
@@ -161,32 +165,32 @@ impl Block<'_> {
         self.series.iter().flat_map(|line| &line.rows).any(|row| !row.values(metric).is_empty())
     }
 
-    /// The unit of a figure's intervals: the seed, unless no line has several.
+    /// Returns the unit of a figure's intervals: seeds, unless no line has several.
     fn unit(&self) -> Unit {
         if self.series.iter().any(Line::has_seeds) { Unit::Seeds } else { Unit::Episodes }
     }
 }
 
 impl Line<'_> {
-    /// Whether the sweep has several seeds of it, finished or not.
+    /// Returns whether the sweep has several seeds of this line, finished or not.
     fn has_seeds(&self) -> bool {
         self.rows.iter().any(|row| row.runs.len() > 1)
     }
 }
 
 impl Row<'_> {
-    /// Whether all its runs are finished.
+    /// Returns whether all runs of this row are finished.
     fn is_complete(&self) -> bool {
         !self.runs.is_empty() && self.runs.iter().all(|(_, found)| found.is_some())
     }
 
-    /// A metric of each finished run, times its factor.
+    /// Returns the metric of each finished run, multiplied by its factor.
     fn values(&self, metric: &Metric) -> Vec<f64> {
         self.runs.iter().filter_map(|(_, found)| metric.of(found.as_ref()?, "mean")).collect()
     }
 
-    /// Mean and interval. Bounds that the unit does not give (of one seed, over seeds) are
-    /// infinite; others of rates stay in their range.
+    /// Returns mean and interval of a metric. Bounds are infinite where the unit gives none (a
+    /// single seed, with seeds as the unit); bounds of rates stay between 0 and 100 %.
     fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
         let finished: Vec<&Value> =
             self.runs.iter().filter_map(|(_, found)| found.as_ref()).collect();
@@ -220,13 +224,14 @@ impl Row<'_> {
         }
     }
 
-    /// Whether several runs all give the same.
+    /// Returns whether several runs all have the same value.
     fn is_tied(&self, metric: &Metric) -> bool {
         let values = self.values(metric);
         values.len() > 1 && values.iter().all(|value| *value == values[0])
     }
 
-    /// Distance \[km\] and crashes of all finished runs; `None` where the results do not have them.
+    /// Returns the distance \[km\] and the crashes of all finished runs; `None` if the results do
+    /// not contain them.
     fn driven(&self) -> Option<(f64, u64)> {
         let of = |found: &Value| {
             let driven = &found["metrics"]["km_per_crash"];
@@ -236,8 +241,8 @@ impl Row<'_> {
         runs.reduce(|sum, run| (sum.0 + run.0, sum.1 + run.1))
     }
 
-    /// A number of each finished run about what the latent knows of `target`; `key` is one of
-    /// [`crate::evaluate::Knowledge`] or, after `probe.`, of [`crate::evaluate::Probe`].
+    /// Returns, of each finished run, a number about what the latent explains of `target`; `key` is
+    /// a field of [`crate::evaluate::Knowledge`] or, after `probe.`, of [`crate::evaluate::Probe`].
     fn known(&self, target: &str, key: &str) -> Vec<f64> {
         let of = |found: &Value| {
             let all = found["metrics"]["reconstruction"].as_array()?;
@@ -248,16 +253,17 @@ impl Row<'_> {
     }
 }
 
-/// What a cell was trained with, as its run folder says, or else one of its results.
+/// Returns what a cell was trained with, from its run folder or otherwise from one of its results.
 fn training(cell: &Cell, found: Option<&Value>) -> Option<Training> {
     cell.run().training().or_else(|| serde_json::from_value(found?.get("run")?.clone()).ok())
 }
 
-/// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures, `summary.json` (every run's metrics) and
-/// `marl_eval.json` (the layout of InstaDeep's marl-eval). Gives what was written.
+/// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures, `summary.json`
+/// (the metrics of every run) and `marl_eval.json` (the format of InstaDeep's marl-eval). Returns
+/// the paths of the written files.
 ///
 /// # Errors
-/// When no cell is evaluated yet, or a file cannot be read or written.
+/// If no cell is evaluated yet, or a file cannot be read or written.
 pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, Error> {
     for cell in &sweep.cells {
         cell.check()?;
@@ -374,7 +380,8 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
             for key in &varying {
                 let short = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
                 let evaluated = combination.iter().any(|(own, _)| own == key);
-                // Trained at one value, evaluated at another: that is no seed of the policy trained there.
+                // A policy that was trained at one value and is evaluated at another is not a seed
+                // of the policy trained at the latter.
                 if let Some(trained) = cell.value(key).filter(|_| evaluated) {
                     parts.push(format!("trained with {short} {}", plain(trained)));
                 }
@@ -401,7 +408,8 @@ fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Erro
                 series.push((Line { label, panel, rows: Vec::new() }, BTreeMap::new()));
                 series.len() - 1
             });
-            // What an evaluation of before found, with other episodes or weights, is no result of this one.
+            // The result of an earlier evaluation with other episodes or weights is not a result of
+            // this evaluation.
             let found = match read_result(&cell.result(evaluate, &combination))? {
                 Some(found) if cell.is_evaluated(evaluate, &combination) => Some(found),
                 _ => None,
@@ -437,7 +445,8 @@ fn read_result(path: &Path) -> Result<Option<Value>, Error> {
     }
 }
 
-/// Published values that belong to this evaluation and metric, as `(reference, [(category, value)])`.
+/// Returns the published values for this evaluation and metric, as
+/// `(reference, [(category, value)])`.
 fn references<'a>(
     sweep: &'a Sweep,
     block: &'a Block<'_>,
@@ -462,7 +471,7 @@ fn references<'a>(
         })
 }
 
-/// Every run's metrics, with what it is.
+/// Returns the metrics of every run, with a description of the run.
 fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
     let mut rows = Vec::new();
     for block in blocks {
@@ -487,7 +496,8 @@ fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
     json!({ "sweep": sweep.name, "command": command, "rows": rows })
 }
 
-/// The layout of marl-eval: environment, task, algorithm, run, then steps with their values, and the final values.
+/// Returns the results in the format of marl-eval: environment, task, algorithm, run, then steps
+/// with their values, and the final values.
 fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
     let mut tree = json!({});
     for line in &block.series {
@@ -528,24 +538,25 @@ fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
     Ok(tree)
 }
 
-/// Per category the seeds' scores: the strata of the bootstrap.
+/// Returns the seeds' scores per category: the strata of the bootstrap.
 fn scores(line: &Line<'_>, metric: &Metric) -> Vec<Vec<f64>> {
     line.rows.iter().map(|row| row.values(metric)).collect()
 }
 
-/// Whether resampling seeds says something: every place has at least two.
+/// Returns whether a bootstrap over seeds is meaningful: every place has at least two seeds.
 fn resamples(line: &Line<'_>) -> bool {
     line.rows.iter().all(|row| row.values(&METRICS[0]).len() > 1)
 }
 
 impl Block<'_> {
-    /// Whether every place holds the same trained runs.
+    /// Returns whether every place contains the same trained runs.
     fn same_runs(&self) -> bool {
         self.x.as_ref().is_some_and(|x| self.evaluate.grid.contains_key(x))
     }
 }
 
-/// The interval of an aggregate over seeds and places.
+/// Returns an aggregate over seeds and places with its interval; the bounds are infinite without a
+/// second seed.
 fn aggregate(
     line: &Line<'_>,
     metric: &Metric,
@@ -562,7 +573,7 @@ fn aggregate(
     mean.is_finite().then_some(Estimate { mean, low: f64::NEG_INFINITY, high: f64::INFINITY })
 }
 
-/// What can go wrong in a report.
+/// An error of a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -572,19 +583,19 @@ pub enum Error {
         /// The sweep.
         name: String,
     },
-    /// The axis is none of the keys that vary.
+    /// The key of an axis is not one of the keys that vary.
     #[error(
         "[[evaluate]] `{evaluate}`: {what} = \"{key}\" is no key of a grid that has several values"
     )]
     Axis {
         /// The evaluation.
         evaluate: String,
-        /// What it was given for.
+        /// The setting that names the key: `x` or `panels`.
         what: &'static str,
         /// The key.
         key: String,
     },
-    /// A result is not what `iwol evaluate` wrote.
+    /// A result file does not contain what `iwol evaluate` writes.
     #[error("`{}` is damaged; delete it, and run the sweep again", path.display())]
     Damaged {
         /// The file.

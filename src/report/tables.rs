@@ -14,7 +14,8 @@ use crate::stats::aggregate::{
 use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
 
-/// How the numbers came about, and what is missing.
+/// Adds the command that makes the report, and the numbers of runs that are finished, trained and
+/// failed.
 pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     document.code(command);
     let states: Vec<State> =
@@ -34,9 +35,9 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     document.text(text);
 }
 
-/// A table per metric, a line per series, a column per place; published values below. One table
-/// with a column per metric where there is but one place. Lines with several seeds and lines with
-/// one have tables of their own, as their intervals have other units.
+/// Adds one table per metric, with a row per line and a column per place, and published values
+/// below. If there is only one place, a single table has a column per metric. Lines with several
+/// seeds and lines with one seed get separate tables, because their intervals have different units.
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
     let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) =
         block.series.iter().partition(|line| line.has_seeds());
@@ -75,8 +76,8 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
     }
 }
 
-/// A table of some lines and metrics with intervals of one unit, with published values below if
-/// they are wanted.
+/// Adds a table of some lines and metrics with intervals of one unit, and published values below if
+/// `published`.
 fn table(
     document: &mut Document,
     sweep: &Sweep,
@@ -117,12 +118,13 @@ fn table(
     document.table(header, rows);
 }
 
-/// The last part of the key along the horizontal axis, if there is one.
+/// Returns the last part of the key along the horizontal axis; `None` without an axis.
 fn axis(block: &Block<'_>) -> Option<String> {
     block.x.as_deref().map(|x| x.rsplit('.').next().unwrap_or(x).replace('_', " "))
 }
 
-/// Mean ± half width over seeds, the mean alone of one; mean and brackets over episodes.
+/// Formats mean ± half width over seeds, or mean and interval in brackets over episodes; for a
+/// single seed only the mean.
 fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
     let Some(e) = row.estimate(metric, unit) else { return "–".to_owned() };
     let values = row.values(metric);
@@ -137,8 +139,8 @@ fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
     }
 }
 
-/// Mean ± half the width of the t-interval over seeds, the mean alone of one; a dash without
-/// values.
+/// Formats mean ± half the width of the t-interval over seeds; for a single value only the mean,
+/// without values a dash.
 fn over_seeds(values: &[f64], digits: usize) -> String {
     match Estimate::t(values) {
         None => "–".to_owned(),
@@ -147,7 +149,7 @@ fn over_seeds(values: &[f64], digits: usize) -> String {
     }
 }
 
-/// How far agents drove for each crash, over all runs and episodes of a place together.
+/// Adds the distance per crash, over all runs and episodes of a place together.
 pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     let rows: Vec<Vec<String>> = (block.series.iter())
         .map(|line| {
@@ -172,8 +174,8 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     document.table(std::iter::once(title).chain(places).collect(), rows);
 }
 
-/// What the latents know, and a linear probe from the observation beside it, of the features that
-/// the observation does not determine.
+/// Adds what the latents explain, compared with a linear probe from the observation, in total and
+/// of the features that the observation does not determine.
 pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
     for target in ["world", "interaction"] {
         let mut rows: Vec<Vec<String>> = Vec::new();
@@ -221,7 +223,7 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
     }
 }
 
-/// Aggregates over all places, and how likely one line beats another.
+/// Adds aggregates over all places, and the probability that one line is better than another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = &METRICS[0];
     let lines: Vec<_> =
@@ -276,18 +278,18 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     document.table(header, rows.collect());
 }
 
-/// The trained runs that differ in their seed alone.
+/// The trained runs that differ only in their seed.
 #[derive(Default)]
 struct Group {
-    /// Steps and seconds of each.
+    /// Steps and seconds of each run.
     runs: Vec<(f64, f64)>,
-    /// Programs that trained them, and SUMO's versions.
+    /// The programs that trained the runs, and their versions of SUMO.
     programs: Vec<String>,
     sumo: Vec<String>,
 }
 
-/// What training took and with what it was done, per cell without its seed, and what evaluated the
-/// policies.
+/// Adds the cost of training and the programs that trained, per cell without its seed, and the
+/// programs that evaluated the policies.
 pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'_>]) {
     let mut groups: Vec<(String, Group)> = Vec::new();
     for cell in &sweep.cells {
@@ -338,7 +340,7 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
     ));
 }
 
-/// What was found of the cell with this id, or of all cells for an empty one.
+/// Returns the results of the cell with this id, or of all cells if the id is empty.
 fn results_of<'a>(blocks: &'a [Block<'_>], id: &'a str) -> impl Iterator<Item = &'a Value> {
     let rows = blocks.iter().flat_map(|block| &block.series).flat_map(|line| &line.rows);
     let runs =

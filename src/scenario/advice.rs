@@ -1,4 +1,5 @@
-//! What is allowed in a scenario, and probably not meant: each rule in a function of its own.
+//! Warnings about settings of a scenario that are allowed but probably not intended: one function
+//! per rule.
 
 use super::author::{State, state};
 use super::check::Map;
@@ -7,10 +8,10 @@ use super::reader::Reader;
 use super::{Net, Scenario};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
 
-/// A horizon that leaves less than so many times the shortest possible trip is a warning.
+/// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
 
-/// All advice on a scenario; `maps` are its nets, where nothing is wrong with them.
+/// Returns all advice on a scenario. `maps` are its nets, with `None` for nets that have errors.
 pub(super) fn advise(scenario: &Scenario, maps: &[Option<Map>], reader: &Reader) -> Vec<Finding> {
     let adviser = Adviser { scenario, reader };
     let mut findings = Vec::new();
@@ -43,7 +44,8 @@ struct Adviser<'a, 'doc, 'input> {
 }
 
 impl Adviser<'_, '_, '_> {
-    /// A warning about an attribute of the first element of this name that `which` takes.
+    /// Returns a warning about the attribute `key`, at the first element `element` for which
+    /// `which` accepts the attribute's value.
     fn warning(
         &self,
         element: &str,
@@ -67,7 +69,8 @@ impl Adviser<'_, '_, '_> {
         self.warning("net", "file", |file| folder.join(file) == net.file, message, hint)
     }
 
-    /// Junctions whose rules do not go with agents that see neither signals nor signs.
+    /// Warns of junctions with rules that do not suit agents, which observe neither signals nor
+    /// signs.
     fn junctions(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         let passed = |id: &str| {
             let inner = |path: &Path| {
@@ -97,7 +100,7 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// Without lanes over junctions vehicles jump.
+    /// Warns of nets without lanes over junctions, in which vehicles jump from road to road.
     fn internal_lanes(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         let road =
             |lane: usize| map.net.edges[map.net.lanes[lane].edge].function == EdgeFunction::Normal;
@@ -111,7 +114,8 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// Where a lane leads to several lanes of the next road, SUMO chooses, and may choose another one than the route has.
+    /// Warns of lanes that lead to several lanes of the next road: SUMO chooses between them and
+    /// may not choose the lane of the route.
     fn forks(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         if self.scenario.control.steering.is_some() {
             return;
@@ -134,7 +138,7 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// Agents are faster than the lanes' limits.
+    /// Warns of agents that can drive faster than the speed limit of a lane.
     fn limits(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         let top = self.scenario.vehicle.max_speed;
         let lanes = map.paths.iter().flat_map(|path| &path.lanes).map(|&lane| &map.net.lanes[lane]);
@@ -155,7 +159,7 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// The net is older than its sources.
+    /// Warns of a net that is older than its sources, or whose configuration cannot be read.
     fn sources(&self, net: &Net) -> Option<Finding> {
         match state(&net.file) {
             Ok(State::OutOfDate) if net.file.exists() => Some(self.net_warning(
@@ -172,7 +176,8 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// The longest trip has to end before the horizon.
+    /// Warns of a horizon that is short for the longest trip. If the trip exceeds the horizon even
+    /// at the speed limits, the finding is an error.
     fn horizon(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
         let trips = maps.iter().flat_map(|(net, map)| {
             let trip = |row: &super::SpawnRow, route: usize| {
@@ -204,7 +209,8 @@ impl Adviser<'_, '_, '_> {
         Some(Finding { severity, ..finding })
     }
 
-    /// Time from one position to another on a path at the limits of lanes and vehicle \[s\].
+    /// Returns the travel time between two positions on a path at the speed limits of lanes and
+    /// vehicle \[s\].
     fn time(&self, map: &Map, path: &Path, from: f64, to: f64) -> f64 {
         let stretch = |(lane, begin, end): (usize, f64, f64)| {
             let speed = map.net.lanes[lane].speed.min(self.scenario.vehicle.max_speed).max(0.1);
@@ -213,7 +219,8 @@ impl Adviser<'_, '_, '_> {
         path.lane_stretches().map(stretch).sum()
     }
 
-    /// A radio that reaches everyone, or no one, teaches nothing about communication.
+    /// Warns of a communication range that reaches every agent or no other agent: training then
+    /// says nothing about communication.
     fn radio(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
         let range = self.scenario.communication.range;
         let warn = |message: String, hint: &str| {
@@ -246,7 +253,7 @@ impl Adviser<'_, '_, '_> {
         None
     }
 
-    /// A vehicle must see what it has to stop for.
+    /// Warns of observations that do not contain the vehicles that an agent must stop for.
     fn sight(&self) -> Option<Finding> {
         let (v, c, o) = (self.scenario.vehicle, &self.scenario.control, self.scenario.observation);
         let blind = match (o.groups.nearest(), o.groups.conflict()) {
@@ -279,7 +286,7 @@ impl Adviser<'_, '_, '_> {
         })
     }
 
-    /// Rewards under which doing nothing, or crashing, is best.
+    /// Warns of rewards under which standing still or crashing is the best policy.
     fn reward(&self) -> Option<Finding> {
         let reward = self.scenario.reward;
         let warn = |key: &str, message: &str| {
@@ -300,7 +307,7 @@ impl Adviser<'_, '_, '_> {
         None
     }
 
-    /// Routes that no vehicle takes.
+    /// Warns of routes that no spawn place uses.
     fn unused(&self, findings: &mut Vec<Finding>) {
         for (i, route) in self.scenario.routes.iter().enumerate() {
             let used = self

@@ -1,47 +1,49 @@
-//! Checks a scenario against its nets: routes that can be driven, finish lines and spawn places that lie on them.
+//! Checks a scenario against its nets: routes must be drivable, and finish lines and spawn places
+//! must lie on them.
 
 use super::{Demand, Error, Net, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
-/// Slack of comparisons of positions \[m\].
+/// Tolerance of comparisons of positions \[m\].
 const SLACK: f64 = 1e-6;
 
-/// Where in the text the parts stand that are checked against the nets: byte offsets.
+/// Byte offsets, in the scenario file, of the parts that are checked against the nets.
 pub(super) struct Places {
-    /// Per route.
+    /// Parts of each route.
     pub(super) routes: Vec<RoutePlaces>,
-    /// Per net.
+    /// Parts of each net.
     pub(super) nets: Vec<NetPlaces>,
-    /// Of the jitter's `lateral`.
+    /// Attribute `lateral` of `<jitter>`.
     pub(super) lateral: usize,
-    /// Of the traffic's `type`.
+    /// Attribute `type` of `<traffic>`.
     pub(super) traffic_type: usize,
-    /// … of its `files`.
+    /// Attribute `files` of `<traffic>`.
     pub(super) traffic_files: usize,
-    /// Of the termination's `brokenLines`.
+    /// Attribute `brokenLines` of `<termination>`.
     pub(super) broken_lines: usize,
 }
 
-/// Where the parts of a route stand.
+/// Byte offsets of the parts of a route.
 pub(super) struct RoutePlaces {
     pub(super) edges: usize,
     pub(super) arrival_pos: usize,
 }
 
-/// Where the parts of a net stand.
+/// Byte offsets of the parts of a net.
 pub(super) struct NetPlaces {
     pub(super) file: usize,
-    /// Of each spawn row.
+    /// Start of each spawn row.
     pub(super) spawns: Vec<usize>,
 }
 
-/// A net with the centre line of every route in it.
+/// A net and the centre lines of all routes through it.
 pub(super) struct Map {
     pub(super) net: net::Net,
     pub(super) paths: Vec<Path>,
 }
 
-/// Reads every net of a scenario and checks what the scenario says about it: the mistakes, and the nets without one.
+/// Reads every net of a scenario and checks the scenario against it. Returns all errors, and for
+/// each net its map if the routes and spawn places fit the net.
 pub(super) fn nets(
     scenario: &Scenario,
     places: &Places,
@@ -79,7 +81,7 @@ pub(super) fn nets(
     (errors, maps)
 }
 
-/// What the files of `<traffic>` say.
+/// Returns the contents of the route files of `<traffic>`.
 fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Demand, Error> {
     let demand = Demand::load(&scenario.traffic.files).map_err(|error| match error {
         Error::Read { path: file, source } => {
@@ -121,7 +123,7 @@ fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Deman
     }
 }
 
-/// The first route of the files that cannot be driven in a net, or walk that cannot be walked.
+/// Returns an error for the first route or walk of the route files that the net does not allow.
 fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
     demand.routes.iter().find_map(|route| {
         let source = Box::new(route.lay(map).err()?);
@@ -130,7 +132,7 @@ fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
     })
 }
 
-/// The first edge with broken lines that a net lacks.
+/// Returns an error for the first edge of `brokenLines` that the net does not have.
 fn no_edge(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Option<Error> {
     let edge =
         scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
@@ -153,7 +155,8 @@ fn no_edge(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader
     })
 }
 
-/// The centre line of a route, once its edges are connected and its finish lies on the last.
+/// Returns the centre line of a route after checking that its edges are connected and that the
+/// finish line lies on its last edge.
 fn route(
     scenario: &Scenario,
     route: &Route,
@@ -189,7 +192,8 @@ fn route(
         let edge = shorten(route.edges.last().map_or("", String::as_str));
         return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
     }
-    // The centre must reach the finish while the front is still on the route, or SUMO takes the vehicle away first.
+    // The centre must reach the finish line while the front bumper is still on the route; otherwise
+    // SUMO removes the vehicle first.
     let ahead =
         scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
     let left =
@@ -202,7 +206,8 @@ fn route(
     Ok(path)
 }
 
-/// Every place lies with its vehicle on the route's first edge, before the finish, and clear of the others.
+/// Checks that a vehicle at any spawn place lies on its route's first edge, before the finish line,
+/// and clear of all other vehicles.
 fn spawns(
     scenario: &Scenario,
     net: &Net,
@@ -214,7 +219,7 @@ fn spawns(
     let half = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
     let mut taken = Vec::new();
     for (row, &offset) in net.spawns.iter().zip(rows) {
-        // They begin on one lane; the shortest way is to the nearest finish on it.
+        // All routes of a row begin on one lane, so that the nearest finish line limits the places.
         let route = &scenario.routes[row.routes[0]];
         let lane = paths[row.routes[0]].lanes[0];
         if let Some(&other) = row.routes.iter().find(|&&other| paths[other].lanes[0] != lane) {
@@ -276,7 +281,7 @@ fn spawns(
     })
 }
 
-/// A vehicle that the jitter moves aside stays on its lane.
+/// Checks that the jitter does not move a vehicle beyond the sides of its lane.
 fn lanes(
     scenario: &Scenario,
     map: &net::Net,

@@ -1,8 +1,9 @@
-//! Traffic that is not ours, from ordinary SUMO route files: vehicle types, routes, vehicles and
-//! trips, persons who walk, and flows of both.
+//! Demand: background traffic from ordinary SUMO route files, which contain vehicle types, routes,
+//! vehicles, trips, persons who walk, and flows of vehicles and persons.
 //!
-//! SUMO itself reads the types. Who departs when is drawn here, from the seed of each episode, because episodes begin again and
-//! again while SUMO's clock goes on; times in the files count from the start of an episode.
+//! SUMO itself reads the types. The environment draws the departures from the seed of each episode,
+//! because episodes restart while SUMO's clock goes on; times in the files count from the start of
+//! an episode.
 
 use std::{collections::HashMap, fmt::Write as _, path::Path};
 
@@ -12,16 +13,18 @@ use super::reader::{Names, Reader, document, finite, in_element};
 use super::{Error, load};
 use crate::sumo::net::{self, Net, NetError};
 
-/// Most routes, and most vehicles and flows, of all files of a scenario.
+/// Largest number of routes, and largest number of vehicles, persons and flows, in all files of a
+/// scenario.
 const MAX_ROUTES: usize = 1000;
 const MAX_SOURCES: usize = 1000;
-/// Most edges of a route.
+/// Largest number of edges of a route.
 const MAX_EDGES: usize = 4096;
-/// The types that SUMO takes where a file names none: of vehicles, and of persons.
+/// SUMO's default types of vehicles and of persons, for elements that name no type.
 const DEFAULT_TYPES: [&str; 2] = ["DEFAULT_VEHTYPE", "DEFAULT_PEDTYPE"];
-/// Types that the environments make known to SUMO themselves.
+/// Ids of types that the environments define themselves.
 const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
-/// Length and width by SUMO's class of vehicle, where a type does not say \[m\] (SUMO 1.15).
+/// Length and width of each vehicle class of SUMO \[m\] (SUMO 1.15), for types that do not specify
+/// them.
 const SIZES: [(&str, [f64; 2]); 17] = [
     ("passenger", [5.0, 1.8]),
     ("private", [5.0, 1.8]),
@@ -41,85 +44,88 @@ const SIZES: [(&str, [f64; 2]); 17] = [
     ("bicycle", [1.6, 0.65]),
     (WALKERS, [0.215, 0.478]),
 ];
-/// SUMO's class of those who walk.
+/// SUMO's vehicle class of pedestrians.
 const WALKERS: &str = "pedestrian";
 
 const ELEMENTS: Names =
     &["vType", "vTypeDistribution", "route", "vehicle", "trip", "flow", "person", "personFlow"];
 
-/// All that route files say.
+/// Contents of the route files.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Demand {
-    /// The `<vType>` elements as they stand in the files, for SUMO.
+    /// The `<vType>` elements as they stand in the files, which SUMO reads.
     pub definitions: String,
     /// Types of vehicles and of persons.
     pub types: Vec<VehicleKind>,
-    /// Routes that vehicles and flows take, and walks of persons.
+    /// Routes of vehicles and flows, and walks of persons.
     pub routes: Vec<DemandRoute>,
     /// Vehicles, persons, and flows of both.
     pub sources: Vec<Source>,
-    /// Distributions of types, by id: index and weight.
+    /// Distributions of types by id: indices into `types`, and weights.
     mixes: HashMap<String, Vec<(usize, f64)>>,
 }
 
-/// A type of vehicles, or of persons, of the files.
+/// A type of vehicles or persons.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VehicleKind {
-    /// SUMO's id.
+    /// Id in SUMO.
     pub id: String,
-    /// \[m\]
+    /// Length \[m\].
     pub length: f64,
-    /// \[m\]
+    /// Width \[m\].
     pub width: f64,
-    /// Whether it is one of persons.
+    /// Whether this is a type of persons.
     pub walks: bool,
 }
 
-/// A way of the files.
+/// A route or walk of the route files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DemandRoute {
-    /// The route's id, or that of the vehicle, person or flow that it belongs to.
+    /// Id of the route, or of the vehicle, person or flow that has it.
     pub id: String,
-    /// What it is given by.
+    /// How the file specifies it.
     pub way: Way,
     /// File, line and column.
     pub(super) place: (std::path::PathBuf, u32, u32),
 }
 
-/// What a way is given by; edges by their ids.
+/// How a route file specifies a route or walk. Edges are given by their ids.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Way {
     /// All edges in driving order.
     Route(Vec<String>),
-    /// The first and the last edge, and those to pass between them: the fastest way is taken.
+    /// The first edge, edges to pass, and the last edge. The fastest path through them is the
+    /// route.
     Trip(Vec<String>),
-    /// Edges in walking order.
+    /// A walk of a person.
     Walk {
-        /// The edges.
+        /// Edges in walking order.
         edges: Vec<String>,
-        /// `departPos` of the person: from the beginning of the first edge, in its direction \[m\].
+        /// `departPos` of the person: position on the first edge, from its beginning \[m\].
         depart: f64,
-        /// `arrivalPos` of the walk, likewise on the last edge; without it, the walk ends at the edge's far end \[m\].
+        /// `arrivalPos` of the walk: position on the last edge, from its beginning \[m\]. Without
+        /// it, the walk ends at the far end of the edge.
         arrival: Option<f64>,
     },
 }
 
-/// A way as it lies in a net.
+/// A route or walk in a net.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Laid {
-    /// Its middle line.
+    /// Centre line.
     pub path: net::Path,
-    /// All its edges.
+    /// All edges.
     pub edges: Vec<String>,
-    /// Of a walk, where on the first edge it begins and where on the last it ends \[m\].
+    /// Positions, on the first and the last edge, where a walk begins and ends \[m\]; `None` for
+    /// vehicles.
     pub walk: Option<[f64; 2]>,
 }
 
 impl DemandRoute {
-    /// Lays the way through a net.
+    /// Returns the route or walk in a net.
     ///
     /// # Errors
-    /// [`NetError`] where the net has no such way.
+    /// [`NetError`] if it cannot be driven or walked in the net.
     pub fn lay(&self, net: &Net) -> Result<Laid, NetError> {
         let driven = |edges: Vec<String>| {
             let path = net.route_path_from(&edges, None)?;
@@ -139,43 +145,43 @@ impl DemandRoute {
 /// A vehicle, a person, or a flow of either.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
-    /// SUMO's id.
+    /// Id in SUMO.
     pub id: String,
-    /// Types of its vehicles and their weights.
+    /// Types of the vehicles or persons: indices into [`Demand::types`], and weights.
     pub types: Vec<(usize, f64)>,
     /// Index into [`Demand::routes`].
     pub route: usize,
-    /// Where and how fast it begins, unless it walks.
+    /// Where and how fast a vehicle departs; unused for persons.
     pub start: Start,
     /// First departure, from the start of the episode \[s\].
     pub begin: f64,
-    /// No departures from here on \[s\].
+    /// End of departures, from the start of the episode \[s\].
     pub end: f64,
-    /// Most vehicles.
+    /// Largest number of vehicles or persons.
     pub number: u64,
-    /// How departures follow each other.
+    /// Times between departures.
     pub spacing: Spacing,
 }
 
-/// Where and how fast a vehicle begins, in SUMO's words.
+/// Where and how fast a vehicle departs, in SUMO's notation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Start {
-    /// `departLane`
+    /// `departLane`.
     pub lane: String,
-    /// `departPos`
+    /// `departPos`.
     pub pos: String,
-    /// `departSpeed`
+    /// `departSpeed`.
     pub speed: String,
 }
 
-/// How the departures of a flow follow each other.
+/// Times between the departures of a flow.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Spacing {
-    /// At equal times \[s\].
+    /// Equal intervals \[s\].
     Equal(f64),
-    /// At random times, so many per second on average: exponential gaps.
+    /// Exponentially distributed intervals, with this mean number of departures per second.
     Poisson(f64),
-    /// In each second, one with this probability.
+    /// One departure in each second with this probability.
     Chance(f64),
 }
 
@@ -183,7 +189,8 @@ impl Demand {
     /// Reads route files.
     ///
     /// # Errors
-    /// With file, line and column, what cannot be read, or is not taken.
+    /// [`Error`], with file, line and column, if a file cannot be read or contains something that
+    /// is not supported.
     pub fn load(files: &[impl AsRef<Path>]) -> Result<Self, Error> {
         let default = |id: &str, class: &str| {
             let [length, width] =
@@ -200,7 +207,8 @@ impl Demand {
         Ok(demand)
     }
 
-    /// The type of an id, or the mix of types of a distribution: indices and weights.
+    /// Returns the type with this id, or the types of the distribution with this id: indices into
+    /// [`Demand::types`], and weights.
     pub fn mix(&self, id: &str) -> Option<Vec<(usize, f64)>> {
         let one = self.types.iter().position(|kind| kind.id == id).map(|index| vec![(index, 1.0)]);
         one.or_else(|| self.mixes.get(id).cloned())
@@ -352,7 +360,7 @@ impl Demand {
         self.add(reader, node, id, Way::Route(edges))
     }
 
-    /// What a walk of a person gives.
+    /// Adds the walk of a person; returns its index in [`Demand::routes`].
     fn walk(
         &mut self,
         reader: &Reader,
@@ -378,7 +386,7 @@ impl Demand {
         self.add(reader, walk, id, Way::Walk { edges, depart, arrival })
     }
 
-    /// The fastest way from `from` over `via` to `to`.
+    /// Adds the trip from `from` via `via` to `to`; returns its index in [`Demand::routes`].
     fn trip(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
         let (from, to) = (reader.text(node, "from")?, reader.text(node, "to")?);
         let via = node.attribute("via").unwrap_or_default().split_whitespace();
@@ -502,7 +510,7 @@ fn weight(reader: &Reader, node: Node) -> Result<f64, Error> {
     }
 }
 
-/// How a flow's departures follow each other, and how many there are.
+/// Returns the times between a flow's departures, and the largest number of departures.
 fn spacing(reader: &Reader, node: Node, begin: f64, end: f64) -> Result<(Spacing, u64), Error> {
     let rate = |key| reader.number(node, key, "above 0, to 1e6", |v| v > 0.0 && v <= 1e6);
     let number = match node.attribute("number") {
@@ -535,7 +543,7 @@ fn spacing(reader: &Reader, node: Node, begin: f64, end: f64) -> Result<(Spacing
     Ok((spacing, number))
 }
 
-/// Seconds from `12.5`, `1:02:03` or `1:00:00:00`.
+/// Returns the seconds of a time such as `12.5`, `1:02:03` or `1:00:00:00`.
 fn seconds(text: &str) -> Option<f64> {
     let parts: Option<Vec<f64>> =
         text.split(':').map(|part| finite(part).filter(|v| *v >= 0.0)).collect();

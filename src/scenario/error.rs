@@ -1,11 +1,11 @@
-//! What can be wrong with a scenario file. Messages begin with `path:line:column`, name the key and, where one is
-//! close, the valid name that was probably meant.
+//! Errors of scenario files. Messages begin with `path:line:column`, name the key and, if there is
+//! a similar valid name, the name that was probably meant.
 
 use std::{io, path::PathBuf};
 
 use crate::sumo::net::{NetError, XmlError, did_you_mean};
 
-/// Why a scenario cannot be used.
+/// Error of a scenario that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -14,18 +14,18 @@ pub enum Error {
     Read {
         /// The scenario file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The file is larger than any scenario.
+    /// The file is larger than the limit.
     #[error("{}: the scenario is larger than {limit} bytes", path.display())]
     TooLarge {
         /// The scenario file.
         path: PathBuf,
-        /// Largest size \[bytes\].
+        /// Largest accepted size \[bytes\].
         limit: u64,
     },
-    /// The file is not XML, or not XML that is read.
+    /// The file is not XML, or contains XML that the reader does not accept.
     #[error("{}:{line}:{column}: cannot be read as XML", path.display())]
     Parse {
         /// The scenario file.
@@ -34,10 +34,10 @@ pub enum Error {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// What is wrong with it.
+        /// Error of the XML parser.
         source: XmlError,
     },
-    /// An element, attribute or text that a scenario does not have at this place.
+    /// An element, attribute or text is not allowed at this place.
     #[error("{}:{line}:{column}: unknown {kind} `{key}` in {parent}{}", path.display(), did_you_mean(*nearest))]
     Unknown {
         /// The scenario file.
@@ -48,16 +48,16 @@ pub enum Error {
         column: u32,
         /// `element`, `attribute` or `text`.
         kind: &'static str,
-        /// Its name.
+        /// Name of the element or attribute, or the text.
         key: String,
-        /// Where it stands, as `<agents>`.
+        /// Element that contains it, as `<agents>`.
         parent: Box<str>,
-        /// The valid name closest to it, if one is close.
+        /// Most similar valid name, if one is similar.
         nearest: Option<&'static str>,
-        /// All names that are valid there.
+        /// All names that are valid at this place.
         valid: &'static [&'static str],
     },
-    /// An element or attribute is not there.
+    /// A required element or attribute is missing.
     #[error("{}:{line}:{column}: <{parent}> lacks the {kind} `{key}`", path.display())]
     Missing {
         /// The scenario file.
@@ -68,35 +68,35 @@ pub enum Error {
         column: u32,
         /// `element` or `attribute`.
         kind: &'static str,
-        /// Its name.
+        /// Name of the missing element or attribute.
         key: &'static str,
-        /// The element that lacks it.
+        /// Name of the parent element.
         parent: String,
     },
-    /// Something that may occur once occurs again.
+    /// Something that may occur once occurs twice.
     #[error("{}:{line}:{column}: a second {key}", path.display())]
     Duplicate {
         /// The scenario file.
         path: PathBuf,
-        /// Line of the second one, from 1.
+        /// Line of the second occurrence, from 1.
         line: u32,
-        /// Column of the second one, from 1.
+        /// Column of the second occurrence, from 1.
         column: u32,
-        /// What it is, as `element <agents>`.
+        /// What occurs twice, as `element <agents>`.
         key: String,
     },
-    /// There are more elements of a kind than any scenario has.
+    /// There are more elements of a kind than a scenario may have.
     #[error("{}:{line}:{column}: more than {limit} elements <{element}>", path.display())]
     TooMany {
         /// The scenario file.
         path: PathBuf,
-        /// Line of the first one that is too many, from 1.
+        /// Line of the first element beyond the limit, from 1.
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// Its name.
+        /// Name of the element.
         element: String,
-        /// Most.
+        /// Largest number of elements.
         limit: usize,
     },
     /// An attribute's value cannot be read or is out of range.
@@ -108,13 +108,13 @@ pub enum Error {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// The element.
+        /// Name of the element.
         element: String,
-        /// The attribute.
+        /// Name of the attribute.
         key: &'static str,
         /// The value, shortened if long.
         value: String,
-        /// What it may be.
+        /// Allowed values.
         allowed: String,
     },
     /// A spawn row names a route that the scenario does not have.
@@ -126,14 +126,14 @@ pub enum Error {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// The attribute.
+        /// Name of the attribute.
         key: &'static str,
-        /// The id.
+        /// Id that is not found.
         value: String,
-        /// The route id closest to it, if one is close.
+        /// Most similar route id, if one is similar.
         nearest: Option<String>,
     },
-    /// A net file is missing or broken.
+    /// A net file is missing or cannot be used.
     #[error("{}:{line}:{column}: file: the net cannot be used", path.display())]
     Net {
         /// The scenario file.
@@ -142,7 +142,7 @@ pub enum Error {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// What is wrong with it.
+        /// Error of the net.
         source: Box<NetError>,
     },
     /// A route cannot be driven in one of the nets.
@@ -156,10 +156,11 @@ pub enum Error {
         column: u32,
         /// Id of the route.
         route: String,
-        /// Why not.
+        /// Reason.
         source: Box<NetError>,
     },
-    /// A spawn place, with the vehicle's length and the jitter, lies partly outside its edge or beyond the finish.
+    /// A spawn place, with the vehicle's length and the jitter, extends beyond its edge or beyond
+    /// the finish line.
     #[error(
         "{}:{line}:{column}: spawn: the place at {pos} m of route `{route}` does not fit on edge `{edge}`: \
          it needs {half} m on both sides within 0 to {end} m", path.display()
@@ -177,9 +178,9 @@ pub enum Error {
         pos: f64,
         /// Id of the edge.
         edge: String,
-        /// Half the vehicle's length and the jitter \[m\].
+        /// Half the vehicle's length plus the longitudinal jitter \[m\].
         half: f64,
-        /// End of the edge, or of what lies before the finish \[m\].
+        /// Position up to which vehicles may begin: the end of the edge or the finish line \[m\].
         end: f64,
     },
     /// Two spawn places of one net are so close that vehicles could touch.
@@ -196,29 +197,29 @@ pub enum Error {
         column: u32,
         /// Id of the lane.
         lane: String,
-        /// Position of one \[m\].
+        /// Position of the first place \[m\].
         first: f64,
-        /// Position of the other \[m\].
+        /// Position of the second place \[m\].
         second: f64,
-        /// Least distance \[m\].
+        /// Smallest allowed distance between places \[m\].
         needed: f64,
     },
-    /// The number of agents asked for is not one that the scenario takes.
+    /// The scenario does not accept the requested number of agents.
     #[error("{}: agents: {agents} is outside of {min} to {max}", path.display())]
     Agents {
         /// The scenario file.
         path: PathBuf,
-        /// Number asked for.
+        /// Requested number.
         agents: u32,
-        /// Fewest.
+        /// Smallest number.
         min: u32,
-        /// Most.
+        /// Largest number.
         max: u32,
     },
 }
 
 impl Error {
-    /// The file: the scenario's, or one that it names.
+    /// Returns the file with the error: the scenario file, or a file that it names.
     pub fn path(&self) -> &std::path::Path {
         match self {
             Self::Read { path, .. }
@@ -238,7 +239,7 @@ impl Error {
         }
     }
 
-    /// Line and column of the mistake in the scenario file, both from 1, where it has a place there.
+    /// Returns line and column of the error, both from 1, if it has a position in the file.
     pub fn position(&self) -> Option<(u32, u32)> {
         match *self {
             Self::Parse { line, column, .. }
@@ -256,7 +257,7 @@ impl Error {
         }
     }
 
-    /// What the user may do about it, where that is not plain from the message.
+    /// Returns what the user can do about the error, unless the message already says it.
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {

@@ -1,4 +1,5 @@
-//! What a check of a scenario file finds: all that stops it from being used, and what will probably surprise.
+//! Findings of a scenario check: all errors that make the scenario unusable, and warnings about
+//! settings that are probably not intended.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -8,53 +9,54 @@ use serde::Serialize;
 use super::reader::{Reader, document};
 use super::{Error, Scenario, advice, check, load};
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// The scenario cannot be used, or no agent can succeed in it.
     Error,
-    /// It can be used, but probably not as it was meant.
+    /// The scenario can be used, but probably not as its author intended.
     Warning,
 }
 
-/// Something that is wrong, or seems to be.
+/// An error or a warning of a scenario check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Severity.
     pub severity: Severity,
     /// The scenario file.
     pub file: PathBuf,
-    /// Line and column, both from 1, where it has a place in the file.
+    /// Position in the file, if the finding has one.
     #[serde(flatten)]
     pub at: Option<Position>,
-    /// What is wrong.
+    /// What is wrong, without the position.
     pub message: String,
-    /// What to do about it.
+    /// What the user can do about it.
     pub hint: Option<String>,
 }
 
-/// A place in a file.
+/// A position in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Position {
-    /// From 1.
+    /// Line, from 1.
     pub line: u32,
-    /// From 1.
+    /// Column, from 1.
     pub column: u32,
 }
 
-/// What [`Scenario::check`] finds.
+/// Result of [`Scenario::check`].
 #[derive(Debug)]
 pub struct Findings {
     /// The scenario, if it can be used.
     pub scenario: Option<Scenario>,
-    /// In order of their places.
+    /// All findings, sorted by position in the file.
     pub list: Vec<Finding>,
 }
 
 impl Scenario {
-    /// Reads a scenario file and says everything that is wrong with it, where [`Scenario::load`] stops at the first mistake, and
-    /// what will probably surprise. Mistakes in how it is written end the search: what follows from them would only mislead.
+    /// Reads a scenario file and returns all errors and warnings, where [`Scenario::load`] stops at
+    /// the first error. A mistake in the file's syntax, names or values ends the check, because
+    /// further findings would be misleading consequences of this mistake.
     pub fn check(path: &Path) -> Findings {
         let mut list = Vec::new();
         let scenario = inspect(path, &mut list).unwrap_or_else(|error| {
@@ -66,7 +68,7 @@ impl Scenario {
     }
 }
 
-/// The scenario, if nothing is wrong with it.
+/// Returns the scenario if it can be used, and appends the findings to `list`.
 fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Error> {
     let text = load::text(path)?;
     let document = document(&text, path)?;
@@ -79,25 +81,25 @@ fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Err
 }
 
 impl Findings {
-    /// Whether there is an error among them.
+    /// Returns whether at least one finding is an error.
     pub fn has_errors(&self) -> bool {
         self.list.iter().any(|finding| finding.severity == Severity::Error)
     }
 }
 
 impl Finding {
-    /// The finding that an error is.
+    /// Converts an error to a finding about the scenario file `path`.
     pub fn of(error: &Error, path: &Path) -> Self {
         let at = error.position().map(|(line, column)| Position { line, column });
         let text = error.to_string();
-        // The error's own text begins with its place.
+        // The finding has the position in a field of its own: the message must not repeat it.
         let place =
             at.map_or_else(|| path.display().to_string(), |at| format!("{}:{at}", path.display()));
         let text = text.strip_prefix(&format!("{place}: ")).unwrap_or(&text);
         let causes =
             std::iter::successors(std::error::Error::source(error), |cause| cause.source());
         let message = causes.fold(text.to_owned(), |text, cause| format!("{text}: {cause}"));
-        // Files are quoted in it.
+        // The message may quote control characters from the file.
         let message = message.replace(char::is_control, "\u{fffd}");
         Self { severity: Severity::Error, file: path.into(), at, message, hint: error.hint() }
     }

@@ -1,4 +1,5 @@
-//! A short name for what a scenario says, in all its files, by which a run tells whether it is still the same.
+//! Fingerprint of a scenario with all its files, by which a run detects that the scenario has
+//! changed.
 
 use std::path::Path;
 
@@ -6,9 +7,9 @@ use super::Scenario;
 use crate::fnv::Fnv;
 
 impl Scenario {
-    /// A number, in hexadecimal, that follows from the scenario's file and the net and route files that it names: from their elements
-    /// and attributes, but not from comments, spaces, or where they are. Of a file that cannot be read or is no XML, from that
-    /// alone.
+    /// Returns a hash, in hexadecimal, of the elements, attributes and texts in the scenario file
+    /// and in the net and route files that it names. Comments, white space and the locations of the
+    /// files do not count. A file that cannot be read or is not XML contributes only this fact.
     pub fn fingerprint(&self) -> String {
         let nets = self.nets.iter().map(|net| net.file.as_path());
         let files = std::iter::once(self.path.as_path())

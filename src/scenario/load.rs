@@ -1,4 +1,5 @@
-//! Reads a scenario file: strict, so that a misspelt key is an error and not a default, and every error has its place.
+//! Reads scenario files strictly: a misspelt key is an error, not a default, and every error has
+//! its position.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -19,15 +20,16 @@ use crate::sumo::net::{nearest, shorten, xml};
 /// Largest file that is read \[bytes\].
 const MAX_BYTES: u64 = 4 << 20;
 
-/// Most spawn places in a net.
+/// Largest number of spawn places in a net.
 const MAX_PLACES: u32 = 10_000;
 
-/// Most nets, routes, and edges of a route: every route is laid through every net.
+/// Largest number of nets, of routes, and of edges of a route. The check locates every route in
+/// every net.
 const MAX_NETS: usize = 64;
 const MAX_ROUTES: usize = 256;
 const MAX_EDGES: usize = 4096;
 
-/// The elements of a scenario.
+/// Child elements of `<scenario>`.
 const PARTS: Names = &[
     "description",
     "agents",
@@ -65,8 +67,8 @@ impl Scenario {
     /// Reads a scenario file and checks it against its nets.
     ///
     /// # Errors
-    /// [`Error`], with the place in the file, if the file cannot be read, says something that is not valid, or does
-    /// not go with its nets.
+    /// [`Error`], with its position in the file, if the file cannot be read, contains something
+    /// invalid, or does not fit its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
         let text = text(path)?;
         let document = document(&text, path)?;
@@ -76,24 +78,25 @@ impl Scenario {
         errors.into_iter().next().map_or(Ok(scenario), Err)
     }
 
-    /// Reads a scenario file; its nets are not looked at and may be missing.
+    /// Reads a scenario file without its nets, which may be missing.
     ///
     /// # Errors
-    /// As [`Scenario::load`], less the nets.
+    /// As [`Scenario::load`], without errors of the nets.
     pub fn read(path: &Path) -> Result<Self, Error> {
         Self::parse(&text(path)?, path)
     }
 
-    /// Whether a scenario can have this name, which is also a folder's.
+    /// Returns whether `name` can be the name of a scenario, which is also the name of a folder.
     pub fn is_name(name: &str) -> bool {
         let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
         (1..=64).contains(&name.len()) && name.chars().all(valid)
     }
 
-    /// Reads a scenario from its text; its nets are not looked at. Net files are taken as relative to the folder of `path`.
+    /// Reads a scenario from its text, without its nets. Paths of nets are relative to the folder
+    /// of `path`.
     ///
     /// # Errors
-    /// As [`Scenario::load`], less the nets.
+    /// As [`Scenario::load`], without errors of the nets.
     pub fn parse(text: &str, path: &Path) -> Result<Self, Error> {
         if text.len() as u64 > MAX_BYTES {
             return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
@@ -102,10 +105,10 @@ impl Scenario {
         Reader { path, document: &document }.scenario().map(|(scenario, _)| scenario)
     }
 
-    /// The smallest net with a place for each of `agents` agents.
+    /// Returns the smallest net with a spawn place for each of `agents` agents.
     ///
     /// # Errors
-    /// [`Error::Agents`] if the scenario does not take this number.
+    /// [`Error::Agents`] if the scenario does not accept this number.
     pub fn net_for(&self, agents: u32) -> Result<&Net, Error> {
         let AgentRange { min, max, .. } = self.agents;
         let refuse = |max| Error::Agents { path: self.path.clone(), agents, min, max };
@@ -118,7 +121,7 @@ impl Scenario {
     }
 }
 
-/// The text of a scenario file.
+/// Returns the text of a scenario or route file.
 pub(super) fn text(path: &Path) -> Result<String, Error> {
     let text =
         xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
@@ -245,7 +248,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok((scenario, places))
     }
 
-    /// A whole number up to `max`, or what it is without the attribute.
+    /// Returns an attribute as a whole number from 0 to `max`, or `otherwise` if the attribute is
+    /// missing.
     fn whole_or(
         &self,
         node: Node<'a, 'input>,
@@ -256,7 +260,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         if node.has_attribute(key) { self.whole(node, key, 0, max) } else { Ok(otherwise) }
     }
 
-    /// The element `<traffic>`, which need not be there.
+    /// Reads the element `<traffic>`, which is optional.
     fn traffic(&self, root: Node<'a, 'input>) -> Result<Traffic, Error> {
         if !root.children().any(|node| node.has_tag_name("traffic")) {
             return Ok(Traffic::default());
@@ -460,7 +464,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(nets.into_iter().unzip())
     }
 
-    /// Whoever must have a reserved destination finds one, whatever the others have drawn.
+    /// Checks that every vehicle that needs a reserved destination finds a free one, whichever
+    /// routes the other vehicles draw.
     fn destinations(
         &self,
         net: Node<'a, 'input>,
@@ -573,7 +578,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         )?;
         let angle = |v: f64| (0.1..=80.0).contains(&v);
         let otherwise = Steering::default();
-        // Bounds that any car keeps well within, and that keep the motion stable.
+        // Every car is well within these bounds, which keep the motion stable.
         let or = |key: &'static str, otherwise: f64, least: f64, most: f64| match node
             .attribute(key)
         {

@@ -1,6 +1,7 @@
-//! What a task is, as data: read from `scenarios/<name>.xml` (schema: `scenarios/scenario.xsd`).
+//! The task as data, read from `scenarios/<name>.xml` (schema: `scenarios/scenario.xsd`).
 //!
-//! Units are SI. Positions on lanes are those of the vehicle's **centre** unless a field says otherwise.
+//! Units are SI. A position on a lane is the position of the vehicle's **centre** unless a field
+//! says otherwise.
 
 mod advice;
 pub mod author;
@@ -24,111 +25,115 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-/// One task.
+/// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
-    /// Name; also the run folder's first level.
+    /// Name, which is also the first level of the run folders.
     pub name: String,
-    /// Where it was read from.
+    /// File that the scenario was read from.
     pub path: PathBuf,
-    /// One sentence for people.
+    /// Description in one sentence.
     pub description: String,
-    /// How many agents it takes.
+    /// Number of agents that the scenario accepts.
     pub agents: AgentRange,
-    /// Nets by size, ascending by [`Net::capacity`].
+    /// Nets of different sizes, ascending by [`Net::capacity`].
     pub nets: Vec<Net>,
-    /// Routes that agents follow.
+    /// Routes of the agents.
     pub routes: Vec<Route>,
-    /// The agents' vehicle.
+    /// Size and top speed of the agents' vehicle.
     pub vehicle: Vehicle,
-    /// How spawn places are disturbed.
+    /// Random displacement of vehicles from their spawn places.
     pub jitter: Jitter,
-    /// How actions become motion.
+    /// How actions move a vehicle.
     pub control: Control,
-    /// What an agent sees.
+    /// What an agent observes.
     pub observation: Observation,
     /// Reward terms.
     pub reward: Reward,
-    /// When an episode or an agent ends.
+    /// Conditions that end an episode, or an agent's part in it.
     pub termination: Termination,
-    /// Who can hear whom.
+    /// Communication between agents.
     pub communication: Communication,
-    /// Vehicles that SUMO drives, beside the agents.
+    /// Background traffic: vehicles and pedestrians that SUMO moves.
     pub traffic: Traffic,
 }
 
-/// Number of agents that a scenario takes.
+/// Number of agents that a scenario accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AgentRange {
-    /// Fewest.
+    /// Smallest number.
     pub min: u32,
-    /// Most.
+    /// Largest number.
     pub max: u32,
-    /// When the user does not say.
+    /// Number if the user does not specify one.
     pub default: u32,
 }
 
 /// A net and its spawn places.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Net {
-    /// The `.net.xml`, resolved against the scenario file's folder.
+    /// Path of the `.net.xml`, resolved against the scenario file's folder.
     pub file: PathBuf,
     /// Rows of spawn places.
     pub spawns: Vec<SpawnRow>,
 }
 
-/// Equally spaced spawn places at the start of routes.
+/// A row of equally spaced spawn places on the first edge of its routes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpawnRow {
-    /// Indices into [`Scenario::routes`], all of which begin on one lane. One of them is drawn in each episode.
+    /// Indices into [`Scenario::routes`] of the routes that begin here, all of them on one lane. A
+    /// vehicle draws one of them in each episode.
     pub routes: Arc<[usize]>,
-    /// Position of the first place on the route's first edge \[m\].
+    /// Position of the first place on the routes' first edge \[m\].
     pub first: f64,
-    /// Distance between places \[m\].
+    /// Distance between neighbouring places \[m\].
     pub spacing: f64,
     /// Number of places.
     pub count: u32,
 }
 
-/// One spawn place.
+/// A spawn place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpawnPlace {
-    /// As in [`SpawnRow::routes`].
+    /// Indices of the routes that begin here, as in [`SpawnRow::routes`].
     pub routes: Arc<[usize]>,
-    /// Position on the route's first edge \[m\].
+    /// Position on the routes' first edge \[m\].
     pub pos: f64,
 }
 
 /// A route through the net.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
-    /// Name.
+    /// Id, unique in the scenario.
     pub id: String,
     /// Edge ids in driving order.
     pub edges: Vec<String>,
-    /// Lane of the first edge, counted from the right and starting at 0; without it, the rightmost from which the route can be
-    /// driven without changing lanes.
+    /// Lane of the first edge, counted from the right and starting at 0. Default: the rightmost
+    /// lane from which the route can be driven without changing lanes.
     pub lane: Option<u32>,
-    /// Where the agent has arrived, on the last edge \[m\]; a negative value counts from its end.
+    /// Finish line of the agent: position on the last edge \[m\]; a negative value counts from the
+    /// end of the edge.
     pub arrival_pos: f64,
-    /// Its last edge is a destination for one vehicle: an episode draws no two reserved routes that end on the same edge.
+    /// Whether the last edge is a destination for one vehicle only: an episode does not draw two
+    /// reserved routes that end on the same edge.
     pub reserved: bool,
-    /// Progress and speed count this many times while the vehicle is off the route's lanes.
+    /// Factor on the progress and speed rewards while a vehicle that steers is off the lanes of its
+    /// route. Default: 1.
     pub off_lane: f64,
 }
 
-/// The agents' vehicle.
+/// Size and top speed of the agents' vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Vehicle {
-    /// \[m\]
+    /// Length of the body \[m\].
     pub length: f64,
-    /// \[m\]
+    /// Width of the body \[m\].
     pub width: f64,
-    /// \[m/s\]
+    /// Top speed \[m/s\].
     pub max_speed: f64,
 }
 
-/// Uniform disturbance of spawn places, plus or minus.
+/// Random displacement of vehicles from their spawn places: uniform in plus or minus each value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jitter {
     /// Along the lane \[m\].
@@ -137,54 +142,57 @@ pub struct Jitter {
     pub lateral: f64,
 }
 
-/// How actions become motion.
+/// How actions move a vehicle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Control {
-    /// Decision interval \[s\]; also SUMO's step length.
+    /// Decision interval \[s\], which is also SUMO's step length.
     pub interval: f64,
     /// Acceleration at full throttle \[m/s²\].
     pub accel: f64,
-    /// Deceleration at zero throttle, and the least of a brake \[m/s²\].
+    /// Deceleration at zero throttle, and the smallest deceleration of a braking action \[m/s²\].
     pub drag: f64,
-    /// Braking curve: (action magnitude, deceleration \[m/s²\]), ascending; linear between, from the origin.
+    /// Braking curve as points (magnitude of the action, deceleration \[m/s²\]), ascending, linear
+    /// between the points and from the origin.
     pub brake: Vec<(f64, f64)>,
-    /// How the vehicle steers, as a first action before throttle and brake. Without it, that is the only action, and SUMO keeps the
-    /// vehicle on its route.
+    /// Parameters of a vehicle that steers. With them, an action has two components: steering, then
+    /// throttle and brake. Without them, throttle and brake are the only component, and SUMO keeps
+    /// the vehicle on its route.
     pub steering: Option<Steering>,
-    /// Mean throttle of an untrained policy, -1 to 1. At 0 vehicles hardly move under noise where
-    /// brakes are stronger than the engine; the larger it is, the sooner all drive at full
-    /// throttle.
+    /// Mean throttle of an untrained policy, -1 to 1. At 0, vehicles hardly move under exploration
+    /// noise where brakes are stronger than the engine; the larger the value, the sooner all
+    /// vehicles drive at full throttle.
     pub initial_throttle: f64,
 }
 
 impl Control {
-    /// Mean throttle of an untrained policy where a scenario does not say.
+    /// Default of [`Control::initial_throttle`].
     pub const INITIAL_THROTTLE: f64 = 0.5;
 }
 
-/// How a vehicle steers.
+/// Parameters of a vehicle that steers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Steering {
-    /// Angle of the front wheels at full lock \[deg\].
+    /// Steering angle of the front wheels at full lock \[deg\].
     pub max_angle: f64,
     /// Distance of the front axle from the centre of mass, which is the middle of the vehicle
     /// \[m\].
     pub front_axle: f64,
-    /// Distance of the rear axle from it \[m\].
+    /// Distance of the rear axle from the centre of mass \[m\].
     pub rear_axle: f64,
     /// Distance between the left and the right wheels \[m\].
     pub track: f64,
-    /// Friction of the tyres: they hold so many times their load.
+    /// Friction of the tyres: the largest force of a tyre, as a multiple of its load.
     pub friction: f64,
     /// Moment of inertia about the vertical axis, per mass \[m²\].
     pub yaw_inertia: f64,
-    /// Whether a negative throttle drives backwards: then it is thrust, and only zero throttle
-    /// brakes.
+    /// Whether a negative throttle drives backwards. If so, negative throttle is thrust, and only
+    /// zero throttle brakes.
     pub reverse: bool,
 }
 
 impl Default for Steering {
-    /// The vehicle of the paper's simulator (MetaDrive's default vehicle).
+    /// Returns the parameters of the vehicle of the paper's simulator (MetaDrive's default
+    /// vehicle).
     fn default() -> Self {
         Self {
             max_angle: 40.0,
@@ -199,143 +207,151 @@ impl Default for Steering {
 }
 
 impl Steering {
-    /// Distance between the axles \[m\].
+    /// Returns the distance between the axles \[m\].
     pub fn wheelbase(&self) -> f64 {
         self.front_axle + self.rear_axle
     }
 }
 
-/// How an agent sees others.
+/// How an agent observes other vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ObservationGroups {
     /// The nearest vehicles, in any direction (paper).
     Nearest,
-    /// The vehicle ahead, and those next to where routes cross or merge with the agent's own.
+    /// The vehicle ahead, and on each route that crosses or merges with the agent's own route, the
+    /// vehicles nearest to the conflict point.
     Conflict,
-    /// One after the other.
+    /// Both: first the nearest vehicles, then the conflict group.
     Both,
 }
 
 impl ObservationGroups {
-    /// As in XML and settings.
+    /// Names in XML and settings.
     pub const NAMES: [(&str, Self); 3] =
         [("nearest", Self::Nearest), ("conflict", Self::Conflict), ("both", Self::Both)];
 
-    /// Whether the nearest vehicles are described.
+    /// Returns whether the observation contains the nearest vehicles.
     pub fn nearest(self) -> bool {
         self != Self::Conflict
     }
 
-    /// Whether the vehicle ahead and crossing streams are described.
+    /// Returns whether the observation contains the vehicle ahead and the conflicting streams.
     pub fn conflict(self) -> bool {
         self != Self::Nearest
     }
 
-    /// The name in XML and settings.
+    /// Returns the name in XML and settings.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
     }
 }
 
-/// In which order the nearest vehicles are described.
+/// Order of the nearest vehicles in the observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NeighbourOrder {
     /// Nearest first (paper).
     #[default]
     Distance,
-    /// From those straight ahead to those behind, so that a vehicle keeps its place as distances change; in the same direction, nearest
-    /// first. Positions are told on a second scale, on which gaps in a queue differ.
+    /// From the vehicles straight ahead to those behind, so that a vehicle keeps its index as
+    /// distances change; of vehicles in the same direction, the nearest first. Positions appear on
+    /// a second, finer scale as well, on which the gaps of a queue differ.
     Bearing,
 }
 
 impl NeighbourOrder {
-    /// As in XML and settings.
+    /// Names in XML and settings.
     pub const NAMES: [(&str, Self); 2] = [("distance", Self::Distance), ("bearing", Self::Bearing)];
 
-    /// The name in XML and settings.
+    /// Returns the name in XML and settings.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
     }
 }
 
-/// What an agent knows of another vehicle's intention: the part of the route that the vehicle has
-/// not yet begun.
+/// What an agent knows of another vehicle's intention: the part of that vehicle's route that the
+/// vehicle has not yet begun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Intention {
     /// The whole route.
     #[default]
     Seen,
-    /// The direction at the next junction, from the vehicle's indicator: within
-    /// [`Observation::signal_distance`] of the junction, within the detection range and with no
-    /// other vehicle in between. Otherwise nothing.
+    /// The direction at the next junction, which the agent observes from the vehicle's indicator:
+    /// within [`Observation::signal_distance`] of the junction, within the detection range and with
+    /// no other vehicle in between. Otherwise nothing.
     Signalled,
-    /// Nothing: the vehicle may take every route that its position leaves open (paper).
+    /// Nothing: the vehicle may take any route that its position leaves open (paper).
     Hidden,
 }
 
 impl Intention {
-    /// As in XML and settings.
+    /// Names in XML and settings.
     pub const NAMES: [(&str, Self); 3] =
         [("seen", Self::Seen), ("signalled", Self::Signalled), ("hidden", Self::Hidden)];
 
-    /// The name in XML and settings.
+    /// Returns the name in XML and settings.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
     }
 }
 
-/// What an agent sees.
+/// What an agent observes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// How others are described.
+    /// How the observation describes other vehicles.
     pub groups: ObservationGroups,
-    /// Others further away than this are not seen \[m\].
+    /// Distance beyond which an agent does not observe other vehicles \[m\].
     pub detection_range: f64,
-    /// Nearest vehicles described one by one.
+    /// Number of nearest vehicles, which are described one by one.
     pub neighbours: usize,
-    /// In which order.
+    /// Order of the nearest vehicles.
     pub neighbour_order: NeighbourOrder,
-    /// What is known of where others will go.
+    /// What an agent knows of the intentions of other vehicles.
     pub intention: Intention,
-    /// How far before a junction a vehicle's indicator is on, where intentions are signalled;
-    /// [`Observation::SIGNAL_DISTANCE`] where they are not \[m\].
+    /// Distance before a junction at which a vehicle switches its indicator on \[m\]. Without
+    /// [`Intention::Signalled`] it has no effect and is [`Observation::SIGNAL_DISTANCE`].
     pub signal_distance: f64,
-    /// Crossing or merging streams described, in the order in which the agent meets them.
+    /// Number of crossing or merging streams, in the order of their conflict points along the
+    /// agent's route.
     pub conflict_streams: usize,
-    /// Vehicles described per stream, those next to the conflict point first.
+    /// Number of vehicles described per stream, those nearest to the conflict point first.
     pub stream_vehicles: usize,
-    /// Vehicles described one by one whose routes cross or merge with the agent's, or that are ahead of it, those first that will
-    /// soonest be with it where they meet.
+    /// Number of encounters: vehicles that are ahead of the agent or whose routes cross or merge
+    /// with the agent's route, described one by one, in ascending order of the longer of the two
+    /// vehicles' distances to the conflict point.
     pub encounters: usize,
-    /// How far ahead encounters tell how closely the two will pass if both keep to their ways and speeds \[s\]; 0: they do not.
+    /// Time over which encounters predict how closely the two vehicles pass each other if both keep
+    /// to their paths and speeds \[s\]. 0: no prediction.
     pub foresight: f64,
-    /// How near to where its way first meets another's a vehicle is when it gets its turn, which encounters tell \[m\]; 0: they do not.
+    /// Distance before the first conflict point of its path at which a vehicle gets its priority,
+    /// first come, first served \[m\]. Encounters then contain which of the two vehicles has
+    /// priority. 0: they do not.
     pub turns: f64,
-    /// Distance up to which an agent is told how close its sides are to the lines that it must not touch \[m\]; 0: it is not.
+    /// Distance up to which an agent observes how close its sides are to the lines that it must not
+    /// touch \[m\]. 0: not observed.
     pub borders: f64,
-    /// Distances to whatever is around.
+    /// Lidar, which measures distances to vehicles and road borders.
     pub lidar: Lidar,
 }
 
 impl Observation {
-    /// How far before a junction an indicator is on where the scenario does not say \[m\].
+    /// Default of [`Observation::signal_distance`] \[m\].
     pub const SIGNAL_DISTANCE: f64 = 30.0;
 }
 
-/// Beams in all directions, which end at vehicles and where the road ends.
+/// Lidar beams in all directions, which end at vehicles and where the road ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lidar {
-    /// How many; 0: none.
+    /// Number of beams; 0: no lidar.
     pub beams: usize,
-    /// How far \[m\].
+    /// Range of the beams \[m\].
     pub range: f64,
 }
 
 impl Lidar {
-    /// Most beams.
+    /// Largest number of beams.
     pub const MOST: usize = 360;
 }
 
@@ -348,73 +364,74 @@ impl Default for Lidar {
 /// Reward terms and their weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reward {
-    /// Per metre along the route.
+    /// Reward per metre along the route.
     pub progress: f64,
-    /// Per step at [`Reward::SPEED_UNIT`], in proportion to speed.
+    /// Reward per step at [`Reward::SPEED_UNIT`], in proportion to speed.
     pub speed: f64,
-    /// Replaces the step's reward on arrival.
+    /// Reward of the step in which the agent arrives, in place of all other terms.
     pub arrive: f64,
-    /// Replaces the step's reward when leaving the road.
+    /// Reward of the step in which the agent goes off-road, in place of all other terms.
     pub out_of_road: f64,
-    /// Replaces the step's reward in a crash.
+    /// Reward of the step in which the agent crashes, in place of all other terms.
     pub crash: f64,
-    /// Weight in training of each other agent's advantage beside one's own, which has weight 1; 0
-    /// to 1.
+    /// Weight of each other agent's advantage in training, 0 to 1; the agent's own advantage has
+    /// weight 1.
     pub cooperation: f64,
-    /// How far apart agents share in each other's advantages \[m\]; infinite: all agents of a
-    /// world.
+    /// Largest distance between agents that share in each other's advantages \[m\]. Infinite: all
+    /// agents of a world share.
     pub share_range: f64,
 }
 
 impl Reward {
-    /// 80 km/h, the speed that the speed term counts as one \[m/s\].
+    /// Speed at which the speed term equals [`Reward::speed`]: 80 km/h \[m/s\].
     pub const SPEED_UNIT: f64 = 80.0 / 3.6;
 }
 
-/// When an episode or an agent ends.
+/// Conditions that end an episode, or an agent's part in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Termination {
-    /// Truncation after this many steps.
+    /// Horizon: number of steps after which an episode is truncated.
     pub horizon: u32,
-    /// A crashed vehicle stays as an obstacle for this time \[s\].
+    /// Time for which a crashed vehicle stays on the road as an obstacle \[s\].
     pub wreck_time: f64,
-    /// What ends the road for a vehicle that steers.
+    /// Border of the road for vehicles that steer.
     pub border: Border,
-    /// Edges beside whose lanes no line parts the two directions that would end the road: a broken
-    /// one, which vehicles may cross.
+    /// Edges with a broken line between the two directions, which vehicles that steer may cross.
     pub broken_lines: Vec<String>,
 }
 
-/// What ends the road for a vehicle that steers. Whoever's centre is on no lane has left it, too.
+/// Border of the road for vehicles that steer. A vehicle whose centre is on no lane is off-road
+/// with either border.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Border {
     /// The lines at both sides of a road.
     Line,
-    /// The line between two directions, and the kerb, a little beyond the outermost lanes: no line keeps lanes of one direction, or
-    /// places to park, apart.
+    /// The line between the two directions, and the kerb, a little beyond the outermost lanes. No
+    /// line separates lanes of one direction or parking spaces.
     Kerb,
 }
 
 impl Border {
-    /// As in XML.
+    /// Names in XML.
     pub const NAMES: [(&str, Self); 2] = [("line", Self::Line), ("kerb", Self::Kerb)];
 
-    /// The name in XML.
+    /// Returns the name in XML.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|entry| entry.1 == self).map_or("", |entry| entry.0)
     }
 }
 
-/// Vehicles that SUMO drives, beside the agents.
+/// Background traffic: vehicles and pedestrians that SUMO moves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Traffic {
-    /// Share of the vehicles at spawn places that learn, above 0 to 1; SUMO drives the others.
+    /// Share of agents among the vehicles at spawn places, above 0 to 1; SUMO drives the others.
     pub penetration: f64,
-    /// Type of those others, an id of the files; without it they are of the agents' size and abilities.
+    /// Type of the background vehicles at spawn places, an id from [`Traffic::files`]. Without it,
+    /// these vehicles have the agents' size and abilities.
     pub kind: Option<String>,
     /// SUMO route files, resolved against the scenario file's folder.
     pub files: Vec<PathBuf>,
-    /// Most vehicles of the files on the road at a time.
+    /// Largest number of vehicles and pedestrians from the files on the road at a time.
     pub capacity: u32,
 }
 
@@ -425,32 +442,32 @@ impl Default for Traffic {
 }
 
 impl Traffic {
-    /// Whether SUMO drives some, with so many at spawn places.
+    /// Returns whether there is background traffic, with `vehicles` vehicles at spawn places.
     pub fn is_mixed(&self, vehicles: u32) -> bool {
         self.learners(vehicles) < vehicles || !self.files.is_empty()
     }
 
-    /// How many of so many vehicles learn: at least one.
+    /// Returns how many of `vehicles` vehicles are agents: at least one.
     pub fn learners(&self, vehicles: u32) -> u32 {
         ((self.penetration * f64::from(vehicles)).round() as u32).clamp(1, vehicles.max(1))
     }
 }
 
-/// Who can hear whom.
+/// Communication between agents.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Communication {
-    /// Range d_comm of the physical mask \[m\].
+    /// Communication range d_comm of the physical mask \[m\].
     pub range: f64,
 }
 
 impl Net {
-    /// Number of spawn places.
+    /// Returns the number of spawn places.
     #[must_use]
     pub fn capacity(&self) -> u32 {
         self.spawns.iter().map(|row| row.count).sum()
     }
 
-    /// The places, row by row.
+    /// Returns the spawn places, row by row.
     pub fn places(&self) -> impl Iterator<Item = SpawnPlace> + '_ {
         self.spawns.iter().flat_map(|row| {
             (0..row.count).map(|i| SpawnPlace {

@@ -1,4 +1,4 @@
-//! Reads elements and values of a scenario's XML: every mistake becomes an error with its place.
+//! Reads elements and values of a scenario's XML. Every mistake becomes an error with its position.
 
 use std::{fmt::Display, path::Path};
 
@@ -7,16 +7,16 @@ use roxmltree::{Attribute, Document, Node};
 use super::Error;
 use crate::sumo::net::{nearest, shorten, xml};
 
-/// Largest magnitude of any number in a scenario; keeps sums and products finite.
+/// Largest magnitude of a number in a scenario, which keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
 
 /// Namespace of `xsi:noNamespaceSchemaLocation`, which names the schema for editors.
 const XSI: &str = "http://www.w3.org/2001/XMLSchema-instance";
 
-/// Names that are valid at some place.
+/// Names that are valid at one place of a file.
 pub(super) type Names = &'static [&'static str];
 
-/// A scenario's XML, and where it was read from.
+/// The XML of a scenario or route file, and the path of the file.
 pub(super) struct Reader<'a, 'input> {
     pub(super) path: &'a Path,
     pub(super) document: &'a Document<'input>,
@@ -33,7 +33,7 @@ pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, E
 }
 
 impl<'a, 'input> Reader<'a, 'input> {
-    /// Checks that an element has the given attributes and, besides comments, the given children only.
+    /// Checks that an element has only the given attributes and child elements, and no text.
     pub(super) fn expect(
         &self,
         node: Node,
@@ -81,7 +81,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    /// An element that has attributes only.
+    /// Returns an element after checking that it has only the given attributes and no content.
     pub(super) fn leaf<'n>(
         &self,
         node: Node<'n, 'input>,
@@ -91,7 +91,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(node)
     }
 
-    /// The one child of this name.
+    /// Returns the only child with this name.
     pub(super) fn child(
         &self,
         parent: Node<'a, 'input>,
@@ -105,7 +105,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
     }
 
-    /// The child elements, `limit` at most.
+    /// Returns the child elements, at most `limit`.
     pub(super) fn few(
         &self,
         parent: Node<'a, 'input>,
@@ -164,13 +164,13 @@ impl<'a, 'input> Reader<'a, 'input> {
             .ok_or_else(|| self.value(node, key, format!("a whole number from {least} to {most}")))
     }
 
-    /// Line and column, both from 1, of a byte offset.
+    /// Returns line and column, both from 1, of a byte offset.
     pub(super) fn position(&self, offset: usize) -> (u32, u32) {
         let at = self.document.text_pos_at(offset);
         (at.row, at.col)
     }
 
-    /// Byte offset of an attribute, or of its element if it has none of this name.
+    /// Returns the byte offset of an attribute, or of its element if the attribute is missing.
     pub(super) fn offset(node: Node, key: &str) -> usize {
         node.attribute_node(key).map_or(node.range().start, |a| a.range().start)
     }
@@ -214,7 +214,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 }
 
-/// An element's name for messages.
+/// Returns the name of an element for messages, as `<agents>`.
 pub(super) fn in_element(node: Node) -> Box<str> {
     format!("<{}>", node.tag_name().name()).into()
 }

@@ -1,60 +1,61 @@
-//! What `scenarios/scenario.xsd` says about each element and attribute, for people: the page of documentation and the
-//! comments of new scenario files come from it, so that there is one place for each explanation.
+//! Descriptions of all elements and attributes, read from `scenarios/scenario.xsd`. The
+//! documentation page and the comments in new scenario files are generated from them, so that each
+//! explanation stands in one place.
 
 use std::fmt::Write as _;
 
 use roxmltree::{Document, Node};
 
-/// The schema, which new scenarios get beside them.
+/// The schema, which is written beside new scenarios.
 pub const SCHEMA: &str = include_str!("../../scenarios/scenario.xsd");
 
 /// An element of a scenario file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Element {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// What it is for.
+    /// Purpose.
     pub text: String,
-    /// How often it stands in its parent: `once`, `once or not at all`, `1 to 256 times`.
+    /// How often it occurs in its parent: `once`, `once or not at all`, `1 to 256 times`.
     pub occurs: String,
-    /// Its attributes.
+    /// Attributes.
     pub attributes: Vec<Attribute>,
-    /// Elements within it.
+    /// Child elements.
     pub children: Vec<Element>,
 }
 
 /// An attribute of an element.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Attribute {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// What it does.
+    /// Effect.
     pub text: String,
-    /// Unit, where it has one.
+    /// Unit, if it has one.
     pub unit: Option<String>,
-    /// Values that it may have.
+    /// Allowed values, in words.
     pub allowed: String,
-    /// Whether it must be there.
+    /// Whether it is required.
     pub required: bool,
-    /// What holds without it, if the schema says so.
+    /// Default, if the schema declares one.
     pub default: Option<String>,
 }
 
 impl Element {
-    /// The element and all within it, each before its children.
+    /// Returns the element and all elements within it, each before its children.
     pub fn all(&self) -> Vec<&Element> {
         std::iter::once(self).chain(self.children.iter().flat_map(Element::all)).collect()
     }
 }
 
-/// The element `<scenario>`.
+/// Returns the description of the element `<scenario>`.
 pub fn describe() -> Element {
     let document = Document::parse(SCHEMA).expect("the schema is well-formed");
     let root = document.root_element();
     Schema { root }.element(child(root, "element").expect("the schema declares <scenario>"))
 }
 
-/// A page in Markdown about all elements and attributes.
+/// Returns a Markdown page about all elements and attributes.
 pub fn markdown() -> String {
     let mut page = String::from(
         "# Scenario files\n\n\
@@ -69,7 +70,8 @@ pub fn markdown() -> String {
     page
 }
 
-/// The explanation of an element and what is in it, as lines for a comment in a file; none for an unknown name.
+/// Returns the explanation of an element and its contents as lines of an XML comment, or `None` for
+/// an unknown name.
 pub(super) fn comment(name: &str) -> Option<Vec<String>> {
     let scenario = describe();
     let element = scenario.all().into_iter().find(|element| element.name == name)?.clone();
@@ -120,7 +122,7 @@ impl Element {
     }
 }
 
-/// Text as it may stand in a cell of a table.
+/// Escapes text for a cell of a Markdown table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|")
 }
@@ -195,7 +197,7 @@ impl<'a, 'input> Schema<'a, 'input> {
             .find(|n| n.tag_name().name() == kind && n.attribute("name") == Some(name))
     }
 
-    /// What a simple type allows, in words.
+    /// Returns the values that a simple type allows, in words.
     fn allowed(&self, simple: Node<'a, 'input>) -> String {
         if let Some(list) = child(simple, "list") {
             return format!(
@@ -233,7 +235,7 @@ impl<'a, 'input> Schema<'a, 'input> {
     }
 }
 
-/// What a type of XML Schema's own is called in plain words.
+/// Returns the plain name of a type that XML Schema defines.
 fn plain(name: &str) -> &'static str {
     match name {
         "xs:double" => "number",

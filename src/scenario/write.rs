@@ -1,4 +1,4 @@
-//! Writes a scenario as the XML that it can be read from.
+//! Writes a scenario as XML that the reader accepts.
 
 use std::{
     fmt::{self, Write},
@@ -8,8 +8,8 @@ use std::{
 use super::{Border, Control, Intention, Lidar, NeighbourOrder, Scenario, Steering, Traffic};
 
 impl Scenario {
-    /// The scenario as a file's text: [`Scenario::parse`] gives back the same. Net files are written as relative to
-    /// the folder of [`Scenario::path`] where they were read so.
+    /// Returns the scenario as the text of a file, from which [`Scenario::parse`] restores the same
+    /// scenario. Paths that begin with the folder of [`Scenario::path`] are written relative to it.
     pub fn to_xml(&self) -> String {
         let mut xml = String::new();
         // Writing to a string cannot fail.
@@ -177,7 +177,7 @@ impl Scenario {
     }
 }
 
-/// Text as it may stand in an attribute or an element.
+/// Escapes text for an attribute or an element.
 pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

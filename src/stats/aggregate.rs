@@ -1,15 +1,17 @@
-//! Aggregates over seeds and tasks, as Agarwal et al. (2021), "Deep reinforcement learning at the edge of the statistical
-//! precipice", define them and their library rliable computes them. The unit is the seed: one score per trained run.
+//! Aggregates over seeds and tasks, as defined by Agarwal et al. (2021), "Deep reinforcement
+//! learning at the edge of the statistical precipice", and computed by their library rliable. The
+//! unit is the seed: one score per trained run.
 //!
-//! Scores come as `&[Vec<f64>]`: per task (a number of vehicles, a scenario), one score per seed. Tasks are the strata of
-//! the bootstrap: seeds are drawn again within each task, never across tasks.
+//! Scores are given as `&[Vec<f64>]`: for each task (a number of vehicles, a scenario) one score
+//! per seed. Tasks are the strata of the bootstrap: seeds are resampled within each task, never
+//! across tasks.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{Estimate, mean};
 
-/// Resamples of a bootstrap. More change the third digit of an interval.
+/// Number of resamples of a bootstrap. More resamples change only the third digit of an interval.
 pub const RESAMPLES: usize = 2000;
 
 fn all(scores: &[Vec<f64>]) -> Vec<f64> {
@@ -18,40 +20,43 @@ fn all(scores: &[Vec<f64>]) -> Vec<f64> {
     all
 }
 
-/// Mean of a value per task; NaN where no task has one.
+/// Returns a statistic of each task; tasks without one are left out.
 fn over_tasks(scores: &[Vec<f64>], of: impl Fn(&[f64]) -> Option<f64>) -> Vec<f64> {
     scores.iter().filter_map(|task| of(task)).collect()
 }
 
-/// Mean over tasks of the mean over seeds; NaN without scores.
+/// Returns the mean over tasks of the mean over seeds; NaN without scores.
 pub fn task_mean(scores: &[Vec<f64>]) -> f64 {
     mean(&over_tasks(scores, mean)).unwrap_or(f64::NAN)
 }
 
-/// Median over tasks of the mean over seeds; of a single task, the median over its seeds. NaN without scores.
+/// Returns the median over tasks of the mean over seeds; for a single task, the median over its
+/// seeds. NaN without scores.
 pub fn median(scores: &[Vec<f64>]) -> f64 {
     let mut values = if let [only] = scores { only.clone() } else { over_tasks(scores, mean) };
     values.sort_by(f64::total_cmp);
     percentile(&values, 0.5)
 }
 
-/// Interquartile mean over all runs of all tasks: the mean without the lowest and the highest quarter (each rounded down to
-/// whole runs). NaN without scores.
+/// Returns the interquartile mean over all runs of all tasks: the mean without the lowest and the
+/// highest quarter (each rounded down to whole runs). NaN without scores.
 pub fn interquartile_mean(scores: &[Vec<f64>]) -> f64 {
     let all = all(scores);
     let cut = all.len() / 4;
     mean(&all[cut..all.len() - cut]).unwrap_or(f64::NAN)
 }
 
-/// Mean shortfall from `target`; what lies above it counts as zero. NaN without scores.
+/// Returns the mean shortfall from `target`; scores above `target` have no shortfall. NaN without
+/// scores.
 pub fn optimality_gap(scores: &[Vec<f64>], target: f64) -> f64 {
     target
         - mean(&all(scores).iter().map(|score| score.min(target)).collect::<Vec<_>>())
             .unwrap_or(f64::NAN)
 }
 
-/// Probability that a run of `x` scores above one of `y` on the same task, ties counting half, averaged over tasks (the
-/// Mann–Whitney statistic). Tasks on which either has no run are left out. NaN where that leaves nothing.
+/// Returns the probability that a run of `x` scores higher than a run of `y` on the same task,
+/// averaged over tasks (the Mann–Whitney statistic). Ties count half. Tasks without runs of both
+/// are left out; NaN if no task remains.
 pub fn probability_of_improvement(x: &[Vec<f64>], y: &[Vec<f64>]) -> f64 {
     let won = |a: f64, b: f64| if a > b { 1.0 } else { f64::from(u8::from(a == b)) / 2.0 };
     let task = |(x, y): (&Vec<f64>, &Vec<f64>)| {
@@ -60,7 +65,8 @@ pub fn probability_of_improvement(x: &[Vec<f64>], y: &[Vec<f64>]) -> f64 {
     mean(&x.iter().zip(y).filter_map(task).collect::<Vec<_>>()).unwrap_or(f64::NAN)
 }
 
-/// Performance profile: for each threshold, the share of runs that score above it (per task, then averaged over tasks).
+/// Returns the performance profile: for each threshold, the share of runs that score above it (per
+/// task, then averaged over tasks).
 pub fn performance_profile(scores: &[Vec<f64>], thresholds: &[f64]) -> Vec<f64> {
     let above = |threshold: f64| {
         let share = |task: &[f64]| {
@@ -71,10 +77,11 @@ pub fn performance_profile(scores: &[Vec<f64>], thresholds: &[f64]) -> Vec<f64> 
     thresholds.iter().map(|&threshold| above(threshold)).collect()
 }
 
-/// 95 % percentile interval of a statistic by the stratified bootstrap: within each stratum as many seeds as there are,
-/// drawn with replacement, [`RESAMPLES`] times. The same for the same scores. `None` without scores.
+/// Returns the 95 % percentile interval of a statistic by the stratified bootstrap. In each of
+/// [`RESAMPLES`] resamples, every stratum's seeds are drawn with replacement, as many as it has.
+/// Equal scores give equal results. `None` without scores.
 ///
-/// With fewer than about five seeds these intervals are too narrow; [`Estimate::t`] is the honest one then.
+/// With fewer than about five seeds these intervals are too narrow; use [`Estimate::t`] then.
 pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
     if strata.iter().all(Vec::is_empty) {
         return None;
@@ -99,8 +106,8 @@ pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) ->
     })
 }
 
-/// As [`bootstrap`] where the strata are the same runs seen in different ways, seed by seed: whole runs are drawn. Strata of
-/// unequal length are treated as independent.
+/// Does the same as [`bootstrap`] if the strata are different measurements of the same runs, in the
+/// same order: whole runs are drawn. Strata of unequal length are treated as independent.
 pub fn bootstrap_runs(
     strata: &[Vec<f64>],
     statistic: impl Fn(&[Vec<f64>]) -> f64,
@@ -109,7 +116,7 @@ pub fn bootstrap_runs(
     if strata.iter().any(|stratum| stratum.len() != runs) {
         return bootstrap(strata, statistic);
     }
-    // A run is a stratum's entry in all of them: the bootstrap of run numbers.
+    // The run numbers are resampled; each number selects the same entry in all strata.
     let numbers = vec![(0..runs).map(|run| run as f64).collect::<Vec<_>>()];
     let of = |drawn: &[Vec<f64>]| {
         let pick = |stratum: &Vec<f64>| drawn[0].iter().map(|&run| stratum[run as usize]).collect();
@@ -118,9 +125,11 @@ pub fn bootstrap_runs(
     bootstrap(&numbers, of)
 }
 
-/// As [`bootstrap`] for a statistic of two groups, e.g. [`probability_of_improvement`].
+/// Does the same as [`bootstrap`] for a statistic of two groups, e.g.
+/// [`probability_of_improvement`].
 ///
-/// `same_runs` says that within each group the strata are the same runs, see [`bootstrap_runs`].
+/// `same_runs` says that within each group the strata are measurements of the same runs; see
+/// [`bootstrap_runs`].
 pub fn bootstrap_pair(
     x: &[Vec<f64>],
     y: &[Vec<f64>],
@@ -146,9 +155,9 @@ pub fn bootstrap_pair(
     bootstrap(&[runs(x), runs(y)], of)
 }
 
-/// A curve of scores over steps, per run `(step, score)` in order, as mean over runs with its t-interval at each of `steps`: a
-/// run's score between two of its points is that of the earlier, and after its end its last. Steps before a run's first
-/// point are left out.
+/// Returns the mean curve of several runs with its t interval at each of `steps`. A run is a list
+/// of `(step, score)` in order. Its score between two points is that of the earlier point, and
+/// after its end that of the last point. Steps at which a run has no point yet are left out.
 pub fn sample_efficiency(runs: &[Vec<(f64, f64)>], steps: &[f64]) -> Vec<(f64, Estimate)> {
     let at = |run: &Vec<(f64, f64)>, step: f64| {
         run.iter().take_while(|point| point.0 <= step).last().map(|p| p.1)
@@ -160,7 +169,8 @@ pub fn sample_efficiency(runs: &[Vec<(f64, f64)>], steps: &[f64]) -> Vec<(f64, E
     steps.iter().filter_map(point).collect()
 }
 
-/// Quantile of sorted values with linear interpolation (NumPy's default); NaN for none.
+/// Returns a quantile of sorted values with linear interpolation (NumPy's default); NaN without
+/// values.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = share * last as f64;
@@ -172,7 +182,7 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Three tasks with five, and two of them with four, seeds.
+    /// Three tasks with five seeds each.
     fn a() -> Vec<Vec<f64>> {
         vec![
             vec![0.91, 0.95, 0.88, 0.99, 1.00],
@@ -196,7 +206,8 @@ mod tests {
         );
     }
 
-    /// Values of rliable 1.2.0 and scipy 1.17.1 (`scipy.stats.trim_mean(x, 0.25)` for the interquartile mean).
+    /// The expected values come from rliable 1.2.0 and scipy 1.17.1
+    /// (`scipy.stats.trim_mean(x, 0.25)` for the interquartile mean).
     #[test]
     fn point_values_are_those_of_rliable() {
         close(interquartile_mean(&a()), 0.746_666_666_666_666_7, 1e-12);
@@ -214,7 +225,8 @@ mod tests {
         }
     }
 
-    /// Intervals of `rliable.library.get_interval_estimates` with 50000 and 20000 resamples.
+    /// The expected intervals come from `rliable.library.get_interval_estimates` with 50000 and
+    /// 20000 resamples.
     #[test]
     fn bootstrap_intervals_are_those_of_rliable() {
         type Case = (fn(&[Vec<f64>]) -> f64, f64, f64);
@@ -237,7 +249,7 @@ mod tests {
 
     #[test]
     fn the_bootstrap_draws_within_strata_and_repeats_itself() {
-        // Tasks without spread have no uncertainty, however different they are.
+        // Tasks without spread have no uncertainty, however different their means are.
         let flat = [vec![0.1; 4], vec![0.9; 4]];
         let found = bootstrap(&flat, task_mean).unwrap();
         assert_eq!((found.low, found.high), (0.5, 0.5));

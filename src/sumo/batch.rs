@@ -1,6 +1,7 @@
-//! Any number of commands for one message. A [`Batch`] keeps its buffers, so that one that is filled
-//! again and again allocates nothing. The step is not a command of the batch: the client appends it,
-//! last, because SUMO carries out what follows a step in a message before that step.
+//! Batches: any number of TraCI commands in one message. A [`Batch`] keeps its buffers, so that
+//! refilling it does not allocate. The simulation step is not a command of the batch. The client
+//! appends the step as the last command, because SUMO carries out the commands that follow a step
+//! in a message before that step.
 
 use std::{
     ops::Range,
@@ -14,7 +15,7 @@ use super::{
     domain::{Argument as _, SubscriptionArgument, VariableId, VariableWith},
 };
 
-/// What follows the status of a command that was carried out.
+/// The part of a reply that follows the status of a command that SUMO carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Answer {
     Nothing,
@@ -26,19 +27,19 @@ pub(super) enum Answer {
 #[derive(Debug, Clone)]
 pub(super) struct Queued {
     pub(super) call: Call,
-    /// Where the object's identifier (an untyped string) lies in the message.
+    /// Byte range of the message that begins with the object's identifier (an untyped string).
     object: Range<usize>,
-    /// Why the command is not in the message, if SUMO must not get it.
+    /// Why the command is left out of the message; `None` for a command that is sent.
     pub(super) invalid: Option<String>,
 }
 
-/// What a command is, its object and content aside.
+/// A command without its object and its content.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Call {
-    /// SUMO's name, such as `vehicle.getSpeed`; empty for a command that was put together by hand.
+    /// SUMO's name, such as `vehicle.getSpeed`; empty for a command that the caller gave by number.
     pub(super) name: &'static str,
     pub(super) command: u8,
-    /// The variable that is read or changed.
+    /// Number of the variable that the command reads or changes.
     pub(super) variable: Option<u8>,
     pub(super) answer: Answer,
 }
@@ -56,19 +57,20 @@ impl Call {
         Call { name, command: domain.set, variable: Some(variable), answer: Answer::Nothing }
     }
 
-    /// Whether it is the same command for the same variable.
+    /// Whether the other call is the same command for the same variable.
     pub(super) fn is(self, other: Call) -> bool {
         (self.command, self.variable) == (other.command, other.variable)
     }
 }
 
-/// Commands for one message, in the order in which SUMO carries them out. The methods of the domains, such
-/// as [`Batch::vehicle`], add commands; each returns a [`Ticket`](super::Ticket), for which the reply to the
-/// batch has the result; [`Replies::check`](super::Replies::check) tells whether all others succeeded.
-/// [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send it.
+/// The commands of one message, in the order in which SUMO carries them out. The methods of the
+/// domains, such as [`Batch::vehicle`], add commands and return a [`Ticket`](super::Ticket) each.
+/// The reply to the batch gives the result for a ticket, and
+/// [`Replies::check`](super::Replies::check) tells whether all other commands succeeded.
+/// [`Client::run`](super::Client::run) and [`Client::step`](super::Client::step) send a batch.
 #[derive(Debug)]
 pub struct Batch {
-    /// No other batch has it, nor this one after [`Batch::clear`].
+    /// Number that no other batch has. [`Batch::clear`] assigns a new one.
     number: u64,
     writer: Writer,
     queued: Vec<Queued>,
@@ -92,17 +94,17 @@ fn new_number() -> u64 {
 }
 
 impl Batch {
-    /// An empty batch.
+    /// Returns an empty batch.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Number of commands.
+    /// Returns the number of commands.
     pub fn len(&self) -> usize {
         self.queued.len()
     }
 
-    /// Whether there is no command.
+    /// Whether the batch holds no command.
     pub fn is_empty(&self) -> bool {
         self.queued.is_empty()
     }
@@ -111,7 +113,7 @@ impl Batch {
         self.number
     }
 
-    /// Takes all commands out; the buffers stay, the tickets are void.
+    /// Removes all commands. The buffers are kept, and the tickets become invalid.
     pub fn clear(&mut self) {
         self.number = new_number();
         self.writer.truncate(0);
@@ -119,7 +121,7 @@ impl Batch {
         self.stepped = false;
     }
 
-    /// Changes a variable of an object; `value` writes the typed value.
+    /// Adds a command that changes a variable of an object; `value` writes the typed value.
     pub fn set(
         &mut self,
         domain: Domain,
@@ -130,12 +132,13 @@ impl Batch {
         self.call(Call::set("", domain, variable), object, value);
     }
 
-    /// Reads a variable of an object, as it is when the command's turn comes: before the step.
+    /// Adds a command that reads a variable of an object. The value is that at the command's
+    /// position in the batch, so before the step.
     pub fn get(&mut self, domain: Domain, variable: u8, object: &str) {
         self.call(Call::get("", domain, variable), object, |_| {});
     }
 
-    /// A command that reads or changes a variable of an object.
+    /// Adds a command that reads or changes a variable of an object.
     pub(super) fn call(&mut self, call: Call, object: &str, content: impl FnOnce(&mut Writer)) {
         self.push(call, usize::from(call.variable.is_some()), |w| {
             if let Some(variable) = call.variable {
@@ -146,20 +149,22 @@ impl Batch {
         });
     }
 
-    /// A command that is for no object.
+    /// Adds a command that addresses no object.
     pub(super) fn command(&mut self, call: Call, content: impl FnOnce(&mut Writer)) {
-        // No text can begin at the end of the command.
+        // This offset lies beyond any message, so that `object` finds no identifier.
         self.push(call, usize::MAX, content);
     }
 
-    /// Has the variables of an object reported now and after each step from now on, besides those of earlier
-    /// subscriptions. No variables: ends all subscriptions to variables of the object. A variable of another domain
-    /// and more than 255 variables are not sent: the reply holds [`Error::Invalid`] for the command.
+    /// Subscribes to variables of an object: SUMO reports them now and after each following step,
+    /// in addition to those of earlier subscriptions. An empty list ends all variable subscriptions
+    /// of the object. A list with a variable of another domain or with more than 255 variables is
+    /// not sent, and the reply holds [`Error::Invalid`] for the command.
     pub fn subscribe(&mut self, domain: Domain, object: &str, variables: &[VariableId]) {
         self.subscribe_during(domain, object, variables, ALWAYS);
     }
 
-    /// As [`Batch::subscribe`], from one simulation time to another \[s\].
+    /// Subscribes as [`Batch::subscribe`] does, but for the simulation times from `during[0]` to
+    /// `during[1]` \[s\] only.
     pub fn subscribe_during(
         &mut self,
         domain: Domain,
@@ -177,7 +182,7 @@ impl Batch {
         });
     }
 
-    /// As [`Batch::subscribe`], for one variable that needs an argument.
+    /// Subscribes as [`Batch::subscribe`] does, but to one variable that needs an argument.
     pub fn subscribe_with<A: SubscriptionArgument, T>(
         &mut self,
         domain: Domain,
@@ -196,11 +201,13 @@ impl Batch {
         });
     }
 
-    /// As [`Batch::subscribe`], for the `around` objects within `range` metres of the object; their variables. Some
-    /// domains have no objects that could be around: that is not sent either.
+    /// Subscribes as [`Batch::subscribe`] does, but to variables of the objects of the domain
+    /// `around` within `range` metres of the object. For a domain whose objects SUMO cannot search
+    /// by position the command is not sent either.
     ///
-    /// SUMO 1.15 dies if it does not know the object, which nobody checks here, and if the object is removed by a call
-    /// while the subscription lasts: end it first.
+    /// SUMO 1.15 terminates if it does not know the object, which this method does not check. It
+    /// also terminates if a command removes the object while the subscription lasts; end the
+    /// subscription first.
     pub fn subscribe_context(
         &mut self,
         domain: Domain,
@@ -226,7 +233,7 @@ impl Batch {
         });
     }
 
-    /// Puts a command into the batch that is not sent and fails.
+    /// Adds a command that is not sent and whose result is [`Error::Invalid`].
     fn reject(&mut self, call: Call, what: String) {
         self.unseal();
         let end = self.writer.len();
@@ -256,8 +263,9 @@ impl Batch {
         });
     }
 
-    /// Closes the message, with the step of the simulation to `until` \[s\] as its last command (0: one
-    /// step length). May be called again, and commands may follow: the step is replaced then.
+    /// Completes the message, with a step of the simulation to `until` \[s\] as its last command
+    /// (0: one step length; `None`: no step). A batch can be sealed again, also after more commands
+    /// were added; the new step then replaces the old one.
     pub(super) fn seal(&mut self, until: Option<f64>) -> Result<&[u8], Error> {
         if let Some(until) = until.filter(|until| !(until.is_finite() && *until >= 0.0)) {
             return Err(Error::invalid(format!(
@@ -278,7 +286,7 @@ impl Batch {
         if self.stepped {
             self.stepped = false;
             self.queued.pop();
-            // A step takes ten bytes: length, identifier, time.
+            // A step takes ten bytes: length (1), identifier (1), time (8).
             self.writer.truncate(self.writer.len() - 10);
         }
     }
@@ -288,18 +296,18 @@ impl Batch {
         self.writer.is_empty()
     }
 
-    /// All commands of the sealed message, the step included, and whether there is a step.
+    /// Returns all commands of the sealed message, including the step, and whether there is a step.
     pub(super) fn sealed(&self) -> (&[Queued], bool) {
         (&self.queued, self.stepped)
     }
 
-    /// The object that a command is for.
+    /// Returns the identifier of the object that a command addresses.
     fn object(&self, queued: &Queued) -> &str {
         let bytes = self.writer.bytes().get(queued.object.clone()).unwrap_or_default();
         Reader::new(bytes, 0).str().unwrap_or_default()
     }
 
-    /// The error for a command that SUMO refused, or that was not sent.
+    /// Returns the error for a command that SUMO refused or that was not sent.
     pub(super) fn refusal(&self, index: usize, message: &str) -> Error {
         let Some(queued) = self.queued.get(index).filter(|queued| queued.invalid.is_none()) else {
             return Error::invalid(message);
@@ -333,7 +341,7 @@ impl Batch {
     }
 }
 
-/// Begin and end of a subscription without limits.
+/// Begin and end time of a subscription that is not limited in time.
 const ALWAYS: [f64; 2] = [c::INVALID_DOUBLE_VALUE; 2];
 
 fn subscription(name: &'static str, command: u8, context: bool, ends: bool) -> Call {
@@ -354,7 +362,7 @@ fn check_variables(domain: Domain, variables: &[VariableId]) -> Result<(), Strin
     }
 }
 
-/// Writes variables that have been checked.
+/// Writes variables that `check_variables` has accepted.
 fn write_variables(w: &mut Writer, variables: &[VariableId]) {
     w.u8(variables.len() as u8);
     for variable in variables {
@@ -362,8 +370,9 @@ fn write_variables(w: &mut Writer, variables: &[VariableId]) {
     }
 }
 
-/// What SUMO said to one command of a batch: the value that a `get` asked for, nothing for other
-/// commands, or [`Error::Refused`], or [`Error::Invalid`] for a command that was not sent.
+/// The result of one command of a batch: the value for a `get` command, `None` for any other
+/// command, [`Error::Refused`] if SUMO refused the command, or [`Error::Invalid`] if it was not
+/// sent.
 pub type Outcome = Result<Option<Value>, Error>;
 
 #[cfg(test)]

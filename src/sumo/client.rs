@@ -1,7 +1,7 @@
-//! The TraCI connection: one message out, one message in. [`Client`] sends a [`Batch`] and reads the
-//! reply; what comes back is handed, in place, to a [`Sink`], so that a caller who steps thousands of
-//! times a second copies nothing. [`Client::run`], [`Client::step`] and [`Client::call`] collect the
-//! same into owned values.
+//! The TraCI connection: one message out, one message in. [`Client`] sends a [`Batch`] and passes
+//! the parts of the reply to a [`Sink`] without copying them, which matters at thousands of steps
+//! per second. [`Client::run`], [`Client::step`] and [`Client::call`] collect the reply into owned
+//! values.
 
 use std::{
     io::{self, Read as _, Write as _},
@@ -20,7 +20,7 @@ use super::{
     reply::{Sink, parse_reply},
 };
 
-/// The peer's answer to the handshake.
+/// SUMO's answer to the handshake.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Version {
     /// TraCI version number.
@@ -29,43 +29,45 @@ pub struct Version {
     pub software: String,
 }
 
-/// A connection to SUMO. The methods of the domains, such as [`Client::vehicle`], are one exchange each;
-/// [`Client::batch`] joins any number of calls into one.
+/// A connection to SUMO. Each method of a domain, such as those of [`Client::vehicle`], is one
+/// exchange. [`Client::batch`] combines any number of calls in one exchange.
 ///
-/// Several clients: start SUMO with `--num-clients <n>`. It answers nobody before all of them have
-/// connected; then the first exchange of each must be [`Client::set_order`], [`Client::handshake`] may follow,
-/// and every step waits for all of them. SUMO carries out their commands one client after the other, cannot
-/// [`Client::load`] then, and reports every subscription to every client.
+/// For several clients, start SUMO with `--num-clients <n>`. SUMO answers no client before all of
+/// them have connected. Then the first exchange of each client must be [`Client::set_order`], which
+/// [`Client::handshake`] may follow, and every step waits for all clients. SUMO carries out the
+/// commands of one client after those of the other, does not support [`Client::load`] in this mode,
+/// and reports every subscription to every client.
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,
-    /// Length of the reply's buffer is the most that was ever needed; the reply is a part of it.
+    /// Receive buffer, as long as the longest reply so far; a reply occupies its first bytes.
     input: Vec<u8>,
     timeout: Duration,
-    /// Simulation time known last \[s\].
+    /// Last known simulation time \[s\].
     time_s: Option<f64>,
-    /// Bytes sent and received so far.
+    /// Numbers of bytes sent and received so far.
     bytes: (u64, u64),
-    /// For calls of one exchange each.
+    /// The batch for calls of one exchange each, kept to reuse its buffers.
     single: Batch,
 }
 
 impl Client {
-    /// Connects to a SUMO that listens on `address`. `timeout` bounds the wait for each reply.
+    /// Connects to a SUMO process that listens on `address`. `timeout` limits the wait for each
+    /// reply.
     ///
     /// # Errors
-    /// [`Error::Connect`] if nobody listens there.
+    /// [`Error::Connect`] if no process listens on `address`.
     pub fn connect(address: SocketAddr, timeout: Duration) -> Result<Self, Error> {
         let stream = TcpStream::connect_timeout(&address, timeout)
             .map_err(|source| Error::Connect { port: address.port(), attempts: 1, source })?;
         Self::new(stream, timeout)
     }
 
-    /// As [`Client::connect`], but tries again for as long as `wait` if nobody listens on `address` yet, as when
-    /// SUMO was started a moment ago.
+    /// Connects as [`Client::connect`] does, but retries for up to `wait` while no process listens
+    /// on `address`, for example because SUMO has just been started.
     ///
     /// # Errors
-    /// [`Error::Connect`] if nobody listens there in that time.
+    /// [`Error::Connect`] if no process listens on `address` in that time.
     pub fn connect_within(
         address: SocketAddr,
         wait: Duration,
@@ -77,7 +79,8 @@ impl Client {
             attempts += 1;
             let left = wait.saturating_sub(start.elapsed()).max(POLL);
             let source = match TcpStream::connect_timeout(&address, left) {
-                // A connection attempt to a free port can, by chance, get that port and meet itself.
+                // If the system picks the free target port as the local port, TCP connects the
+                // socket to itself.
                 Ok(stream) if stream.local_addr().ok() == Some(address) => {
                     io::ErrorKind::ConnectionRefused.into()
                 }
@@ -91,10 +94,10 @@ impl Client {
         }
     }
 
-    /// A client on a connection that exists.
+    /// Returns a client for a connection that is already open.
     ///
     /// # Errors
-    /// [`Error::Io`] if the connection cannot be set up for short messages and timeouts.
+    /// [`Error::Io`] if `TCP_NODELAY` or the timeouts cannot be set.
     pub fn new(stream: TcpStream, timeout: Duration) -> Result<Self, Error> {
         stream.set_nodelay(true).map_err(|source| Error::Io { doing: SETTING_UP, source })?;
         set_timeouts(&stream, timeout)?;
@@ -108,7 +111,7 @@ impl Client {
         })
     }
 
-    /// Bytes sent and received so far.
+    /// Returns the numbers of bytes sent and received so far.
     pub fn bytes(&self) -> (u64, u64) {
         self.bytes
     }
@@ -117,10 +120,10 @@ impl Client {
         &self.stream
     }
 
-    /// Bounds the wait for each reply from now on.
+    /// Sets the limit of the wait for each following reply.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a timeout of zero; [`Error::Io`] if it cannot be set.
+    /// [`Error::Invalid`] if `timeout` is zero; [`Error::Io`] if the timeout cannot be set.
     pub fn set_timeout(&mut self, timeout: Duration) -> Result<(), Error> {
         if timeout.is_zero() {
             return Err(Error::invalid("a timeout must be longer than zero"));
@@ -130,16 +133,17 @@ impl Client {
         Ok(())
     }
 
-    /// Simulation time that error messages name \[s\].
+    /// Sets the simulation time that error messages give \[s\].
     pub(super) fn set_time(&mut self, time_s: f64) {
         self.time_s = Some(time_s);
     }
 
-    /// Asks for the TraCI version and refuses one that is too old. To be called before anything else; with
-    /// several clients, right after [`Client::set_order`].
+    /// Asks for the TraCI version and rejects one that is too old. Call this method before any
+    /// other; with several clients, right after [`Client::set_order`].
     ///
     /// # Errors
-    /// [`Error::Version`]; [`Error::Protocol`], [`Error::Closed`] or [`Error::Timeout`] if the peer is not SUMO.
+    /// [`Error::Version`] for a version that is too old; [`Error::Protocol`], [`Error::Closed`] or
+    /// [`Error::Timeout`] if the peer is not SUMO.
     pub fn handshake(&mut self) -> Result<Version, Error> {
         let version = self.get_version()?;
         if version.api < c::MINIMUM_API_VERSION {
@@ -153,7 +157,7 @@ impl Client {
         Ok(version)
     }
 
-    /// The TraCI version and the program's name.
+    /// Asks for the TraCI version and the program's name.
     ///
     /// # Errors
     /// As [`Client::receive`].
@@ -169,8 +173,8 @@ impl Client {
         })
     }
 
-    /// Simulates one step, or up to `until` \[s\] if that is not 0, and returns what the subscriptions report. If
-    /// `until` is not 0 and not in the future, nothing is simulated.
+    /// Simulates one step (`until` = 0), or up to the time `until` \[s\], and returns what the
+    /// subscriptions report. If `until` is neither 0 nor in the future, SUMO simulates nothing.
     ///
     /// # Errors
     /// As [`Client::step`].
@@ -178,17 +182,18 @@ impl Client {
         Ok(self.step(&mut Batch::new(), until)?.reports)
     }
 
-    /// Replaces the simulation by that of other command line arguments (without the program's name).
-    /// Subscriptions are lost. Does not work with several clients.
+    /// Replaces the simulation by one with other command line arguments (without the program's
+    /// name). All subscriptions end. SUMO does not support this with several clients.
     ///
     /// # Errors
-    /// [`Error::Refused`] if SUMO cannot load it, but SUMO may as well end: as [`Client::receive`].
+    /// [`Error::Refused`] if SUMO cannot load the simulation; SUMO may also terminate, with an
+    /// error as in [`Client::receive`].
     pub fn load(&mut self, arguments: &[impl AsRef<str>]) -> Result<(), Error> {
         self.call(|batch| batch.load(arguments)).map(drop)
     }
 
-    /// Chooses the place of this client among several: the lowest number's commands come first. Must be
-    /// the first exchange of each of them, before [`Client::handshake`].
+    /// Sets the rank of this client among several; SUMO carries out the commands of lower numbers
+    /// first. This must be the first exchange of each client, before [`Client::handshake`].
     ///
     /// # Errors
     /// As [`Client::call`].
@@ -196,15 +201,16 @@ impl Client {
         self.call(|batch| batch.set_order(order)).map(drop)
     }
 
-    /// A batch that is sent with one call of its own.
+    /// Returns an empty batch that is bound to this client.
     pub fn batch(&mut self) -> ClientBatch<'_> {
         ClientBatch { client: self, batch: Batch::new() }
     }
 
-    /// Sends one command, which `fill` puts into an empty batch, and returns its value if it has one.
+    /// Sends one command, which `fill` adds to an empty batch, and returns its value if it has one.
     ///
     /// # Errors
-    /// [`Error::Refused`]; fatal ones as [`Client::receive`]; [`Error::Invalid`] if it is not one command.
+    /// [`Error::Refused`] if SUMO refuses the command; fatal errors as in [`Client::receive`];
+    /// [`Error::Invalid`] if `fill` does not add exactly one command.
     pub fn call(&mut self, fill: impl FnOnce(&mut Batch)) -> Outcome {
         let mut batch = Batch::new();
         fill(&mut batch);
@@ -217,17 +223,18 @@ impl Client {
     /// Sends the commands of a batch without a step, and empties the batch.
     ///
     /// # Errors
-    /// As [`Client::send`] and [`Client::receive`]; a refused command is an error in its own place only.
+    /// As [`Client::send`] and [`Client::receive`]. A refused command does not fail the call: its
+    /// error is in the command's place in the replies.
     pub fn run(&mut self, batch: &mut Batch) -> Result<Replies, Error> {
         Ok(self.exchange(batch, None)?.outcomes)
     }
 
-    /// Sends the commands of a batch and a step to `until` \[s\] (0: one step length), and empties the batch. If
-    /// `until` is not 0 and not in the future, nothing is simulated.
+    /// Sends the commands of a batch and a step to the time `until` \[s\] (0: one step length), and
+    /// empties the batch. If `until` is neither 0 nor in the future, SUMO simulates nothing.
     ///
     /// # Errors
-    /// As [`Client::run`]; [`Error::Refused`] if SUMO refuses the step itself; [`Error::Invalid`], and nothing is
-    /// sent, if `until` is negative or not a finite number.
+    /// As [`Client::run`]; [`Error::Refused`] if SUMO refuses the step itself; [`Error::Invalid`]
+    /// if `until` is negative or not finite, in which case nothing is sent.
     pub fn step(&mut self, batch: &mut Batch, until: f64) -> Result<StepReply, Error> {
         let mut reply = self.exchange(batch, Some(until))?;
         match reply.outcomes.pop() {
@@ -256,12 +263,12 @@ impl Client {
         Ok(reply)
     }
 
-    /// Sends a batch, with a step as its last command if `until` is given, and does not wait. A message without
-    /// commands is not sent.
+    /// Sends a batch without waiting for the reply, with a step to the time `until` \[s\] as its
+    /// last command if `until` is given. A message without commands is not sent.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the message is too long or `until` is negative or not a finite number;
-    /// [`Error::Closed`] or [`Error::Timeout`] if it does not get out.
+    /// [`Error::Invalid`] if the message is too long or `until` is negative or not finite;
+    /// [`Error::Closed`] or [`Error::Timeout`] if the message cannot be sent.
     pub fn send(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<(), Error> {
         let message = batch.seal(until)?;
         if message == SILENCE {
@@ -273,11 +280,12 @@ impl Client {
         self.give_up_on_error(written)
     }
 
-    /// Waits for the reply to the last [`Client::send`], whose batch must be given again unchanged.
+    /// Waits for the reply to the last [`Client::send`]; `batch` must be the batch that was sent,
+    /// unchanged.
     ///
     /// # Errors
-    /// [`Error::Closed`], [`Error::Timeout`], [`Error::Protocol`], and what the sink returns; all of them are fatal.
-    /// Refused commands are told to the sink.
+    /// [`Error::Closed`], [`Error::Timeout`], [`Error::Protocol`], and the errors of the sink, all
+    /// of them fatal. A refused command is not an error here; it is passed to [`Sink::refused`].
     pub fn receive(&mut self, batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
         if batch.is_silent() {
             return parse_reply(&SILENCE, batch, sink);
@@ -287,16 +295,17 @@ impl Client {
         self.give_up_on_error(read)
     }
 
-    /// Ends the connection after an error: an answer that comes too late must not pass for the next one.
+    /// Closes the connection after an error, so that a late answer cannot be mistaken for the
+    /// answer to the next message.
     fn give_up_on_error(&self, result: Result<(), Error>) -> Result<(), Error> {
         if result.is_err() {
-            // It may be closed already.
+            // Fails only if the connection is already closed.
             let _ = self.stream.shutdown(Shutdown::Both);
         }
         result
     }
 
-    /// Tells SUMO that this client is done; SUMO ends then.
+    /// Closes the connection after telling SUMO so, whereupon SUMO terminates.
     ///
     /// # Errors
     /// As [`Client::receive`].
@@ -304,13 +313,13 @@ impl Client {
         let mut batch = Batch::new();
         batch.close();
         self.run(&mut batch)?.check()?;
-        // It may be closed already.
+        // Fails only if the connection is already closed.
         let _ = self.stream.shutdown(Shutdown::Both);
         Ok(())
     }
 
-    /// Reads one message into the buffer and returns its length. The buffer grows with the bytes that
-    /// come, not with the length that is claimed.
+    /// Reads one message into the buffer and returns its length. The buffer grows with the bytes
+    /// received, not with the length that the message claims.
     fn read_message(&mut self, command: &'static str) -> Result<usize, Error> {
         const CHUNK: usize = 16 << 10;
         let start = Instant::now();
@@ -379,7 +388,7 @@ fn set_timeouts(stream: &TcpStream, timeout: Duration) -> Result<(), Error> {
         .map_err(|source| Error::Io { doing: SETTING_UP, source })
 }
 
-/// What a sealed batch does, for error messages.
+/// Describes what a sealed batch does, for error messages.
 fn doing(batch: &Batch) -> &'static str {
     match batch.sealed() {
         (_, true) => "simulation step",
@@ -417,7 +426,8 @@ impl Scope for Client {
 }
 
 impl Client {
-    /// Sends one call; if an object is named, once SUMO is known to know it.
+    /// Sends one call. If `object` is given, first checks that SUMO knows it, because SUMO 1.15
+    /// terminates on such a call for an unknown object.
     fn request_of<T>(
         &mut self,
         object: Option<(Domain, &str)>,
@@ -436,9 +446,9 @@ impl Client {
         replies?.take(ticket)
     }
 
-    /// Fails if SUMO does not know an object.
+    /// Returns an error if SUMO does not know an object.
     fn ask_for(&mut self, domain: Domain, object: &str) -> Result<(), Error> {
-        // All domains have parameters.
+        // Every domain has the variable 0x7e, `getParameter`.
         let parameter = Call::get("subscribeContext", domain, 0x7e);
         let ask = |batch: &mut Batch| {
             batch.call(parameter, object, |w| {
@@ -449,7 +459,7 @@ impl Client {
     }
 }
 
-/// Calls that go out together in one exchange, see [`Client::batch`].
+/// Calls that are sent together in one exchange, see [`Client::batch`].
 #[derive(Debug)]
 #[must_use = "the calls go out with `send` or `step` only"]
 pub struct ClientBatch<'a> {
@@ -458,7 +468,8 @@ pub struct ClientBatch<'a> {
 }
 
 impl ClientBatch<'_> {
-    /// As [`Client::run`]. The batch is empty then, and may be filled again.
+    /// Sends the calls as [`Client::run`] does. The batch is empty afterwards and may be filled
+    /// again.
     ///
     /// # Errors
     /// As [`Client::run`].
@@ -466,7 +477,8 @@ impl ClientBatch<'_> {
         self.client.run(&mut self.batch)
     }
 
-    /// As [`Client::step`]. The batch is empty then, and may be filled again.
+    /// Sends the calls and a step as [`Client::step`] does. The batch is empty afterwards and may
+    /// be filled again.
     ///
     /// # Errors
     /// As [`Client::step`].

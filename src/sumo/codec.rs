@@ -1,14 +1,16 @@
-//! Bytes of the TraCI protocol: a [`Writer`] that builds one message in a buffer that is kept, a
-//! [`Reader`] over the bytes of a received one, and the typed [`Value`]s that both understand.
+//! The byte format of the TraCI protocol: a [`Writer`] that builds one message in a reusable
+//! buffer, a [`Reader`] for the bytes of a received message, and the typed [`Value`]s that both
+//! support.
 //!
-//! A message is its length (4 bytes, big-endian, itself included) and then commands. A command is its
-//! length (1 byte; or 0 and 4 bytes if it does not fit), its identifier and its content. The reader
-//! trusts nothing: every access is checked, no list is allocated before the bytes for it are there, and
-//! every error says at which byte of the message it was found.
+//! A message consists of its length (4 bytes, big-endian, including these 4 bytes) and commands. A
+//! command consists of its length (1 byte, or a zero byte and 4 bytes if it does not fit), its
+//! identifier and its content. The reader does not trust the peer: it checks every access,
+//! allocates no list before the bytes for it have arrived, and every error names the byte of the
+//! message at which it occurred.
 
 use super::{Error, constants as c};
 
-/// How deep compounds may be nested; SUMO itself nests two.
+/// Maximum nesting depth of compounds; SUMO itself nests two.
 const MAXIMUM_DEPTH: u32 = 16;
 
 /// A typed value of the protocol.
@@ -37,13 +39,13 @@ pub enum Value {
     Position2D([f64; 2]),
     /// x, y and z \[m\].
     Position3D([f64; 3]),
-    /// A place on a lane.
+    /// A position on a lane.
     RoadMap {
         /// Edge identifier.
         edge: String,
         /// Distance from the start of the edge \[m\].
         position: f64,
-        /// Index of the lane, 0 is the rightmost.
+        /// Index of the lane; 0 is the rightmost.
         lane: u8,
     },
     /// Points \[m\].
@@ -55,7 +57,7 @@ pub enum Value {
 }
 
 impl Value {
-    /// The type, in words.
+    /// Returns the type in words.
     pub fn kind(&self) -> &'static str {
         match self {
             Value::UByte(_) => "an unsigned byte",
@@ -89,7 +91,7 @@ impl Default for Writer {
 }
 
 impl Writer {
-    /// Bytes written so far, the 4 of the message length included.
+    /// Returns the number of bytes written so far, including the 4 bytes of the message length.
     pub fn len(&self) -> usize {
         self.bytes.len()
     }
@@ -99,12 +101,13 @@ impl Writer {
         self.bytes.len() <= 4
     }
 
-    /// Cuts the message back to a length that [`Writer::len`] returned between two commands.
+    /// Shortens the message to a length that [`Writer::len`] returned between two commands.
     pub fn truncate(&mut self, len: usize) {
         self.bytes.truncate(len.max(4));
     }
 
-    /// The bytes written so far; the first 4 are the message length only after [`Writer::finish`].
+    /// Returns the bytes written so far. The first 4 hold the message length only after
+    /// [`Writer::finish`].
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -125,7 +128,8 @@ impl Writer {
         Ok(&self.bytes)
     }
 
-    /// Writes one command: `content` writes what follows the identifier. Returns where the content lies.
+    /// Writes one command, whose content after the identifier `content` writes. Returns the byte
+    /// range of the content.
     pub fn command(&mut self, id: u8, content: impl FnOnce(&mut Writer)) -> std::ops::Range<usize> {
         let start = self.bytes.len();
         self.bytes.extend_from_slice(&[0, id]);
@@ -201,7 +205,7 @@ impl Writer {
         self.u8(if geographic { c::POSITION_LON_LAT } else { c::POSITION_2D }).doubles(&position)
     }
 
-    /// Writes a typed place on a lane: edge, distance from its start \[m\], index of the lane.
+    /// Writes a typed position on a lane: edge, distance from its start \[m\], index of the lane.
     pub fn road_position(&mut self, edge: &str, position: f64, lane: u8) -> &mut Self {
         self.u8(c::POSITION_ROADMAP).str(edge).f64(position).u8(lane)
     }
@@ -216,7 +220,7 @@ impl Writer {
         self.doubles(points.as_flattened())
     }
 
-    /// Writes the head of a compound of `items` typed values, which follow.
+    /// Writes the head of a compound; the caller then writes its `items` typed values.
     pub fn compound(&mut self, items: i32) -> &mut Self {
         self.u8(c::TYPE_COMPOUND).i32(items)
     }
@@ -259,7 +263,7 @@ impl Writer {
     }
 }
 
-/// Reads a message or a part of it.
+/// Reads the bytes of a message or of a part of it.
 #[derive(Debug, Clone)]
 pub struct Reader<'a> {
     bytes: &'a [u8],
@@ -269,33 +273,34 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// A reader over bytes that begin at byte `base` of the message.
+    /// Returns a reader for bytes that begin at byte `base` of the message.
     pub fn new(bytes: &'a [u8], base: usize) -> Self {
         Reader { bytes, base, at: 0 }
     }
 
-    /// Bytes that are left.
+    /// Returns the number of unread bytes.
     pub fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// Position in the message \[bytes\].
+    /// Returns the position in the message \[bytes\].
     pub fn position(&self) -> usize {
         self.base + self.at
     }
 
-    /// The next byte, which is left to be read.
+    /// Returns the next byte without consuming it.
     pub fn peek(&self) -> Option<u8> {
         self.bytes.get(self.at).copied()
     }
 
-    /// The error "expected this, found that" at the current position.
+    /// Returns the error "expected this, found that" for the current position.
     pub fn unexpected(&self, expected: &'static str, found: impl Into<String>) -> Error {
         Error::Protocol { expected, found: found.into(), at_byte: self.position() }
     }
 
-    /// Takes a polygon without points as SUMO writes it, which is as it would begin one of more than 255
-    /// points; `false` if something else is next.
+    /// Consumes a polygon without points in SUMO's encoding, which is equal to the beginning of a
+    /// polygon of more than 255 points. Returns `false`, and consumes nothing, if something else
+    /// follows.
     pub(super) fn empty_polygon(&mut self) -> bool {
         let mut ahead = self.clone();
         let begins = ahead.kind(c::TYPE_POLYGON, "a polygon").is_ok()
@@ -308,10 +313,10 @@ impl<'a> Reader<'a> {
         empty
     }
 
-    /// Takes `n` bytes.
+    /// Consumes `n` bytes.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if fewer are left; the same holds for all other methods that read.
+    /// [`Error::Protocol`] if fewer bytes are left.
     fn take(&mut self, n: usize, expected: &'static str) -> Result<&'a [u8], Error> {
         if n > self.remaining() {
             return Err(self.unexpected(expected, format!("{} bytes of {n}", self.remaining())));
@@ -330,7 +335,7 @@ impl<'a> Reader<'a> {
     /// Reads an untyped byte.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if the bytes end; this holds for every reading method here.
+    /// [`Error::Protocol`] if too few bytes are left; this holds for every method that reads.
     pub fn u8(&mut self) -> Result<u8, Error> {
         Ok(self.array::<1>("a byte")?[0])
     }
@@ -354,7 +359,7 @@ impl<'a> Reader<'a> {
     /// Reads an untyped string.
     ///
     /// # Errors
-    /// As [`Reader::u8`]; also if the bytes are not UTF-8.
+    /// As [`Reader::u8`]; also if the string is not UTF-8.
     pub fn str(&mut self) -> Result<&'a str, Error> {
         let length = self.count(1, "a string")?;
         let start = self.position();
@@ -366,10 +371,11 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads the number of items of a list whose items take at least `item` bytes each.
+    /// Reads the number of items of a list, each of which takes at least `item` bytes.
     ///
     /// # Errors
-    /// As [`Reader::u8`]; also if the number is negative or the items cannot fit into what is left.
+    /// As [`Reader::u8`]; also if the number is negative or the remaining bytes cannot hold the
+    /// items.
     pub fn count(&mut self, item: usize, expected: &'static str) -> Result<usize, Error> {
         let at_byte = self.position();
         let count = self.i32()?;
@@ -382,10 +388,11 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads a command's head; returns its identifier and a reader over its content.
+    /// Reads the head of a command and returns its identifier and a reader for its content.
     ///
     /// # Errors
-    /// As [`Reader::u8`]; also if the length is impossible.
+    /// As [`Reader::u8`]; also if the command's length is shorter than its head or exceeds the
+    /// remaining bytes.
     pub fn command(&mut self) -> Result<(u8, Reader<'a>), Error> {
         let start = self.at;
         let at_byte = self.position();
@@ -405,10 +412,10 @@ impl<'a> Reader<'a> {
         Ok((id, Reader::new(self.take(content, "a command")?, base)))
     }
 
-    /// Checks that nothing is left.
+    /// Checks that all bytes have been read.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if something is.
+    /// [`Error::Protocol`] if bytes are left.
     pub fn end(&self, expected: &'static str) -> Result<(), Error> {
         match self.remaining() {
             0 => Ok(()),
@@ -416,10 +423,10 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads a type byte and checks it.
+    /// Reads a type byte and checks that it equals `kind`.
     ///
     /// # Errors
-    /// As [`Reader::u8`]; also if it is another one.
+    /// As [`Reader::u8`]; also if the type is another one.
     pub fn kind(&mut self, kind: u8, expected: &'static str) -> Result<(), Error> {
         let at_byte = self.position();
         let found = self.u8()?;
@@ -468,7 +475,7 @@ impl<'a> Reader<'a> {
     /// Reads any typed value.
     ///
     /// # Errors
-    /// As [`Reader::u8`]; also for an unknown type and for compounds nested too deep.
+    /// As [`Reader::u8`]; also for an unknown type and for compounds nested more than 16 deep.
     pub fn value(&mut self) -> Result<Value, Error> {
         self.nested(0)
     }

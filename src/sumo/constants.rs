@@ -1,28 +1,29 @@
-//! Numbers of the TraCI protocol, under SUMO's own names. A [`Domain`] carries the four command
-//! identifiers of one kind of object, so that a new domain is one line here.
+//! Numbers of the TraCI protocol, under SUMO's own names. A [`Domain`] holds the four command
+//! identifiers of one kind of object, so that a new domain takes one line in this file.
 
-/// Lowest TraCI version that is accepted (SUMO 1.15).
+/// Lowest TraCI version that this program accepts (that of SUMO 1.15).
 pub const MINIMUM_API_VERSION: i32 = 20;
-/// Longest message that is accepted or sent \[bytes\].
+/// Maximum length of a message in either direction \[bytes\].
 pub const MAXIMUM_MESSAGE: usize = 64 << 20;
 
-/// Asks for the TraCI version.
+/// Command that asks for the TraCI version.
 pub const CMD_GETVERSION: u8 = 0x00;
-/// Loads another simulation.
+/// Command that loads another simulation.
 pub const CMD_LOAD: u8 = 0x01;
-/// Sets the place of a client among several.
+/// Command that sets the rank of a client among several.
 pub const CMD_SETORDER: u8 = 0x03;
-/// Restricts the context subscription that was made last.
+/// Command that restricts the most recent context subscription.
 pub const CMD_ADD_SUBSCRIPTION_FILTER: u8 = 0x7e;
-/// Advances the simulation.
+/// Command that advances the simulation.
 pub const CMD_SIMSTEP: u8 = 0x02;
-/// Ends the connection.
+/// Command that ends the connection.
 pub const CMD_CLOSE: u8 = 0x7f;
 
-/// Status: done.
+/// Status of a command that succeeded.
 pub const RTYPE_OK: u8 = 0x00;
 
-/// What SUMO reports where there is no value, for instance the position of a vehicle that has not departed.
+/// Number that SUMO reports where there is no value, for instance for the position of a vehicle
+/// that has not departed.
 pub const INVALID_DOUBLE_VALUE: f64 = -1_073_741_824.0;
 
 /// Type: longitude, latitude.
@@ -56,22 +57,23 @@ pub const TYPE_DOUBLELIST: u8 = 0x10;
 /// Type: red, green, blue, alpha.
 pub const TYPE_COLOR: u8 = 0x11;
 
-/// Reason of a removal: taken out without arriving.
+/// Reason of a removal: the vehicle or person is taken out without arriving.
 pub const REMOVE_VAPORIZED: i8 = 0x03;
 
-/// Departure of a person who sets out at once.
+/// Departure time with which a person departs at once.
 pub const DEPART_NOW: f64 = -3.0;
 
-/// A kind of simulation object, by its command identifiers. An answer's identifier is 0x10 higher.
+/// A kind of simulation object, given by its command identifiers. The identifier of an answer is
+/// that of its command plus 0x10.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Domain {
-    /// Reads a variable.
+    /// Command that reads a variable.
     pub get: u8,
-    /// Changes a variable.
+    /// Command that changes a variable.
     pub set: u8,
-    /// Subscribes to variables of one object.
+    /// Command that subscribes to variables of one object.
     pub subscribe: u8,
-    /// Subscribes to variables of the objects around one object.
+    /// Command that subscribes to variables of the objects around one object.
     pub context: u8,
 }
 
@@ -125,7 +127,8 @@ impl Domain {
     /// Variable speed signs.
     pub const VARIABLE_SPEED_SIGN: Domain = Domain::based_on(0x09);
 
-    /// Whether SUMO 1.15 can look for objects of the domain around an object; asked for another one, it dies.
+    /// Whether SUMO 1.15 can search for objects of the domain around an object. SUMO terminates on
+    /// a context subscription to any other domain.
     pub(super) fn has_places(self) -> bool {
         [
             Self::BUS_STOP,
@@ -145,7 +148,7 @@ impl Domain {
         .contains(&self)
     }
 
-    /// The other identifiers follow from that of the context subscription.
+    /// Derives the other identifiers from that of the context subscription.
     const fn based_on(context: u8) -> Self {
         Domain { get: context + 0x20, set: context + 0x40, subscribe: context + 0x50, context }
     }

@@ -1,10 +1,10 @@
-//! What can go wrong between this program and SUMO. SUMO itself knows two kinds of failure: a refused
-//! command, after which the connection goes on, and everything else, after which it does not;
-//! [`Error::is_fatal`] tells them apart.
+//! Failures between this program and SUMO. SUMO knows two kinds: a refused command, after which the
+//! connection remains usable, and everything else, after which it does not. [`Error::is_fatal`]
+//! tells them apart.
 
 use std::{io, path::PathBuf};
 
-/// A failure of the SUMO side.
+/// A failure of SUMO or of the connection to it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -13,7 +13,7 @@ pub enum Error {
     NotFound {
         /// Name of the program.
         binary: String,
-        /// Folders that were searched, in order.
+        /// Folders that were searched, in this order.
         looked_in: Vec<PathBuf>,
     },
     /// The operating system could not start the program.
@@ -21,10 +21,10 @@ pub enum Error {
     Spawn {
         /// The program.
         binary: PathBuf,
-        /// The system's reason.
+        /// The operating system's reason.
         source: io::Error,
     },
-    /// SUMO ended by itself or was killed.
+    /// SUMO terminated by itself or was killed.
     #[error("sumo ended ({status}); {}", last_words(stderr_tail))]
     Exited {
         /// Exit status or signal, in words.
@@ -45,27 +45,27 @@ pub enum Error {
         port: u16,
         /// Number of attempts.
         attempts: u32,
-        /// Reason of the last refusal.
+        /// Error of the last attempt.
         source: io::Error,
     },
-    /// The peer speaks a TraCI version that this client does not know.
+    /// The peer's TraCI version is lower than the lowest version that is accepted.
     #[error("the peer (`{peer}`) speaks TraCI version {found}; at least {minimum} is needed")]
     Version {
         /// Version number of the peer.
         found: i32,
         /// Lowest version number that is accepted.
         minimum: i32,
-        /// How the peer names itself.
+        /// Name that the peer gives itself.
         peer: String,
     },
-    /// SUMO refused one command. The connection is intact.
+    /// SUMO refused one command. The connection remains usable.
     #[error("sumo refused {call} for `{id}`: {message}")]
     Refused {
         /// TraCI command identifier.
         command: u8,
-        /// The call under SUMO's name, such as `vehicle.setSpeed`, or its numbers if it has none.
+        /// SUMO's name of the call, such as `vehicle.setSpeed`, or its numbers if it has no name.
         call: String,
-        /// The object that the command was for; empty if it is for none.
+        /// The object that the command addressed; empty if it addressed none.
         id: String,
         /// SUMO's reason.
         message: String,
@@ -73,42 +73,42 @@ pub enum Error {
     /// The peer closed the connection.
     #[error("sumo closed the connection during `{command}`{}", at_time(*sim_time_s))]
     Closed {
-        /// What was under way.
+        /// The operation that was in progress.
         command: &'static str,
-        /// Simulation time known last \[s\], if any was.
+        /// Last known simulation time \[s\].
         sim_time_s: Option<f64>,
     },
     /// The peer did not answer in time.
     #[error("no answer to `{command}` within {seconds} s{}", at_time(*sim_time_s))]
     Timeout {
-        /// What was under way.
+        /// The operation that was in progress.
         command: &'static str,
-        /// How long was waited \[s\].
+        /// Length of the wait \[s\].
         seconds: f64,
-        /// Simulation time known last \[s\], if any was.
+        /// Last known simulation time \[s\].
         sim_time_s: Option<f64>,
     },
-    /// The peer sent bytes that are not TraCI.
+    /// The peer sent bytes that are not a valid TraCI message.
     #[error("not a TraCI answer: expected {expected}, found {found} at byte {at_byte}")]
     Protocol {
-        /// What should have stood there.
+        /// What the protocol requires at this position.
         expected: &'static str,
-        /// What stood there.
+        /// What was found at this position.
         found: String,
         /// Position in the message \[bytes\].
         at_byte: usize,
     },
-    /// A value is not of the type that was asked for. The connection is intact.
+    /// A value is not of the requested type. The connection remains usable.
     #[error("{call} gives {found} where {expected} should be")]
     Type {
-        /// The call under SUMO's name, or the subscription.
+        /// SUMO's name of the call, or the subscription.
         call: String,
-        /// What should have been there.
+        /// The type that was expected.
         expected: &'static str,
-        /// What was there.
+        /// What was found.
         found: String,
     },
-    /// The caller asked for something that cannot be sent; nothing was sent. The connection is intact.
+    /// The request cannot be sent, and nothing was sent. The connection remains usable.
     #[error("{what}")]
     Invalid {
         /// What is wrong and which values are allowed.
@@ -120,32 +120,33 @@ pub enum Error {
         /// The backend.
         backend: super::Backend,
     },
-    /// libsumo is running a simulation already.
+    /// libsumo is already running a simulation.
     #[error("libsumo runs one simulation per process, and it is running one")]
     Occupied,
-    /// libsumo, or Python around it, failed.
+    /// libsumo failed, or Python failed while calling it.
     #[error("libsumo could not {doing}: {message}")]
     Libsumo {
-        /// What was being done.
+        /// The operation that failed.
         doing: &'static str,
-        /// What libsumo or Python said.
+        /// The message of libsumo or Python.
         message: String,
     },
-    /// The net cannot be read.
+    /// The net file cannot be read.
     #[error(transparent)]
     Net(#[from] Box<super::net::NetError>),
     /// The operating system reported a failure.
     #[error("could not {doing}")]
     Io {
-        /// What was being done.
+        /// The operation that failed.
         doing: &'static str,
-        /// The system's reason.
+        /// The operating system's reason.
         source: io::Error,
     },
 }
 
 impl Error {
-    /// `false`: the connection is intact and the simulation goes on; `true`: this SUMO instance is gone.
+    /// Whether this SUMO instance is lost. If `false`, the connection is usable and the simulation
+    /// goes on.
     #[must_use]
     pub fn is_fatal(&self) -> bool {
         !matches!(
@@ -158,7 +159,7 @@ impl Error {
         )
     }
 
-    /// What the user can do about it, if anything is known.
+    /// Returns what the user can do about the error, if anything is known.
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {
@@ -186,7 +187,7 @@ impl Error {
         }
     }
 
-    /// Names the call whose answer is not what it should be.
+    /// Adds the name of the call to the error in its answer.
     pub(super) fn in_answer_to(self, call: &str) -> Self {
         match self {
             Error::Protocol { expected, found, at_byte } if !call.is_empty() => Error::Protocol {
@@ -201,7 +202,8 @@ impl Error {
         }
     }
 
-    /// A value of another type, of a call that [`Error::in_answer_to`] will name.
+    /// Returns the error for a value of an unexpected type, in a call that [`Error::in_answer_to`]
+    /// is going to name.
     pub(super) fn other_type(expected: &'static str, found: impl Into<String>) -> Self {
         Error::Type { call: "a call".to_owned(), expected, found: found.into() }
     }

@@ -1,7 +1,8 @@
-//! What every kind of host has in common: the names, places and presence of the vehicles of all its worlds.
+//! State that all backends share: the names and positions of the vehicles of all worlds, and which
+//! vehicles SUMO knows.
 //!
-//! Vehicle `s` of world `w` is called `w<w>s<s>`. With more than one world the net is tiled, and routes and coordinates
-//! are those of the world's tile.
+//! The vehicle in slot `s` of world `w` is called `w<w>s<s>`. With more than one world the net is
+//! tiled, and routes and coordinates are those of the world's tile.
 
 use std::{
     ffi::OsString,
@@ -21,7 +22,7 @@ use super::{
     net::{Net, tile, tiled_id},
 };
 
-/// A route in one of the tiles.
+/// A route in one of the tiles, with the tile's ids.
 #[derive(Debug, Clone)]
 pub(super) struct TileRoute {
     pub(super) id: String,
@@ -30,20 +31,20 @@ pub(super) struct TileRoute {
     pub(super) walked: bool,
 }
 
-/// A vehicle of ours.
+/// A vehicle or pedestrian of this simulation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Vehicle<'a> {
-    /// In the fleet's vectors.
+    /// Index into the vectors of [`Fleet`].
     #[cfg_attr(not(feature = "libsumo"), expect(dead_code, reason = "TraCI goes by names"))]
     pub(super) index: usize,
-    /// In SUMO.
+    /// Name in SUMO.
     pub(super) name: &'a str,
 }
 
-/// SUMO's lane change mode in which it changes no lanes by itself.
+/// SUMO's lane change mode in which a vehicle never changes lanes by itself.
 const NO_LANE_CHANGES: i32 = 0;
 
-/// Takes checked commands, by SUMO's names.
+/// Receives the commands after their check, with the names that SUMO knows.
 pub(super) trait Orders {
     fn add(
         &mut self,
@@ -53,7 +54,7 @@ pub(super) trait Orders {
         position: f64,
         speed: f64,
     );
-    /// Lane, position and speed in SUMO's words.
+    /// Adds a vehicle; `start` holds lane, position and speed as strings that SUMO understands.
     fn depart(
         &mut self,
         vehicle: Vehicle<'_>,
@@ -62,42 +63,43 @@ pub(super) trait Orders {
         start: [&str; 3],
     );
     fn remove(&mut self, vehicle: Vehicle<'_>);
-    /// A pedestrian, from a position on the first edge of a walk to one on the last.
+    /// Adds a pedestrian who walks between two positions, `ends` \[m\]: one on the route's first
+    /// edge, one on the last.
     fn walk(&mut self, person: Vehicle<'_>, route: &TileRoute, person_type: &str, ends: [f64; 2]);
     fn remove_person(&mut self, person: Vehicle<'_>);
     fn set_walking_speed(&mut self, person: Vehicle<'_>, speed: f64);
     fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64);
     fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
     fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32);
-    /// `angle` is navigational \[deg\].
+    /// Moves a vehicle to a pose; `angle` is navigational \[deg\].
     fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8);
 }
 
 #[derive(Debug, Clone)]
 pub(super) struct Fleet {
     config: SimulationConfig,
-    /// `[worlds * slots]`, as all vectors of vehicles here.
+    /// Names of the vehicles, `[worlds * slots]` as all vectors of vehicles in this struct.
     pub(super) names: Vec<String>,
-    /// `[worlds * routes]`.
+    /// Routes of all tiles, `[worlds * routes]`.
     pub(super) routes: Vec<TileRoute>,
-    /// A junction of each world.
+    /// Id of one junction of each world.
     pub(super) junctions: Vec<String>,
-    /// Within this distance of a junction lies all of its world, and nothing of another \[m\].
+    /// Radius around a junction that covers all of its world and nothing of any other world \[m\].
     pub(super) diagonal: f64,
     offsets: Vec<[f64; 2]>,
-    /// The tiled net; it has no name in any folder, so that nothing is left behind however the program ends.
+    /// The tiled net, an unnamed file, so that no file remains however the program ends.
     tiled: Option<Arc<File>>,
-    /// Definitions of vehicle types, in the same way.
+    /// Definitions of vehicle types, an unnamed file as well.
     definitions: Option<Arc<File>>,
-    /// Whether SUMO knows a vehicle of that name, on the road or waiting to be put there.
+    /// Whether SUMO knows the vehicle of the slot, either on the road or waiting for insertion.
     pub(super) known: Vec<bool>,
-    /// `known` as it will be after the exchange under way.
+    /// Value of `known` after the exchange in progress.
     next: Vec<bool>,
-    /// Where the vehicles departed \[m\].
+    /// Position of the front bumper on the route's first edge at departure \[m\].
     departed: Vec<f64>,
-    /// `departed` as it will be after the exchange under way.
+    /// Value of `departed` after the exchange in progress.
     next_departed: Vec<f64>,
-    /// Whether a pedestrian was last put there; empty without others.
+    /// Whether the slot's last occupant is a pedestrian; empty without background traffic.
     walking: Vec<bool>,
     pub(super) snapshot: Snapshot,
 }
@@ -178,7 +180,7 @@ impl Fleet {
         self.config.seed = seed;
     }
 
-    /// Forgets all vehicles, as a fresh SUMO has none.
+    /// Resets the state to that of a new SUMO instance, which has no vehicles.
     pub(super) fn empty(&mut self) {
         self.known.fill(false);
         self.snapshot.time = 0.0;
@@ -187,7 +189,7 @@ impl Fleet {
         self.snapshot.collisions.clear();
     }
 
-    /// Before the reports of a step are read.
+    /// Clears the snapshot before the reports of a step are read.
     pub(super) fn begin_step(&mut self) {
         self.known.copy_from_slice(&self.next);
         self.departed.copy_from_slice(&self.next_departed);
@@ -196,17 +198,19 @@ impl Fleet {
         self.snapshot.collisions.clear();
     }
 
-    /// Takes in what SUMO reports of a vehicle: `distance` is what it has driven since it departed.
+    /// Records SUMO's report of a vehicle: the `distance` that it has driven since its departure
+    /// \[m\] and its `speed` \[m/s\].
     pub(super) fn report(&mut self, vehicle: usize, distance: f64, speed: f64) {
-        // A vehicle that waits to be put on the road has driven no distance.
+        // A vehicle that waits for insertion has no distance.
         if distance != c::INVALID_DOUBLE_VALUE {
             let distance = self.departed[vehicle] + distance;
             self.snapshot.vehicles[vehicle] = Some(VehicleState { distance, speed });
         }
     }
 
-    /// Takes in where SUMO has a vehicle that it drives: the middle of its front, `angle` in navigational degrees, and SUMO's time
-    /// loss. Nothing where it waits to be put on the road.
+    /// Records the pose of a vehicle that SUMO drives: the centre of its front bumper, `angle` in
+    /// navigational degrees, and SUMO's time loss \[s\]. Ignores agents and vehicles that wait for
+    /// insertion.
     pub(super) fn body(&mut self, vehicle: usize, [x, y]: [f64; 2], angle: f64, time_loss: f64) {
         let slots = self.config.slots as usize;
         let first = self.config.others.as_ref().map_or(slots, |others| others.first_slot as usize);
@@ -217,7 +221,7 @@ impl Fleet {
         }
     }
 
-    /// Takes in where SUMO has a pedestrian, as [`Fleet::body`].
+    /// Records the pose and the speed of a pedestrian, with arguments as in [`Fleet::body`].
     pub(super) fn pedestrian(&mut self, person: usize, position: [f64; 2], angle: f64, speed: f64) {
         if self.walks(person) && position[0] != c::INVALID_DOUBLE_VALUE {
             self.body(person, position, angle, 0.0);
@@ -225,25 +229,27 @@ impl Fleet {
         }
     }
 
-    /// Whether whoever was last put there is a pedestrian.
+    /// Whether the slot's last occupant is a pedestrian.
     pub(super) fn walks(&self, vehicle: usize) -> bool {
         self.walking.get(vehicle).is_some_and(|walks| *walks)
     }
 
-    /// Whether anyone may ever walk.
+    /// Whether any route is for pedestrians.
     pub(super) fn has_walks(&self) -> bool {
         self.routes.iter().any(|route| route.walked)
     }
 
-    /// Takes in that SUMO has no vehicle of that name: it came to the end of its route, or was refused.
+    /// Records that SUMO no longer knows the vehicle or pedestrian of this name, which has arrived
+    /// or was refused.
     pub(super) fn gone(&mut self, name: &str) {
         if let Some(vehicle) = self.vehicle_named(name) {
             self.known[vehicle] = false;
         }
     }
 
-    /// Takes in a collision of SUMO's report; those with vehicles of others are none of ours, and pedestrians have another shape
-    /// there.
+    /// Records a collision that SUMO reports. Ignores collisions with vehicles that are not in this
+    /// fleet, and those with pedestrians, because SUMO's collision test gives pedestrians another
+    /// shape.
     pub(super) fn collision(&mut self, collider: &str, victim: &str) {
         let (Some(collider), Some(victim)) =
             (self.vehicle_named(collider), self.vehicle_named(victim))
@@ -264,7 +270,7 @@ impl Fleet {
         }
     }
 
-    /// Index of the vehicle of a name, if it is one of ours.
+    /// Returns the index of the vehicle of this name, or `None` if the name belongs to no slot.
     pub(super) fn vehicle_named(&self, name: &str) -> Option<usize> {
         let (world, slot) = name.strip_prefix('w')?.split_once('s')?;
         let (world, slot): (u32, u32) = (world.parse().ok()?, slot.parse().ok()?);
@@ -272,7 +278,7 @@ impl Fleet {
             .then_some((world * self.config.slots + slot) as usize)
     }
 
-    /// Checks the commands and passes them on.
+    /// Checks the commands and passes them to `orders`.
     pub(super) fn order(
         &mut self,
         commands: &[Command],
@@ -341,7 +347,8 @@ impl Fleet {
                     if let Some(walks) = self.walking.get_mut(vehicle) {
                         *walks = route.walked;
                     }
-                    // SUMO knows where; ways of vehicles that it drives are not asked for.
+                    // SUMO chooses the position; the distance of a vehicle that SUMO drives is not
+                    // used.
                     self.next_departed[vehicle] = 0.0;
                     self.next[vehicle] = true;
                 }
@@ -366,7 +373,7 @@ impl Fleet {
                 }
                 Command::SpeedMode { world, slot, mode } => {
                     let vehicle = self.vehicle(world, slot)?;
-                    // There is none of pedestrians.
+                    // Pedestrians have no speed mode.
                     if !self.walks(vehicle) {
                         orders.set_speed_mode(self.named(vehicle), mode);
                     }
@@ -391,13 +398,13 @@ impl Fleet {
         Ok(())
     }
 
-    /// The vehicles that SUMO will know after the commands.
+    /// Returns the indices of the vehicles that SUMO knows after the commands.
     #[cfg(feature = "libsumo")]
     pub(super) fn expected(&self) -> impl Iterator<Item = usize> {
         self.next.iter().enumerate().filter(|(_, next)| **next).map(|(vehicle, _)| vehicle)
     }
 
-    /// Id of a vehicle type.
+    /// Returns the id of a vehicle type, given by its index.
     fn kind(&self, index: u32) -> Result<&str, Error> {
         let own = self.config.vehicle_types.iter().map(|kind| kind.id.as_str());
         let others =
@@ -423,11 +430,11 @@ impl Fleet {
         )))
     }
 
-    /// SUMO's command line, without the program and the port.
+    /// Returns SUMO's command line, without the program and the port.
     pub(super) fn arguments(&self) -> Result<Vec<OsString>, Error> {
         let config = &self.config;
         let milliseconds = config.step_length * 1000.0;
-        // SUMO counts time in milliseconds.
+        // SUMO counts time in whole milliseconds.
         if !((1.0..=1e6).contains(&milliseconds)
             && (milliseconds - milliseconds.round()).abs() < 1e-6)
         {
@@ -453,13 +460,13 @@ impl Fleet {
     }
 }
 
-/// The net with a copy for each world, and where the copies lie.
+/// Writes the net with one copy for each world; returns the file and the offsets of the copies.
 fn write_tiles(config: &SimulationConfig, text: &str) -> Result<(Arc<File>, Vec<[f64; 2]>), Error> {
     let tiled = tile(text, &config.net, config.worlds).map_err(Box::new)?;
     Ok((in_memory("tiles.net.xml", &tiled.text)?, tiled.offsets))
 }
 
-/// A file for SUMO to read, in memory, so that no folder has to be writable.
+/// Returns a file in memory for SUMO to read, so that no folder needs to be writable.
 fn in_memory(name: &str, text: &str) -> Result<Arc<File>, Error> {
     let io = |source| Error::Io { doing: "keep a file for SUMO in memory", source };
     let memory = memfd_create(name, MemfdFlags::CLOEXEC).map_err(|e| io(e.into()))?;
@@ -468,7 +475,7 @@ fn in_memory(name: &str, text: &str) -> Result<Arc<File>, Error> {
     Ok(Arc::new(file))
 }
 
-/// Where SUMO finds a file of ours that has no name in any folder.
+/// Returns the path under which SUMO can open an unnamed file of this process.
 fn path_of(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd()))
 }
@@ -481,14 +488,14 @@ fn finite(what: &str, value: f64) -> Result<(), Error> {
     }
 }
 
-/// Options that hold for every simulation.
+/// SUMO options of every simulation.
 const ALWAYS: [&str; 12] = [
-    // A vehicle that finds no room to depart does not hold up the others of its edge.
+    // A vehicle that cannot be inserted does not delay the others that depart on its edge.
     "--eager-insert",
-    // "none" would not report collisions; "warn" leaves the vehicles where they are just the same.
+    // `none` disables the reports of collisions. `warn` does not move or remove vehicles either.
     "--collision.action",
     "warn",
-    // Only overlap counts, not a gap below the minimum.
+    // Only vehicles that overlap collide, not those with a gap below the minimum gap.
     "--collision.mingap-factor",
     "0",
     "--time-to-teleport",

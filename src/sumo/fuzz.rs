@@ -1,5 +1,6 @@
-//! Damaged replies: whatever the peer sends, reading it ends, in memory in proportion to the message, without a panic.
-//! `IWOL_FUZZ_CASES` says how many cases the test runs, see [`cases`].
+//! Fuzz test with damaged replies: for any bytes from the peer, the reader terminates without a
+//! panic and needs memory in proportion to the length of the message. `IWOL_FUZZ_CASES` sets the
+//! number of cases, see [`cases`].
 
 #[path = "../../tests/fuzz/cases.rs"]
 mod cases;
@@ -21,10 +22,11 @@ use super::{
     traci::StepSink,
 };
 
-/// Heap that a reply may take for each of its bytes, and besides \[bytes\]. The costliest are values of two bytes.
+/// Limit of the heap that reading a reply may take \[bytes\]: the first number for each byte of the
+/// message, plus the second. Values of two bytes take the most heap per byte.
 const HEAP: (u64, u64) = (100, 16 << 10);
 
-/// Types of values, and a byte that is none.
+/// Type bytes that `damage` writes into messages.
 const TYPES: [u8; 14] = [0, 1, 2, 3, 4, 6, 7, 8, 9, 0x0b, 0x0c, 0x0e, 0x0f, 0x10];
 
 const SPEED: u8 = vehicle::VAR_SPEED.number();
@@ -48,7 +50,7 @@ fn number(rng: &mut Rng) -> f64 {
     pick(rng, &[0.0, 1.5, -1e308, f64::NAN, f64::INFINITY, c::INVALID_DOUBLE_VALUE])
 }
 
-/// A batch, a reply to it, and how many commands the reply refuses.
+/// Returns a batch, a reply to it, and the number of commands that the reply refuses.
 fn dialogue(rng: &mut Rng) -> (Batch, Vec<u8>, usize) {
     let mut batch = Batch::new();
     let mut w = Writer::default();
@@ -139,7 +141,8 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
                 w.u8(variable).u8(if known { c::RTYPE_OK } else { 0xff });
                 match variable {
                     _ if !known => drop(w.string("gone")),
-                    // What steps read must have its own type; of collisions, contexts tell nothing.
+                    // `StepSink` requires the right type for each variable that it reads.
+                    // Collisions in a context report are an empty compound.
                     SPEED | DISTANCE | TIME => drop(w.double(rng.random_range(-1e9..1e9))),
                     ARRIVED => drop(w.string_list(&[pick(rng, &NAMES)])),
                     _ if context => drop(w.compound(0)),
@@ -150,7 +153,7 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
     });
 }
 
-/// Any value; collisions as SUMO writes them.
+/// Writes a random value, or collisions in SUMO's format.
 fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usize) {
     if variable == COLLISIONS && domain == Domain::SIMULATION {
         let count = below(rng, 4);
@@ -184,7 +187,7 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
             position: number(rng),
             lane: rng.random(),
         },
-        // SUMO writes one without points in a way of its own.
+        // At least one point, because SUMO encodes a polygon without points differently.
         12 => Value::Polygon(vec![[number(rng); 2]; 1 + count]),
         13 => Value::Polygon(vec![[number(rng); 2]; 250 + count]),
         14 => Value::Color(rng.random()),
@@ -200,7 +203,7 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
 
 static FLEET: LazyLock<Fleet> = LazyLock::new(fleet);
 
-/// The vehicles of one world with four slots.
+/// Returns the state of one world with four slots.
 fn fleet() -> Fleet {
     Fleet::new(SimulationConfig {
         net: "sumo_nets/intersection/arm30.net.xml".into(),
@@ -246,7 +249,8 @@ fn damage(rng: &mut Rng, message: &mut Vec<u8>) {
     }
 }
 
-/// Reads a message both ways within the bound on memory.
+/// Reads a message with both sinks, checks the limit on memory, and returns the number of refused
+/// commands or the error.
 fn read(message: &[u8], batch: &Batch) -> [Result<usize, Error>; 2] {
     let within = |what: &str, heap: u64| {
         let limit = HEAP.0 * message.len() as u64 + HEAP.1;

@@ -1,4 +1,4 @@
-//! Where worlds run: by which backend, and in how many SUMO processes.
+//! Where worlds run: with which backend, and in how many SUMO processes.
 
 use std::{ffi::OsString, fmt, str::FromStr, thread, time::Duration};
 
@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{Error, Simulation, SimulationConfig, TraciSimulation, fleet::Fleet};
 
-/// How SUMO is spoken to.
+/// The way in which this program talks to SUMO.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Backend {
-    /// SUMO processes, over TCP.
+    /// Separate SUMO processes, over TCP.
     Traci,
-    /// SUMO in this process, through Debian's Python module. One simulation per process.
+    /// SUMO within this process, through Debian's Python module `libsumo`; one simulation per
+    /// process.
     Libsumo,
 }
 
@@ -19,7 +20,7 @@ impl Backend {
     /// All backends.
     pub const ALL: [Backend; 2] = [Backend::Traci, Backend::Libsumo];
 
-    /// As it is named on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Backend::Traci => "traci",
@@ -45,21 +46,22 @@ impl FromStr for Backend {
     }
 }
 
-/// What a user says about the backend.
+/// The user's choice of the backend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Choice {
-    /// The fastest that this program has: libsumo where there is one core, and TraCI with a SUMO on each core elsewhere.
+    /// The fastest available backend: libsumo on a machine with one core if this build includes it,
+    /// otherwise TraCI with one SUMO process per core.
     #[default]
     Auto,
-    /// As [`Backend::Traci`].
+    /// Always [`Backend::Traci`].
     Traci,
-    /// As [`Backend::Libsumo`].
+    /// Always [`Backend::Libsumo`].
     Libsumo,
 }
 
 impl Choice {
-    /// The backend to use.
+    /// Returns the backend to use.
     pub fn backend(self) -> Backend {
         match self {
             Choice::Auto if cores() == 1 && available().any(|b| b == Backend::Libsumo) => {
@@ -75,16 +77,17 @@ fn cores() -> usize {
     thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
-/// Where worlds run. Nothing but speed depends on it.
+/// Where worlds run. It affects the speed only, not the results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Hosting {
-    /// How SUMO is spoken to.
+    /// Backend of all worlds.
     pub backend: Backend,
-    /// SUMO processes over which the worlds are spread; 0: as many as there are cores. libsumo has one, this one.
+    /// Number of SUMO processes over which the worlds are distributed; 0: one per core. libsumo
+    /// always runs all worlds in this process.
     pub processes: usize,
-    /// How long SUMO may take for an answer before it counts as dead; libsumo cannot be timed.
+    /// Longest wait for an answer before SUMO counts as dead; it has no effect with libsumo.
     pub timeout: Duration,
-    /// Whether SUMO looks for collisions in junctions, to be compared with ours.
+    /// Whether SUMO detects collisions on junctions, for comparison with this program's own test.
     pub audit: bool,
 }
 
@@ -100,19 +103,21 @@ impl Default for Hosting {
 }
 
 impl Hosting {
-    /// For worlds beside others that are hosted like this: libsumo has one place only.
+    /// Returns the hosting for worlds that run at the same time as worlds under `self`. It always
+    /// uses TraCI, because libsumo runs only one simulation per process.
     #[must_use]
     pub fn beside(self) -> Self {
         Hosting { backend: Backend::Traci, ..self }
     }
 
-    /// One SUMO for each of so many worlds: libsumo, which has one place, only where there is one.
+    /// Returns the hosting with one SUMO instance per world. It keeps libsumo, which runs only one
+    /// simulation, if `worlds` is 1, and uses TraCI otherwise.
     #[must_use]
     pub fn alone(self, worlds: usize) -> Self {
         Hosting { processes: worlds, ..if worlds == 1 { self } else { self.beside() } }
     }
 
-    /// In words, for so many worlds.
+    /// Describes the hosting of this number of worlds in words.
     pub fn describe(&self, worlds: usize) -> String {
         match (self.backend, self.hosts(worlds)) {
             (Backend::Libsumo, _) => format!("{worlds} worlds in one libsumo, in process"),
@@ -121,7 +126,7 @@ impl Hosting {
         }
     }
 
-    /// Simulations over which so many worlds are spread.
+    /// Returns the number of SUMO instances over which this number of worlds is distributed.
     pub fn hosts(&self, worlds: usize) -> usize {
         let wanted = match (self.backend, self.processes) {
             (Backend::Libsumo, _) => 1,
@@ -132,10 +137,10 @@ impl Hosting {
     }
 }
 
-/// Starts a simulation.
+/// Starts a simulation with a backend.
 ///
 /// # Errors
-/// What the backend returns.
+/// The errors of the backend's `start`; [`Error::NotBuiltIn`] if this build lacks the backend.
 pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simulation>, Error> {
     match backend {
         Backend::Traci => Ok(Box::new(TraciSimulation::start(config)?)),
@@ -146,17 +151,18 @@ pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simul
     }
 }
 
-/// The backends that this program was built with.
+/// Returns the backends that this build includes.
 pub fn available() -> impl Iterator<Item = Backend> {
     Backend::ALL
         .into_iter()
         .filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
 }
 
-/// The arguments of the program `sumo`, without the port, for a simulation of a single world.
+/// Returns the arguments of the program `sumo`, without the port, for a simulation of one world.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a configuration that SUMO cannot have, or of more worlds; [`Error::Net`].
+/// [`Error::Invalid`] for a configuration that SUMO does not support, with several worlds, or with
+/// background traffic; [`Error::Net`] if the net cannot be read.
 pub fn arguments(config: &SimulationConfig) -> Result<Vec<OsString>, Error> {
     if config.worlds != 1 || config.others.is_some() {
         return Err(Error::invalid(

@@ -1,8 +1,10 @@
-//! A [`Simulation`] inside this process: SUMO as the library libsumo, through Debian's Python module.
+//! A [`Simulation`] within this process: SUMO as the library libsumo, through Debian's Python
+//! module.
 //!
-//! libsumo holds one simulation per process, so that its worlds are tiles of one net, and a second one is refused.
-//! One decision is one call of `python_bridge/libsumo_bridge.py`, with the commands as columns of numbers and names.
-//! Commands and names are those of TraCI, and so are the results, to the bit.
+//! libsumo runs one simulation per process. The worlds are therefore tiles of one net, and a second
+//! simulation is refused. One decision is one call of `python_bridge/libsumo_bridge.py`, with the
+//! commands as columns of numbers and names. Commands and names are the same as with TraCI, and the
+//! results are bit-identical.
 
 use std::{
     ffi::{CStr, CString},
@@ -22,7 +24,7 @@ use super::{
 
 static OCCUPIED: AtomicBool = AtomicBool::new(false);
 
-/// The one place that libsumo has; free again when this is dropped.
+/// Permission to run the one simulation of libsumo; dropping it releases the permission.
 #[derive(Debug)]
 struct Place;
 
@@ -38,33 +40,34 @@ impl Drop for Place {
     }
 }
 
-/// One or more worlds in the SUMO of this process.
+/// A simulation of one or more worlds in this process.
 #[derive(Debug)]
 pub struct LibsumoSimulation {
     fleet: Fleet,
     module: Py<PyModule>,
     step: Py<PyAny>,
-    /// Python's strings for `fleet.names`.
+    /// Python strings of `fleet.names`.
     names: Vec<Py<PyString>>,
-    /// The vehicles that are asked for after each step, as indices and as Python's list; made anew when they change.
+    /// Vehicles whose state is read after each step, as indices and as a Python list of names; both
+    /// are rebuilt when the set changes.
     asked: Vec<usize>,
     asked_names: Py<PyList>,
-    /// The pedestrians among them, who are asked for by themselves.
+    /// Pedestrians whose state is read after each step, in the same two forms.
     on_foot: Vec<usize>,
     asked_on_foot: Py<PyList>,
     columns: Columns,
     awaiting: bool,
     exchanges: u64,
-    /// Goes last: the simulation is closed before its place is free.
+    /// Declared last, so that the simulation is closed before the permission is released.
     _place: Place,
 }
 
 impl LibsumoSimulation {
-    /// Starts the simulation, and makes the vehicle types and routes known to it.
+    /// Starts the simulation and defines its vehicle types and routes.
     ///
     /// # Errors
-    /// [`Error::Occupied`] while another one lives; [`Error::Libsumo`] if Python or libsumo fail; otherwise as
-    /// [`super::TraciSimulation::start`].
+    /// [`Error::Occupied`] while another simulation runs; [`Error::Libsumo`] if Python or libsumo
+    /// fails; otherwise as [`super::TraciSimulation::start`].
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
         let place = Place::take()?;
         let fleet = Fleet::new(config)?;
@@ -142,7 +145,8 @@ impl LibsumoSimulation {
         }
     }
 
-    /// One call across the bridge.
+    /// Sends the commands, takes one step and records the results, all in one call across the
+    /// bridge.
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
         type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
         type Refusal = Option<(String, String, String)>;
@@ -206,7 +210,8 @@ impl LibsumoSimulation {
         }
     }
 
-    /// Brings the list of vehicles to ask for up to what SUMO will know after the commands.
+    /// Updates the lists of vehicles and pedestrians to read to those that SUMO knows after the
+    /// commands.
     fn ask(&mut self, py: Python<'_>) -> PyResult<()> {
         let list = |of: &[usize]| {
             let names: Vec<_> = of.iter().map(|&vehicle| self.names[vehicle].bind(py)).collect();
@@ -264,7 +269,7 @@ impl Simulation for LibsumoSimulation {
             let renewal = if module.call_method1("load", (&arguments,)).is_ok() {
                 Renewal::Loaded
             } else {
-                // There may be nothing left to close.
+                // Fails if there is no simulation left to close.
                 let _ = module.call_method0("close");
                 module.call_method1("start", (&arguments,)).map_err(|e| failed("start", py, &e))?;
                 Renewal::Restarted
@@ -286,13 +291,13 @@ impl Simulation for LibsumoSimulation {
 impl Drop for LibsumoSimulation {
     fn drop(&mut self) {
         Python::attach(|py| {
-            // Nobody is left to hear of an error.
+            // A destructor cannot report an error.
             let _ = self.module.bind(py).call_method0("close");
         });
     }
 }
 
-/// The Python side, run once per process.
+/// Returns the Python module of the bridge, which is executed once per process.
 fn bridge(py: Python<'_>) -> PyResult<Bound<'_, PyModule>> {
     static MODULE: pyo3::sync::PyOnceLock<Py<PyModule>> = pyo3::sync::PyOnceLock::new();
     const NAME: &CStr = c"iwol_sumo_libsumo_bridge";
@@ -321,13 +326,14 @@ enum Kind {
     WalkingSpeed,
 }
 
-/// Commands, in order; consecutive ones of a kind make a run, which goes over the bridge as columns.
+/// The commands of a step in order. Consecutive commands of the same kind form a run, which crosses
+/// the bridge as columns.
 #[derive(Debug, Default)]
 struct Columns {
     rows: Vec<(Kind, usize, [f64; 4])>,
-    /// Route, type, lane, position and speed of the vehicles to be added.
+    /// Route, type, lane, position and speed of each vehicle to add.
     texts: Vec<[String; 5]>,
-    /// Type and edges of the pedestrians to be added.
+    /// Type and edges of each pedestrian to add.
     walks: Vec<(String, Vec<String>)>,
 }
 
@@ -338,7 +344,7 @@ impl Columns {
         self.walks.clear();
     }
 
-    /// The list of `(kind, vehicles, columns…)`.
+    /// Returns the Python list of `(kind, vehicles, columns…)`.
     fn list<'py>(&self, py: Python<'py>, names: &[Py<PyString>]) -> PyResult<Bound<'py, PyList>> {
         let orders = PyList::empty(py);
         let (mut texts, mut walks) = (self.texts.iter(), self.walks.iter());
@@ -411,7 +417,7 @@ impl Orders for Columns {
         speed: f64,
     ) {
         self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
-        // SUMO wants numbers as text here.
+        // SUMO expects these numbers as strings.
         let numbers = [f64::from(route.lane), position, speed].map(|number| number.to_string());
         let [lane, position, speed] = numbers;
         self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, position, speed]);

@@ -1,6 +1,8 @@
-//! Everything that knows SUMO: the TraCI client ([`Client`], [`Batch`], the calls in [`domain`]) and its wire ([`codec`],
-//! [`reply`]), SUMO's process ([`process`]), its net files ([`net`]), and the boundary behind which all of that lies for
-//! the rest of the program: [`Simulation`], which [`start`] gives for a [`Backend`], with worlds spread by [`Hosting`].
+//! The interface to SUMO: the TraCI client ([`Client`], [`Batch`], the calls in [`domain`]), its
+//! wire format ([`codec`], [`reply`]), the SUMO process ([`process`]) and SUMO's net files
+//! ([`net`]). The rest of the program controls SUMO only through the trait [`Simulation`].
+//! [`start`] starts a simulation with a [`Backend`], and [`Hosting`] distributes the worlds over
+//! SUMO processes.
 
 pub mod batch;
 pub mod client;

@@ -1,10 +1,13 @@
-//! Reader of SUMO's `.net.xml`: lanes, edges, junctions and connections, and the centre lines of routes.
+//! Reader of SUMO's `.net.xml` files: lanes, edges, junctions and connections, and the paths of
+//! routes.
 //!
-//! A net file comes from outside and is not trusted: whatever it holds, [`Net::load`] ends with a net whose
-//! references all resolve, or with an error that names file, line and column. Elements this program has no use for
-//! (traffic lights, roundabouts) are passed over. Compressed nets (`.net.xml.gz`) are not read.
+//! A net file is untrusted input. For any content, [`Net::load`] returns either a net in which all
+//! references resolve, or an error that names file, line and column. Elements that this program
+//! does not need (traffic lights, roundabouts) are skipped. Compressed nets (`.net.xml.gz`) are not
+//! supported.
 //!
-//! Units are SI, coordinates are the net's own, angles are radians counter-clockwise from +x.
+//! Units are SI units, coordinates are those of the net file, and angles are radians
+//! counter-clockwise from +x.
 
 mod error;
 mod path;
@@ -28,35 +31,35 @@ pub use tile::{Tiled, tile, tiled_id};
 pub use walk::Walk;
 pub use xml::XmlError;
 
-/// Width of a lane for which the file gives none \[m\].
+/// Width of a lane for which the file gives no width \[m\].
 pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
 
-/// Largest file that is read \[bytes\].
+/// Maximum size of a net file \[bytes\].
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Most points of the lanes of a route.
+/// Maximum number of points of all lanes of a route together.
 const MAX_POINTS: usize = 1 << 16;
 
-/// Shortest length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
+/// Minimum length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
 const MIN_LENGTH: f64 = 1e-3;
 
-/// SUMO's class of the vehicles that this program drives.
+/// SUMO's vehicle class of the vehicles in this program.
 const CARS: &str = "passenger";
 
-/// SUMO's class of pedestrians.
+/// SUMO's vehicle class of pedestrians.
 const PEDESTRIANS: &str = "pedestrian";
 
-/// Largest magnitude of any number in a net; keeps sums and products finite.
+/// Maximum magnitude of any number in a net; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
 
 /// A road network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Net {
-    /// Where it was read from.
+    /// The file that the net was read from.
     pub path: PathBuf,
-    /// All lanes, those of one edge next to each other in order of [`Lane::index`].
+    /// All lanes. Those of one edge are adjacent, in the order of [`Lane::index`].
     pub lanes: Vec<Lane>,
-    /// All edges, internal ones too.
+    /// All edges, including internal ones.
     pub edges: Vec<Edge>,
     /// All junctions.
     pub junctions: Vec<Junction>,
@@ -65,7 +68,7 @@ pub struct Net {
     /// Lower left and upper right corner of the net \[m\].
     pub boundary: [[f64; 2]; 2],
     edge_by_id: HashMap<String, usize>,
-    /// Indices into `connections` by the lane that they start from.
+    /// Indices into `connections`, for each lane from which they start.
     leaving: Vec<Vec<usize>>,
 }
 
@@ -76,57 +79,57 @@ pub struct Lane {
     pub id: String,
     /// Index into [`Net::edges`].
     pub edge: usize,
-    /// Number on its edge, from the right, starting at 0.
+    /// Index on its edge, from the right, starting at 0.
     pub index: u32,
     /// Speed limit \[m/s\].
     pub speed: f64,
-    /// Length as SUMO counts it \[m\]; a net may give another one than that of the shape.
+    /// Length as SUMO counts it \[m\]; it may differ from the length of the shape.
     pub length: f64,
     /// Width \[m\].
     pub width: f64,
-    /// Centre line in driving direction, two points or more \[m\].
+    /// Centre line in driving direction, at least two points \[m\].
     pub shape: Vec<[f64; 2]>,
-    /// Whether passenger cars may use it.
+    /// Whether passenger cars may use the lane.
     pub cars: bool,
-    /// Whether pedestrians may use it.
+    /// Whether pedestrians may use the lane.
     pub pedestrians: bool,
 }
 
 impl Lane {
-    /// Whether it is for pedestrians, and not for cars.
+    /// Whether the lane is for pedestrians and not for cars.
     pub fn is_sidewalk(&self) -> bool {
         self.pedestrians && !self.cars
     }
 }
 
-/// What an edge is for.
+/// The function of an edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EdgeFunction {
     /// A road.
     Normal,
-    /// A way over a junction.
+    /// A path of vehicles across a junction.
     Internal,
-    /// Where pedestrians go over a road.
+    /// A crossing, where pedestrians cross a road.
     Crossing,
-    /// Where sidewalks and crossings meet.
+    /// A walking area, which connects sidewalks and crossings.
     WalkingArea,
-    /// Anything else: connector.
+    /// Any other function, such as `connector`.
     Other,
 }
 
-/// An edge: lanes of one direction between two junctions.
+/// An edge: the lanes of one direction between two junctions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Edge {
     /// SUMO id.
     pub id: String,
-    /// Junction it starts at; none for internal edges.
+    /// Id of the junction at its start; `None` for internal edges.
     pub from: Option<String>,
-    /// Junction it leads to; none for internal edges.
+    /// Id of the junction at its end; `None` for internal edges.
     pub to: Option<String>,
-    /// What it is for.
+    /// Function of the edge.
     pub function: EdgeFunction,
-    /// Its lanes in [`Net::lanes`]; never empty.
+    /// Range of its lanes in [`Net::lanes`]; never empty.
     pub lanes: Range<usize>,
 }
 
@@ -135,39 +138,42 @@ pub struct Edge {
 pub struct Junction {
     /// SUMO id.
     pub id: String,
-    /// SUMO type, as `right_before_left` or `priority`.
+    /// SUMO type, such as `right_before_left` or `priority`.
     pub kind: String,
     /// Position, x \[m\].
     pub x: f64,
     /// Position, y \[m\].
     pub y: f64,
-    /// Outline \[m\]; empty where the file gives none.
+    /// Outline \[m\]; empty if the file gives none.
     pub shape: Vec<[f64; 2]>,
 }
 
-/// A way from one lane to the next.
+/// A connection from one lane to the next.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Connection {
-    /// Lane that it leaves, index into [`Net::lanes`].
+    /// Lane at its start, index into [`Net::lanes`].
     pub from: usize,
-    /// Lane that it reaches, index into [`Net::lanes`].
+    /// Lane at its end, index into [`Net::lanes`].
     pub to: usize,
-    /// Internal lane over the junction, index into [`Net::lanes`]; none where the net was built without them.
+    /// Internal lane across the junction, index into [`Net::lanes`]; `None` if the net was built
+    /// without internal lanes.
     pub via: Option<usize>,
-    /// Direction as SUMO writes it: `s` straight, `l` left, `r` right, `t` turn, ...; empty if not given.
+    /// Direction in SUMO's notation: `s` straight, `l` left, `r` right, `t` U-turn, ...; empty if
+    /// the file gives none.
     pub dir: String,
 }
 
 impl Net {
-    /// Reads a net.
+    /// Reads a net file.
     ///
     /// # Errors
-    /// [`NetError`] if the file cannot be read, is no net, or refers to edges and lanes that it does not have.
+    /// [`NetError`] if the file cannot be read, is not a net, or refers to edges and lanes that it
+    /// does not contain.
     pub fn load(path: &FilePath) -> Result<Self, NetError> {
         Self::parse(&Self::text(path)?, path)
     }
 
-    /// The text of a net file.
+    /// Returns the text of a net file.
     pub(super) fn text(path: &FilePath) -> Result<String, NetError> {
         let text = xml::read(path, MAX_BYTES)
             .map_err(|source| NetError::Read { path: path.into(), source })?;
@@ -188,7 +194,8 @@ impl Net {
         Reader { path, document: &document }.net()
     }
 
-    /// Lower left and upper right corner of everything that has a place \[m\].
+    /// Returns the lower left and the upper right corner of the bounding box of the boundary, all
+    /// lanes and all junctions \[m\].
     pub fn extent(&self) -> [[f64; 2]; 2] {
         let shapes = self
             .lanes
@@ -206,31 +213,35 @@ impl Net {
         })
     }
 
-    /// Index of an edge in [`Net::edges`].
+    /// Returns the index of an edge in [`Net::edges`].
     pub fn edge_index(&self, id: &str) -> Option<usize> {
         self.edge_by_id.get(id).copied()
     }
 
-    /// Connections that leave a lane, given by its index in [`Net::lanes`].
+    /// Returns the connections that start from a lane, given by its index in [`Net::lanes`].
     pub fn connections_from(&self, lane: usize) -> impl Iterator<Item = &Connection> + '_ {
         self.leaving.get(lane).into_iter().flatten().map(|&c| &self.connections[c])
     }
 
-    /// The centre line of a route: from each edge to the next along a connection, internal lanes included.
+    /// Returns the path of a route: the centre lines of its lanes from edge to edge along
+    /// connections, including internal lanes.
     ///
-    /// Of the lanes from which the rest of the route can be driven without changing lanes, the rightmost is taken.
+    /// Of the lanes from which the rest of the route can be driven without a lane change, the path
+    /// takes the rightmost one.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], [`NetError::NotConnected`],
-    /// [`NetError::LaneChange`] or [`NetError::LongRoute`].
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`],
+    /// [`NetError::NotConnected`], [`NetError::LaneChange`] or [`NetError::LongRoute`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
         self.route_path_from(edges, None)
     }
 
-    /// The same from one lane of the first edge, counted from the right and starting at 0.
+    /// Returns the path of a route that starts on a given lane of the first edge, counted from the
+    /// right and starting at 0; `None`: on any lane, as [`Net::route_path`].
     ///
     /// # Errors
-    /// As [`Net::route_path`], with [`NetError::LaneChange`] where the route cannot be driven from there.
+    /// As [`Net::route_path`], with [`NetError::LaneChange`] if the route cannot be driven from
+    /// that lane.
     pub fn route_path_from(&self, edges: &[String], lane: Option<u32>) -> Result<Path, NetError> {
         let lanes = self.route_lanes(edges, lane)?;
         let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
@@ -240,14 +251,16 @@ impl Net {
         Path::through(self, &lanes).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
     }
 
-    /// The lanes of a route in driving order, internal ones between those of the route's edges.
+    /// Returns the lanes of a route in driving order, with the internal lanes between those of its
+    /// edges.
     fn route_lanes(&self, edges: &[String], first: Option<u32>) -> Result<Vec<usize>, NetError> {
         let Some(last) = edges.len().checked_sub(1) else {
             return Err(NetError::EmptyRoute { path: self.path.clone() });
         };
         let route: Vec<&Edge> =
             edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
-        // Backwards: for each lane of an edge the best connection from which the route's end can be reached.
+        // From the last edge to the first: for each lane, the best connection from which the
+        // route's end can be reached.
         let mut ways: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
@@ -286,7 +299,7 @@ impl Net {
         Ok(lanes)
     }
 
-    /// The first lane of a path from which more than one connection leads to the next road.
+    /// Returns the first lane of a path from which several connections lead to the next road.
     pub fn fork(&self, path: &Path) -> Option<usize> {
         let road =
             |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
@@ -298,20 +311,21 @@ impl Net {
         roads.windows(2).find(forks).map(|pair| pair[0])
     }
 
-    /// Appends the internal lanes of a connection; there are several where vehicles may wait within the junction.
+    /// Appends the internal lanes of a connection. There are several where vehicles may wait inside
+    /// the junction.
     fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
         let mut via = connection.via;
         let mut passed = HashSet::new();
         while let Some(lane) = via {
             if !passed.insert(lane) {
-                break; // a circle, which only a broken net has
+                break; // A cycle, which occurs only in an invalid net.
             }
             lanes.push(lane);
             via = self.connections_from(lane).find(|c| c.to == connection.to).and_then(|c| c.via);
         }
     }
 
-    /// The road of this id.
+    /// Returns the road with this id.
     fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
         match self.edge_index(id).map(|i| &self.edges[i]) {
             Some(edge) if self.is_road(edge) => Ok(edge),
@@ -324,13 +338,13 @@ impl Net {
         }
     }
 
-    /// Whether cars may drive on an edge that is no part of a junction.
+    /// Whether an edge is outside of junctions and cars may use it.
     fn is_road(&self, edge: &Edge) -> bool {
         edge.function == EdgeFunction::Normal
             && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
     }
 
-    /// The lanes of an edge that are for vehicles: all without the sidewalks at its sides.
+    /// Returns the lanes of an edge without the sidewalks on both sides.
     pub fn carriageway(&self, edge: &Edge) -> Range<usize> {
         let mut lanes = edge.lanes.clone();
         while lanes.len() > 1 && self.lanes[lanes.start].is_sidewalk() {
@@ -342,7 +356,7 @@ impl Net {
         lanes
     }
 
-    /// Edges that a route of a car can name.
+    /// Returns the edges that the route of a car may contain.
     pub fn roads(&self) -> impl Iterator<Item = &Edge> {
         self.edges.iter().filter(|edge| self.is_road(edge))
     }
@@ -494,7 +508,7 @@ impl Reader<'_, '_> {
         })
     }
 
-    /// The lane that a connection's edge id and lane number mean.
+    /// Returns the lane to which the edge id and the lane index of a connection refer.
     fn lane_end(
         &self,
         node: Node,
@@ -536,7 +550,7 @@ impl Reader<'_, '_> {
             .map_err(|_| self.value(node, key, "a whole number of at least 0"))
     }
 
-    /// The attribute `shape`: `x,y` or `x,y,z` separated by spaces.
+    /// Reads the attribute `shape`: points `x,y` or `x,y,z`, separated by spaces.
     fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
         let text = if least == 0 {
             node.attribute("shape").unwrap_or_default()
@@ -607,7 +621,7 @@ impl Reader<'_, '_> {
     }
 }
 
-/// Whether a lane is for a class of vehicles.
+/// Whether a vehicle class may use a lane.
 fn allows(lane: Node, class: &str) -> bool {
     let named = |list: &str| list.split_whitespace().any(|name| name == "all" || name == class);
     lane.attribute("allow").is_none_or(named) && !lane.attribute("disallow").is_some_and(named)

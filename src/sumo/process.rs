@@ -1,15 +1,17 @@
-//! The SUMO process: found, started, connected to, and never left behind.
+//! The SUMO process: this module finds, starts and connects to SUMO, and ensures that no SUMO
+//! process outlives this program.
 //!
-//! SUMO's port is open to everyone until its one client has connected, and between choosing a free port
-//! and SUMO's opening it another program may take it. So the client connects as soon as it can, then
-//! checks in the system's connection table that the other end belongs to the very process that was
-//! started; a port that was lost is replaced by another.
+//! Any program can connect to SUMO's port until its one client has connected, and another program
+//! may take the port after this program has chosen it and before SUMO opens it. The client
+//! therefore connects as early as possible and then checks in the system's connection table that
+//! the other end belongs to the process that was started. A port that another program has taken is
+//! replaced by another port.
 //!
-//! SUMO dies with this program, however this program ends: [`Process`] kills it when dropped (which a
-//! panic does too), and the kernel kills it when the thread that started it ends
-//! (`PR_SET_PDEATHSIG`). Because of that rule every SUMO is started by one thread that lives as long as
-//! the program. SUMO has a process group of its own, so that Ctrl-C reaches this program alone, which
-//! then decides when SUMO ends.
+//! SUMO always terminates with this program: [`Process`] kills SUMO when it is dropped (also after
+//! a panic), and the kernel kills SUMO when the thread that started it ends (`PR_SET_PDEATHSIG`).
+//! For this reason one thread, which lives as long as the program, starts every SUMO process. SUMO
+//! has its own process group, so that Ctrl-C reaches only this program, which then decides when
+//! SUMO ends.
 
 use std::{
     collections::VecDeque,
@@ -30,28 +32,30 @@ use super::{
     client::{Client, Version},
 };
 
-/// Ports that are tried before giving up.
+/// Maximum number of ports that are tried.
 const PORT_ATTEMPTS: u32 = 8;
 /// Pause between two attempts to connect.
 const POLL: Duration = Duration::from_millis(1);
-/// How long an ended connection may be ahead of the end of its process.
+/// Longest time between the end of a connection and the end of its process, and longest wait for
+/// the rest of its standard error.
 const LAST_WORDS: Duration = Duration::from_millis(500);
-/// How much of SUMO's standard error is kept \[bytes, lines\].
+/// How much of SUMO's standard error is kept \[bytes\].
 const TAIL_BYTES: usize = 4096;
+/// How many lines of the kept standard error are reported.
 const TAIL_LINES: usize = 10;
 
-/// How SUMO is started.
+/// Options for starting SUMO.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Options {
-    /// The program; `None`: what [`find_sumo`] finds.
+    /// The program; `None`: the one that [`find_sumo`] finds.
     pub binary: Option<PathBuf>,
     /// Arguments, without `--remote-port`.
     pub arguments: Vec<OsString>,
-    /// TCP port; `None`: a free one, replaced by another if it is lost before SUMO opens it.
+    /// TCP port; `None`: a free one, replaced by another if it is taken before SUMO opens it.
     pub port: Option<u16>,
-    /// How long SUMO may take to load and open its port.
+    /// Longest time that SUMO may take to load its files and open its port.
     pub connect_timeout: Duration,
-    /// How long SUMO may take to answer one message.
+    /// Longest time that SUMO may take to answer one message.
     pub reply_timeout: Duration,
 }
 
@@ -67,7 +71,7 @@ impl Default for Options {
     }
 }
 
-/// A running SUMO. It is killed when this value is dropped.
+/// A running SUMO process, which is killed when this value is dropped.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -77,12 +81,14 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts SUMO, connects to it, and makes sure that it is SUMO and no other program that answers.
+    /// Starts SUMO, connects to it, and checks that the process that answers is the one that was
+    /// started.
     ///
     /// # Errors
-    /// [`Error::NotFound`], [`Error::Spawn`]; [`Error::Exited`] if SUMO ends while it loads;
-    /// [`Error::PortTaken`] if the wanted port, or one port after the other, belongs to another program;
-    /// [`Error::Connect`]; what [`Client::handshake`] returns.
+    /// [`Error::NotFound`] and [`Error::Spawn`] if SUMO cannot be found or started;
+    /// [`Error::Exited`] if SUMO ends while it loads; [`Error::PortTaken`] if the given port, or
+    /// each of several free ports, is taken by another program; [`Error::Connect`] if SUMO does not
+    /// open its port in time; the errors of [`Client::handshake`].
     pub fn start(options: &Options) -> Result<(Process, Client, Version), Error> {
         Self::start_on(options, free_port)
     }
@@ -118,7 +124,7 @@ impl Process {
         options: &Options,
         port: u16,
     ) -> Result<(Process, Client, Version), Error> {
-        // SUMO would see this itself, but only after it has loaded its net.
+        // SUMO makes this check itself, but only after loading its net.
         if let Err(e) = TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)) {
             return Err(match e.kind() {
                 io::ErrorKind::AddrInUse => Error::PortTaken { port },
@@ -156,7 +162,8 @@ impl Process {
         let stream = loop {
             attempts += 1;
             let source = match TcpStream::connect(address) {
-                // A connection attempt to a free port can, by chance, get that port and meet itself.
+                // If the system picks the free target port as the local port, TCP connects the
+                // socket to itself.
                 Ok(stream) if stream.local_addr().ok() == Some(address) => {
                     io::ErrorKind::ConnectionRefused.into()
                 }
@@ -172,7 +179,8 @@ impl Process {
             thread::sleep(POLL);
         };
         let mut client = Client::new(stream, options.reply_timeout)?;
-        // SUMO is known to have accepted the connection, and so to own its end of it, once it has answered.
+        // Only an answer proves that SUMO has accepted the connection and therefore owns its end of
+        // it.
         let answer = client.handshake();
         let owned = self.owns_other_end(client.stream());
         match (answer, owned) {
@@ -192,7 +200,7 @@ impl Process {
         else {
             return Ok(false);
         };
-        // As the table writes addresses: the four bytes read as a number of this machine, then the port.
+        // The table's notation: the four address bytes as a native-endian number, then the port.
         let cell = |a: std::net::SocketAddrV4| {
             format!("{:08X}:{:04X}", u32::from_ne_bytes(a.ip().octets()), a.port())
         };
@@ -210,23 +218,23 @@ impl Process {
             Ok(entries) => Ok(entries.flatten().any(|e| {
                 fs::read_link(e.path()).is_ok_and(|t| t.as_os_str() == OsStr::new(&socket))
             })),
-            // The process is gone.
+            // The process has ended.
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
             Err(e) => Err(e),
         }
     }
 
-    /// Process identifier.
+    /// Returns the process identifier.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// The TCP port that SUMO opened.
+    /// Returns the TCP port that SUMO opened.
     pub fn port(&self) -> u16 {
         self.port
     }
 
-    /// Replaces an error of the connection by [`Error::Exited`] if it comes from the end of the process.
+    /// Replaces a connection error by [`Error::Exited`] if the end of the process is its cause.
     #[must_use]
     pub fn explain(&mut self, error: Error) -> Error {
         match error {
@@ -238,10 +246,11 @@ impl Process {
         }
     }
 
-    /// The error of a process that has ended, or that ends within `patience`.
+    /// Returns the error for a process that has ended or that ends within `patience`.
     fn exited(&mut self, patience: Duration) -> Option<Error> {
         let status = wait(&mut self.child, patience)?;
-        // The pipe ends with the process; the bound is for a stranger that inherited it.
+        // The pipe closes with the process unless another process inherited it, hence the time
+        // limit.
         let start = Instant::now();
         while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && start.elapsed() < LAST_WORDS
         {
@@ -250,7 +259,8 @@ impl Process {
         Some(Error::Exited { status: status.to_string(), stderr_tail: self.stderr_tail() })
     }
 
-    /// Whether SUMO ended because its port was taken, or because another client had it by mistake, and left.
+    /// Returns [`Error::PortTaken`] if SUMO ended because its port was taken, or because another
+    /// program connected by mistake and then disconnected.
     fn port_lost(&mut self) -> Option<Error> {
         match self.exited(Duration::ZERO) {
             Some(Error::Exited { stderr_tail, .. })
@@ -264,7 +274,7 @@ impl Process {
         }
     }
 
-    /// The last lines that SUMO wrote to its standard error.
+    /// Returns the last lines that SUMO wrote to its standard error.
     pub fn stderr_tail(&self) -> String {
         let bytes: Vec<u8> =
             self.stderr.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect();
@@ -276,7 +286,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only if the process is gone already.
+        // Both calls fail only if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -317,7 +327,8 @@ fn free_port() -> Result<u16, Error> {
 
 type Job = (Command, mpsc::Sender<io::Result<Child>>);
 
-/// Starts a command that dies with this program, from the one thread that lives as long as the program.
+/// Starts a command whose process is killed when this program ends. The one thread that lives as
+/// long as the program starts it.
 fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
     static JOBS: Mutex<Option<mpsc::Sender<Job>>> = Mutex::new(None);
     let mut jobs = JOBS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -327,7 +338,7 @@ fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
         let (sender, receiver) = mpsc::channel::<Job>();
         let work = move || {
             while let Ok((command, answer)) = receiver.recv() {
-                // The asker waits for the answer, so it cannot be gone.
+                // Cannot fail, because the requesting thread waits for the answer.
                 let _ = answer.send(spawn_bound(command));
             }
         };
@@ -348,14 +359,14 @@ fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
 fn spawn_bound(mut command: Command) -> io::Result<Child> {
     let parent = std::process::id();
     command.process_group(0);
-    // SAFETY: between fork and exec only async-signal-safe calls are allowed. The closure makes two system
-    // calls and, on failure, an error from a number; it allocates nothing and takes no lock.
+    // SAFETY: between fork and exec only async-signal-safe calls are allowed. The closure makes two
+    // system calls and, on failure, creates an error from a number; it neither allocates nor locks.
     unsafe {
         command.pre_exec(move || {
             if libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) != 0 {
                 return Err(io::Error::last_os_error());
             }
-            // The parent may have ended before the tie was made.
+            // The parent may have ended before `prctl` took effect.
             if u32::try_from(libc::getppid()) != Ok(parent) {
                 return Err(io::Error::from_raw_os_error(libc::ESRCH));
             }
@@ -368,12 +379,12 @@ fn spawn_bound(mut command: Command) -> io::Result<Child> {
 /// Finds the program `sumo` in `$SUMO_HOME/bin`, then in `PATH`.
 ///
 /// # Errors
-/// [`Error::NotFound`], with the folders that were searched.
+/// [`Error::NotFound`] with the folders that were searched.
 pub fn find_sumo() -> Result<PathBuf, Error> {
     find_program("sumo")
 }
 
-/// The same for another of SUMO's programs, as `netconvert`.
+/// Finds another SUMO program, such as `netconvert`, in the same folders as [`find_sumo`].
 ///
 /// # Errors
 /// As [`find_sumo`].
@@ -392,10 +403,10 @@ fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<P
     found.ok_or(Error::NotFound { binary: binary.to_owned(), looked_in })
 }
 
-/// Version of a SUMO program, for example `1.15.0`, as it says itself.
+/// Returns the version that a SUMO program reports, for example `1.15.0`.
 ///
 /// # Errors
-/// [`Error::Spawn`] if it cannot be run; [`Error::Exited`] if it names no version.
+/// [`Error::Spawn`] if the program cannot be run; [`Error::Exited`] if it reports no version.
 pub fn sumo_version(binary: &Path) -> Result<String, Error> {
     let run = Command::new(binary).arg("--version").stdin(Stdio::null()).output();
     let output = run.map_err(|source| Error::Spawn { binary: binary.to_owned(), source })?;
@@ -411,7 +422,7 @@ pub fn sumo_version(binary: &Path) -> Result<String, Error> {
     })
 }
 
-/// Starts a SUMO on an empty net, shakes hands with it and ends it.
+/// Starts SUMO on an empty net, performs the handshake, ends SUMO, and returns its version.
 ///
 /// # Errors
 /// As [`Process::start`].
@@ -420,8 +431,8 @@ pub fn traci_version() -> Result<Version, Error> {
     Process::start(&options).map(|(_, _, version)| version)
 }
 
-/// A net without roads, which lives as long as the file handle, and options to start SUMO with it: SUMO
-/// answers no handshake without a net.
+/// Returns a net without roads, whose file exists as long as its handle, and options that start
+/// SUMO with it. Without a net SUMO does not answer the handshake.
 fn empty_net() -> Result<(tempfile::NamedTempFile, Options), Error> {
     let doing = "write a net to a temporary file";
     let mut file = tempfile::NamedTempFile::with_suffix(".net.xml")

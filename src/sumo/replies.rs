@@ -1,5 +1,5 @@
-//! What comes back from a [`Batch`], as owned values: a result for each [`Ticket`], and what the subscriptions
-//! report.
+//! The reply to a [`Batch`] as owned values: a result for each [`Ticket`], and what the
+//! subscriptions report.
 
 use std::{cell::OnceCell, cmp::Ordering, ops::Deref, sync::Arc, vec};
 
@@ -12,24 +12,26 @@ use super::{
     reply::{Report, Sink, read_value},
 };
 
-/// What SUMO said to each command of a batch, in order.
+/// The results of the commands of a batch, in order.
 #[derive(Debug, Default)]
 #[must_use = "a refusal shows in `check`, or when its ticket is taken"]
 pub struct Replies {
     batch: u64,
     outcomes: Vec<Outcome>,
-    /// For each command, SUMO's name for it.
+    /// SUMO's name of each command.
     names: Vec<&'static str>,
-    /// The first values of the subscriptions that the batch made, of the time when the command's turn came.
+    /// The first values of the subscriptions that the batch makes, at the position of the
+    /// subscribing command in the batch.
     pub first: Reports,
 }
 
 impl Replies {
-    /// The result that a ticket stands for.
+    /// Returns the result for a ticket.
     ///
     /// # Errors
-    /// [`Error::Refused`] if SUMO refused the command; [`Error::Invalid`] for a command that was not sent, and for a
-    /// ticket of another batch; [`Error::Type`] if the value is not of the type that it should be of.
+    /// [`Error::Refused`] if SUMO refused the command; [`Error::Invalid`] for a command that was
+    /// not sent and for a ticket of another batch; [`Error::Type`] if the value has an unexpected
+    /// type.
     pub fn take<T>(&mut self, ticket: Ticket<T>) -> Result<T, Error> {
         let Ticket { batch, commands, decode } = ticket;
         let last = commands
@@ -48,10 +50,11 @@ impl Replies {
         decode(answer).map_err(|error| error.in_answer_to(self.names[last]))
     }
 
-    /// Whether all commands were carried out, those aside whose tickets have been taken.
+    /// Checks that all commands succeeded, except those whose tickets have been taken.
     ///
     /// # Errors
-    /// The first failure: [`Error::Refused`], or [`Error::Invalid`] for a command that was not sent.
+    /// The first failure: [`Error::Refused`], or [`Error::Invalid`] for a command that was not
+    /// sent.
     pub fn check(&self) -> Result<(), Error> {
         match self.outcomes.iter().find_map(|outcome| outcome.as_ref().err()) {
             None => Ok(()),
@@ -86,7 +89,7 @@ impl IntoIterator for Replies {
     }
 }
 
-/// One variable that a subscription reports.
+/// The value of one variable that a subscription reports.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observed {
     /// As [`Report::response`].
@@ -99,7 +102,7 @@ pub struct Observed {
     pub domain: u8,
     /// As [`Report::variable`].
     pub variable: u8,
-    /// The value, or SUMO's message why there is none.
+    /// The value, or SUMO's message if there is no value.
     pub value: Result<Value, String>,
 }
 
@@ -108,27 +111,27 @@ impl Observed {
         format!("the subscription to variable {:#04x}", self.variable)
     }
 
-    /// What tells it from all others.
+    /// Returns the key that identifies the value among those of a reply.
     fn key(&self) -> Key<'_> {
         (self.response, self.around.as_deref(), self.domain, &self.object, self.variable)
     }
 }
 
-/// Response, object at the centre, domain, object, variable.
+/// Response, centre object, domain, object, variable.
 type Key<'a> = (u8, Option<&'a str>, u8, &'a str, u8);
 
-/// What came back from a batch with a step; it gives the [`Reports`] of the time after the step.
+/// The reply to a batch with a step. It dereferences to the [`Reports`] at the time after the step.
 #[derive(Debug, Default)]
 #[must_use = "a refusal shows in `check`, or when its ticket is taken"]
 pub struct StepReply {
-    /// For each command of the batch, what SUMO said.
+    /// The results of the commands of the batch.
     pub outcomes: Replies,
     /// What the subscriptions report after the step.
     pub reports: Reports,
 }
 
 impl StepReply {
-    /// As [`Replies::take`].
+    /// Returns the result for a ticket, as [`Replies::take`] does.
     ///
     /// # Errors
     /// As [`Replies::take`].
@@ -136,7 +139,7 @@ impl StepReply {
         self.outcomes.take(ticket)
     }
 
-    /// As [`Replies::check`].
+    /// Checks that all commands succeeded, as [`Replies::check`] does.
     ///
     /// # Errors
     /// As [`Replies::check`].
@@ -153,30 +156,29 @@ impl Deref for StepReply {
     }
 }
 
-/// What subscriptions report.
+/// The values that subscriptions report.
 #[derive(Debug, Default)]
 pub struct Reports {
-    /// All of it, as SUMO orders it.
+    /// All values in SUMO's order.
     pub subscriptions: Vec<Observed>,
-    /// Indices of `subscriptions` by key; made when they are first asked for.
+    /// Indices into `subscriptions`, sorted by key; computed on first use.
     order: OnceCell<Vec<u32>>,
 }
 
 impl Reports {
-    /// A subscribed variable of an object; `None` if it is not subscribed to or the object is gone. If several
-    /// subscriptions report it, the last value.
+    /// Returns a subscribed variable of an object; `None` if there is no such subscription or the
+    /// object is gone. If several subscriptions report the variable, the last value is returned.
     ///
     /// # Errors
-    /// [`Error::Refused`] with SUMO's message if SUMO has no value; [`Error::Type`] if the value is
-    /// not of the type that it should be of.
+    /// [`Error::Refused`] with SUMO's message if SUMO has no value; [`Error::Type`] if the value
+    /// has an unexpected type.
     pub fn get<V: Reported>(&self, object: &str, variable: V) -> Option<Result<V::Value, Error>> {
         let id = variable.identify();
         let domain = id.domain();
         self.find((domain.subscribe + 0x10, None, domain.get, object, id.number()))
     }
 
-    /// What the context subscription of an object reports: the objects around `centre`, which is an object
-    /// of the domain `of`.
+    /// Returns the report of the context subscription of `centre`, an object of the domain `of`.
     pub fn around<'a>(&'a self, of: Domain, centre: &'a str) -> Context<'a> {
         Context { reports: self, response: of.context + 0x10, centre }
     }
@@ -211,7 +213,7 @@ impl Reports {
     }
 }
 
-/// The objects around one object, see [`Reports::around`].
+/// The objects around a centre object, see [`Reports::around`].
 #[derive(Debug, Clone, Copy)]
 pub struct Context<'a> {
     reports: &'a Reports,
@@ -220,7 +222,8 @@ pub struct Context<'a> {
 }
 
 impl<'a> Context<'a> {
-    /// Identifiers of the objects, without order; those of one domain next to each other, sorted.
+    /// Returns the identifiers of the objects, sorted within each domain; those of one domain are
+    /// adjacent.
     pub fn objects(&self) -> impl Iterator<Item = &'a str> + use<'a> {
         let Context { reports, response, centre } = *self;
         let order = reports.order();
@@ -238,7 +241,7 @@ impl<'a> Context<'a> {
             })
     }
 
-    /// A variable of one of the objects, as [`Reports::get`].
+    /// Returns a variable of one of the objects, as [`Reports::get`] does.
     ///
     /// # Errors
     /// As [`Reports::get`].
@@ -248,20 +251,21 @@ impl<'a> Context<'a> {
     }
 }
 
-/// Collects a reply.
+/// A sink that collects a reply into owned values.
 pub(super) struct Collector<'a> {
     batch: &'a Batch,
     pub(super) reply: StepReply,
-    /// Simulation time that was told last \[s\].
+    /// Last simulation time in the reply \[s\].
     pub(super) time_s: Option<f64>,
     around: Shared,
     object: Shared,
 }
 
-/// The last of the names in a reply: a name stands there once, for any number of values, which share one copy.
+/// Most recent name in a reply. The reply contains a name once for several values, which share one
+/// copy here.
 #[derive(Default)]
 struct Shared {
-    /// Address and length in the reply.
+    /// Address and length of the name in the reply.
     place: (usize, usize),
     name: Arc<str>,
 }

@@ -1,5 +1,6 @@
-//! A reply, read in place. SUMO answers the commands of a message one by one, in order, and after a step
-//! tells what the subscriptions report; all of it is handed to a [`Sink`] while it is read.
+//! Parses a reply in place. SUMO answers the commands of a message one by one in order, and after a
+//! step reports the values of the subscriptions. The parser passes each part to a [`Sink`] while it
+//! reads.
 
 use super::{
     Error,
@@ -9,38 +10,40 @@ use super::{
     domain::simulation::VAR_COLLISIONS,
 };
 
-/// One variable that a subscription reports.
+/// A value that a subscription reports, without the value itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Report<'a> {
-    /// Identifier of the answer: the subscription's command + 0x10.
+    /// Identifier of the answer: that of the subscription command plus 0x10.
     pub response: u8,
-    /// The object at the centre, for a context subscription.
+    /// The centre object of a context subscription; `None` for a variable subscription.
     pub around: Option<&'a str>,
     /// The object that the value belongs to.
     pub object: &'a str,
-    /// The command that reads variables of the object's domain, [`Domain::get`].
+    /// Identifier of the command that reads variables of the object's domain, [`Domain::get`].
     pub domain: u8,
-    /// The variable.
+    /// Number of the variable.
     pub variable: u8,
-    /// `false`: the value is SUMO's message why there is no value (the object is gone).
+    /// Whether there is a value. If `false`, SUMO's message follows instead (the object is gone).
     pub known: bool,
-    /// Whether the value is that after the step of the message; else it is the first answer to the
-    /// subscription, of the time before the step.
+    /// Whether the value is that after the step of the message; otherwise it is the first answer to
+    /// the subscription, from before the step.
     pub after_step: bool,
 }
 
-/// Takes in a reply as it is read. Each method gets what its name says; those for values must read the
-/// one typed value that the reader stands at. The provided ones let everything pass.
+/// Receives the parts of a reply while it is read. A method that gets a `value` must read exactly
+/// one typed value from it. The default implementations ignore everything.
 pub trait Sink {
-    /// The command of this index in the batch was refused, or was not sent because SUMO must not get it.
+    /// Receives a refusal of the command with this index in the batch, or the reason why it was not
+    /// sent.
     fn refused(&mut self, index: usize, message: &str) {
         let _ = (index, message);
     }
 
-    /// The value of a variable that the `get` command of this index asked for; `response` is as in [`Report`].
+    /// Receives the value that the `get` command with this index reads; `response` is as in
+    /// [`Report`].
     ///
     /// # Errors
-    /// [`Error::Protocol`] if the bytes are not what they should be.
+    /// [`Error::Protocol`] if the bytes are no valid value.
     fn answer(
         &mut self,
         index: usize,
@@ -52,26 +55,26 @@ pub trait Sink {
         read_value(response, variable, value).map(drop)
     }
 
-    /// A variable of a subscription.
+    /// Receives a variable that a subscription reports.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if the bytes are not what they should be.
+    /// [`Error::Protocol`] if the bytes are no valid value.
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
         report.read(value).map(drop)
     }
 }
 
 impl Report<'_> {
-    /// Reads the value that the reader stands at.
+    /// Reads the value at the reader's position.
     ///
     /// # Errors
-    /// [`Error::Protocol`] if there is none.
+    /// [`Error::Protocol`] if the bytes are no valid value.
     pub fn read(&self, value: &mut Reader<'_>) -> Result<Value, Error> {
         read_value(self.domain.wrapping_add(0x10), self.variable, value)
     }
 }
 
-/// Reads the reply to a sealed batch.
+/// Parses the reply to a sealed batch and passes its parts to `sink`.
 pub(super) fn parse_reply(
     message: &[u8],
     batch: &Batch,
@@ -90,7 +93,8 @@ pub(super) fn parse_reply(
         let (id, mut status) = reader.command()?;
         let result = status.u8()?;
         carried_out = result == c::RTYPE_OK;
-        // 1.15 answers a refused filter under the filter's number.
+        // SUMO 1.15 reports the refusal of a filter with the filter's number as the command
+        // identifier.
         let filter = call.command == c::CMD_ADD_SUBSCRIPTION_FILTER && !carried_out;
         if id != call.command && !filter {
             return Err(Error::Protocol {
@@ -103,8 +107,8 @@ pub(super) fn parse_reply(
         status.end("the end of a status")?;
         if !carried_out {
             sink.refused(index, text);
-            // 1.15 answers a refused subscription all the same, with the reason in place of the values. No command
-            // has the identifier of such an answer.
+            // SUMO 1.15 sends an answer also for a refused subscription, with the reason in place
+            // of the values. No command has the identifier of such an answer.
             let mut ahead = reader.clone();
             let subscription = matches!(call.answer, Answer::Subscription { .. });
             if subscription
@@ -157,8 +161,9 @@ pub(super) fn parse_reply(
     reader.end("the end of the message")
 }
 
-/// Lists that are one compound of a number and all values of that many records: domain, variable, and
-/// values of a record. For some of them, 1.15 writes more items than it counts.
+/// Variables whose value is a flat compound: the number of records, then all values of all records.
+/// Each entry holds domain, variable, and number of values per record. For some of these variables
+/// SUMO 1.15 writes more items than the compound's item count.
 const LISTS: [(Domain, u8, usize); 10] = [
     (Domain::INDUCTION_LOOP, 0x17, 5),
     (Domain::LANE, 0x33, 8),
@@ -172,13 +177,13 @@ const LISTS: [(Domain, u8, usize); 10] = [
     (Domain::VEHICLE, 0xb2, 6),
 ];
 
-/// Vehicle variable: those beside it.
+/// Vehicle variable with the neighbouring vehicles.
 const NEIGHBORS: u8 = 0xbf;
 
-/// Reads the value of a variable; `response` is the identifier of the answer. Differs from
-/// [`Reader::value`] where SUMO departs from its own types: [`LISTS`] are not counted right; the neighbours
-/// of a vehicle are a compound of untyped items; a polygon without points lacks the number that its first
-/// byte announces.
+/// Reads the value of a variable; `response` is the identifier of the answer. It differs from
+/// [`Reader::value`] where SUMO deviates from its own format: the item counts of [`LISTS`] are
+/// wrong, the neighbours of a vehicle are a compound of untyped items, and a polygon without points
+/// lacks the number that its first byte announces.
 pub(super) fn read_value(
     response: u8,
     variable: u8,
@@ -211,22 +216,22 @@ pub(super) fn read_value(
     reader.value()
 }
 
-/// Reads the head of the compound of collisions up to their number.
+/// Reads the head of the compound of collisions and returns the number of collisions.
 pub(super) fn read_collision_count(reader: &mut Reader<'_>) -> Result<usize, Error> {
     // Collider, victim, their types, their speeds, kind, lane, position.
     read_count(reader, 9)
 }
 
-/// Reads the head of a list up to the number of records, of so many values each.
+/// Reads the head of a list and returns the number of records, each of `values` values.
 fn read_count(reader: &mut Reader<'_>, values: usize) -> Result<usize, Error> {
     reader.kind(c::TYPE_COMPOUND, "a list")?;
     reader.i32()?;
     reader.kind(c::TYPE_INTEGER, "the length of a list")?;
-    // No value takes less than two bytes.
+    // Each value takes at least two bytes.
     reader.count(values * 2, "the length of a list")
 }
 
-/// Whether an answer is that of a context subscription.
+/// Whether an answer belongs to a context subscription.
 fn is_context(response: u8) -> bool {
     matches!(response, 0x10..=0x1f | 0x90..=0x9f)
 }
@@ -239,7 +244,7 @@ fn parse_reports(
     sink: &mut impl Sink,
 ) -> Result<(), Error> {
     let centre = reader.str()?;
-    // A variable subscription is answered with 0x40 more than the command that reads the variable.
+    // The answer to a variable subscription is 0x40 above the command that reads the variable.
     let domain = if context { reader.u8()? } else { response.wrapping_sub(0x40) };
     let variables = reader.u8()?;
     let objects = if context { reader.count(4, "the number of objects")? } else { 1 };

@@ -1,14 +1,16 @@
-//! The boundary between the environments and SUMO: worlds, commands out, a snapshot back.
+//! The interface between the environments and SUMO: worlds, commands to SUMO, and a snapshot of the
+//! result.
 //!
-//! A *world* is one episode's traffic: `slots` vehicle slots on one copy of the net, in coordinates of
-//! its own. How worlds are hosted (a process each, tiles of one net, libsumo) is the host's business;
-//! the environments see world and slot numbers only. One decision is ONE exchange, split in two halves
-//! ([`Simulation::send`], [`Simulation::receive`]) so that many hosts can be set going before the first
-//! answer is awaited.
+//! A *world* is the traffic of one episode: `slots` vehicle slots on one copy of the net, in its
+//! own coordinates. The environments see only world and slot numbers. How worlds run (one process
+//! each, tiles of one net, libsumo) is hidden behind [`Simulation`]. One decision is one exchange.
+//! It is split into [`Simulation::send`] and [`Simulation::receive`], so that many SUMO instances
+//! can work at the same time.
 //!
-//! A vehicle is reported by its way along the route, not by coordinates: SUMO adds up lengths of lanes, which are the
-//! same numbers in every copy of a net, while coordinates far from the origin are rounded otherwise. So a world's
-//! results are the same, to the bit, however it is hosted.
+//! SUMO reports the position of a vehicle as the distance along its route instead of coordinates.
+//! SUMO sums lane lengths, which are the same numbers in every copy of a net, whereas coordinates
+//! far from the origin are rounded differently. The results of a world are therefore bit-identical
+//! however it is hosted.
 
 use std::time::Duration;
 
@@ -17,13 +19,14 @@ use super::Error;
 /// State of one vehicle after a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VehicleState {
-    /// Front bumper, from the start of the route's first edge, as the sum of SUMO's lane lengths \[m\].
+    /// Distance of the front bumper from the start of the route's first edge, as the sum of SUMO's
+    /// lane lengths \[m\].
     pub distance: f64,
     /// Speed \[m/s\].
     pub speed: f64,
 }
 
-/// Where a vehicle is that SUMO drives, after a step.
+/// The pose of a vehicle or pedestrian that SUMO drives, after a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Body {
     /// Centre of the front bumper, x in the world's coordinates \[m\].
@@ -32,14 +35,16 @@ pub struct Body {
     pub y: f64,
     /// Heading \[rad\], counter-clockwise from +x.
     pub heading: f64,
-    /// Time lost since it departed, by driving below the speed that its lane and type allow \[s\].
+    /// Time lost since departure by driving below the speed that its lane and type allow \[s\].
     pub time_loss: f64,
 }
 
-/// One instruction of a decision. Commands of one [`Simulation::send`] are carried out in order, before the step.
+/// One command of a decision. SUMO carries out the commands of one [`Simulation::send`] in order,
+/// before the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Command {
-    /// Puts a vehicle into a slot that is empty (or was emptied by [`Command::Remove`] in the same batch).
+    /// Adds a vehicle to a slot that is empty (or that an earlier [`Command::Remove`] of the same
+    /// [`Simulation::send`] empties).
     Add {
         /// World number.
         world: u32,
@@ -47,14 +52,14 @@ pub enum Command {
         slot: u32,
         /// Index into [`SimulationConfig::routes`].
         route: u32,
-        /// Index into [`SimulationConfig::vehicle_types`], and beyond these into [`Others::types`].
+        /// Index into [`SimulationConfig::vehicle_types`], continued by [`Others::types`].
         vehicle_type: u32,
         /// Position of the front bumper on the route's first edge \[m\].
         depart_pos: f64,
         /// Speed at departure \[m/s\].
         depart_speed: f64,
     },
-    /// As [`Command::Add`], where SUMO finds the place and the speed, or of a pedestrian.
+    /// Adds a vehicle whose position and speed SUMO chooses, or a pedestrian, to an empty slot.
     Depart {
         /// World number.
         world: u32,
@@ -62,17 +67,18 @@ pub enum Command {
         slot: u32,
         /// Index into [`Others::departures`].
         departure: u32,
-        /// As in [`Command::Add`].
+        /// Index as in [`Command::Add`].
         vehicle_type: u32,
     },
-    /// Takes the vehicle of a slot out of the simulation; nothing happens if the slot is empty.
+    /// Removes the vehicle of a slot from the simulation; has no effect on an empty slot.
     Remove {
         /// World number.
         world: u32,
         /// Slot of the world.
         slot: u32,
     },
-    /// Speed that the vehicle has after the step \[m/s\]; a negative value gives the speed back to SUMO's driver.
+    /// Sets the speed that the vehicle has after the step \[m/s\]; a negative value returns control
+    /// of the speed to SUMO's car-following model.
     SetSpeed {
         /// World number.
         world: u32,
@@ -81,23 +87,24 @@ pub enum Command {
         /// Speed \[m/s\].
         speed: f64,
     },
-    /// SUMO's speed mode bits (32: no check at all, 31: SUMO's own driver and right of way).
+    /// Sets SUMO's speed mode bits (32: no checks; 31: all checks of SUMO's car-following model and
+    /// right of way).
     SpeedMode {
         /// World number.
         world: u32,
         /// Slot of the world.
         slot: u32,
-        /// The bits.
+        /// Speed mode bits.
         mode: i32,
     },
-    /// SUMO no longer changes the vehicle's lane of its own accord.
+    /// Stops SUMO from changing the vehicle's lane.
     KeepLane {
         /// World number.
         world: u32,
         /// Slot of the world.
         slot: u32,
     },
-    /// Places the vehicle, from the end of the coming step on (TraCI's `moveToXY`).
+    /// Moves the vehicle to a pose, which it has at the end of the next step (TraCI's `moveToXY`).
     MoveTo {
         /// World number.
         world: u32,
@@ -109,12 +116,13 @@ pub enum Command {
         y: f64,
         /// Heading \[rad\], counter-clockwise from +x.
         heading: f64,
-        /// SUMO's bits: 1 maps the place to the vehicle's route only, 2 takes exactly the place, also off the road.
+        /// SUMO's bits: 1 maps the position to the vehicle's route only, 2 takes the exact
+        /// position, also off the road.
         keep_route: u8,
     },
 }
 
-/// A kind of vehicle, made known to SUMO when the simulation starts.
+/// A vehicle type, which is defined in SUMO when the simulation starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VehicleType {
     /// SUMO id of the type.
@@ -125,71 +133,74 @@ pub struct VehicleType {
     pub width: f64,
     /// Highest speed \[m/s\].
     pub max_speed: f64,
-    /// Acceleration ability of SUMO's driver \[m/s²\].
+    /// Acceleration ability in SUMO's car-following model \[m/s²\].
     pub accel: f64,
-    /// Comfortable deceleration of SUMO's driver \[m/s²\].
+    /// Comfortable deceleration in SUMO's car-following model \[m/s²\].
     pub decel: f64,
-    /// Strongest deceleration of SUMO's driver \[m/s²\].
+    /// Maximum deceleration in SUMO's car-following model \[m/s²\].
     pub emergency_decel: f64,
-    /// Gap to the leader when standing \[m\].
+    /// Gap to the leader at standstill \[m\].
     pub min_gap: f64,
-    /// Desired time headway of SUMO's driver \[s\].
+    /// Desired time headway in SUMO's car-following model \[s\].
     pub tau: f64,
 }
 
-/// A route, made known to SUMO when the simulation starts.
+/// A route, which is defined in SUMO when the simulation starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
     /// SUMO id of the route.
     pub id: String,
     /// Edge ids in driving order.
     pub edges: Vec<String>,
-    /// Lane of the first edge on which vehicles depart, from the right, starting at 0.
+    /// Lane of the first edge on which vehicles depart, counted from the right and starting at 0.
     pub lane: u32,
-    /// Whether it is for pedestrians, who need not know of it before they depart.
+    /// Whether pedestrians walk the route. Such a route is not defined in SUMO in advance; a
+    /// pedestrian gets its edges at departure.
     pub walked: bool,
 }
 
-/// Vehicles that SUMO drives, and pedestrians, beside those that are told what to do.
+/// Background traffic: vehicles that SUMO drives, and pedestrians.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Others {
-    /// The slots from this one on are theirs: [`Snapshot::bodies`] tells where they are.
+    /// First slot of the background traffic, which also uses all following slots.
+    /// [`Snapshot::bodies`] gives its poses.
     pub first_slot: u32,
-    /// `<vType>` elements, as SUMO reads them.
+    /// `<vType>` elements in SUMO's format.
     pub definitions: String,
-    /// Ids of these types and of SUMO's own, addressed by index.
+    /// Ids of these types and of SUMO's built-in types; commands refer to them by index.
     pub types: Vec<String>,
-    /// Ways to depart, addressed by index.
+    /// Possible departures; commands refer to them by index.
     pub departures: Vec<Departure>,
 }
 
-/// How a vehicle or a pedestrian departs, in SUMO's words.
+/// The departure of a vehicle or a pedestrian, in SUMO's terms.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Departure {
     /// A vehicle.
     Drive {
         /// Index into [`SimulationConfig::routes`].
         route: u32,
-        /// `departLane`.
+        /// SUMO's `departLane`.
         lane: String,
-        /// `departPos`.
+        /// SUMO's `departPos`.
         pos: String,
-        /// `departSpeed`.
+        /// SUMO's `departSpeed`.
         speed: String,
     },
     /// A pedestrian.
     Walk {
         /// Index into [`SimulationConfig::routes`].
         route: u32,
-        /// From the beginning of the first edge, in its direction \[m\].
+        /// Position on the first edge, from its beginning in its direction \[m\].
         pos: f64,
-        /// Likewise on the last edge, where the walk ends \[m\].
+        /// Position on the last edge where the walk ends, from the beginning of that edge in its
+        /// direction \[m\].
         arrival: f64,
     },
 }
 
 impl Departure {
-    /// Index into [`SimulationConfig::routes`].
+    /// Returns the index into [`SimulationConfig::routes`].
     pub fn route(&self) -> u32 {
         match self {
             Self::Drive { route, .. } | Self::Walk { route, .. } => *route,
@@ -197,114 +208,117 @@ impl Departure {
     }
 }
 
-/// What a host needs to start.
+/// The configuration with which a simulation starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationConfig {
-    /// The `.net.xml`.
+    /// Path of the `.net.xml` file.
     pub net: std::path::PathBuf,
     /// Length of a simulation step \[s\].
     pub step_length: f64,
-    /// SUMO's own seed.
+    /// Seed of SUMO's own random numbers.
     pub seed: u64,
-    /// Worlds, each on its own copy of the net.
+    /// Number of worlds, each on its own copy of the net.
     pub worlds: u32,
-    /// Vehicle slots per world.
+    /// Number of vehicle slots per world.
     pub slots: u32,
-    /// Vehicle types, addressed by index.
+    /// Vehicle types; commands refer to them by index.
     pub vehicle_types: Vec<VehicleType>,
-    /// Routes, addressed by index.
+    /// Routes; commands refer to them by index.
     pub routes: Vec<Route>,
-    /// How long SUMO may take for an answer before it counts as dead.
+    /// Longest wait for an answer before SUMO counts as dead.
     pub timeout: Duration,
-    /// Whether SUMO looks for collisions in junctions, too. It takes most of SUMO's time where vehicles crowd.
+    /// Whether SUMO also detects collisions on junctions. In dense traffic this takes most of
+    /// SUMO's time.
     pub audit: bool,
-    /// Vehicles that SUMO drives, if there are any.
+    /// Background traffic; `None` if there is none.
     pub others: Option<Others>,
 }
 
-/// How a simulation was brought back to a fresh and empty state.
+/// How a simulation was reset to an empty state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Renewal {
-    /// The instance loaded its net again.
+    /// The SUMO instance loaded its net again.
     Loaded,
-    /// A new instance took its place.
+    /// A new SUMO instance replaced the old one.
     Restarted,
 }
 
-/// What has gone over the boundary so far.
+/// Counts of the exchanges with SUMO so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Meter {
-    /// Exchanges with SUMO.
+    /// Number of exchanges.
     pub exchanges: u64,
-    /// Bytes sent; 0 in process.
+    /// Number of bytes sent; 0 for SUMO in this process.
     pub sent: u64,
-    /// Bytes received; 0 in process.
+    /// Number of bytes received; 0 for SUMO in this process.
     pub received: u64,
-    /// SUMO's process; `None` where it is this one.
+    /// Process identifier of SUMO; `None` for SUMO in this process.
     pub pid: Option<u32>,
 }
 
-/// A collision as SUMO reports it.
+/// A collision that SUMO reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Collision {
     /// World number.
     pub world: u32,
-    /// Slot of the vehicle that ran into the other.
+    /// Slot of the vehicle that ran into the other, SUMO's collider.
     pub collider: u32,
-    /// Slot of the other vehicle.
+    /// Slot of the other vehicle, SUMO's victim.
     pub victim: u32,
 }
 
-/// What came back from one step. Reused from step to step.
+/// The result of one step. Its buffers are reused from step to step.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Snapshot {
     /// Simulation time after the step \[s\].
     pub time: f64,
-    /// `[worlds * slots]`, world-major; `None`: no vehicle of that slot is on the road.
+    /// States of the vehicles, `[worlds * slots]`, world-major; `None` if no vehicle of the slot is
+    /// on the road.
     pub vehicles: Vec<Option<VehicleState>>,
-    /// As `vehicles`, of those that SUMO drives; empty where there are none ([`SimulationConfig::others`]).
+    /// Poses of the background traffic, indexed as `vehicles`; empty if there is no background
+    /// traffic ([`SimulationConfig::others`]).
     pub bodies: Vec<Option<Body>>,
-    /// Collisions that SUMO reports for this step (a lasting overlap is reported in each step).
+    /// Collisions that SUMO reports for this step. A lasting overlap is reported in each step.
     pub collisions: Vec<Collision>,
 }
 
-/// One SUMO instance, hosting one or more worlds.
+/// One SUMO instance, which runs one or more worlds.
 pub trait Simulation: Send {
-    /// Worlds hosted here.
+    /// Returns the number of worlds in this instance.
     fn worlds(&self) -> u32;
 
-    /// Vehicle slots per world.
+    /// Returns the number of vehicle slots per world.
     fn slots(&self) -> u32;
 
-    /// Sends the commands of one decision together with the step of one step length.
+    /// Sends the commands of one decision and a step of one step length.
     ///
     /// # Errors
-    /// [`Error`]; fatal ones mean that this instance is gone.
+    /// [`Error`]; a fatal error means that this instance is lost.
     fn send(&mut self, commands: &[Command]) -> Result<(), Error>;
 
     /// Waits for the answer to the last [`Simulation::send`].
     ///
     /// # Errors
-    /// [`Error`]; fatal ones mean that this instance is gone.
+    /// [`Error`]; a fatal error means that this instance is lost.
     fn receive(&mut self) -> Result<&Snapshot, Error>;
 
-    /// Makes the simulation fresh and empty: SUMO loads its net again if it still answers, else a new SUMO takes its
-    /// place.
+    /// Resets the simulation to an empty state: SUMO loads its net again if it still answers;
+    /// otherwise a new SUMO instance replaces it.
     ///
     /// # Errors
-    /// [`Error`] when no new instance can be started.
+    /// [`Error`] if no new instance can be started.
     fn renew(&mut self) -> Result<Renewal, Error>;
 
-    /// SUMO's seed from the next [`Simulation::renew`] on.
+    /// Sets SUMO's seed, with effect from the next [`Simulation::renew`].
     fn reseed(&mut self, seed: u64);
 
-    /// What has gone over the boundary so far.
+    /// Returns the counts of the exchanges so far.
     fn meter(&self) -> Meter;
 
-    /// [`Simulation::send`] and [`Simulation::receive`] in one: ONE exchange for all worlds.
+    /// Combines [`Simulation::send`] and [`Simulation::receive`] in one exchange for all worlds.
     ///
     /// # Errors
-    /// As those two.
+    /// As [`Simulation::send`] and [`Simulation::receive`].
     fn step(&mut self, commands: &[Command]) -> Result<&Snapshot, Error> {
         self.send(commands)?;
         self.receive()

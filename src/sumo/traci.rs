@@ -1,9 +1,9 @@
-//! A [`Simulation`] in a SUMO process of its own, spoken to over TraCI.
+//! A [`Simulation`] in a separate SUMO process, over TraCI.
 //!
-//! One decision is one message: the setters, then the step; the reply holds the status of each setter
-//! and what the subscriptions report after the step. SUMO lets a name be used again in the very message that removes
-//! its former bearer. SUMO moves a vehicle by its new speed times the step (its default method), so a commanded speed
-//! is a mean speed.
+//! One decision is one message: the commands, then the step. The reply holds the status of each
+//! command and what the subscriptions report after the step. SUMO allows a vehicle to be added
+//! under a name whose former vehicle is removed in the same message. SUMO moves a vehicle by its
+//! new speed times the step length (SUMO's default method), so a commanded speed is a mean speed.
 
 use std::{fmt::Write as _, time::Duration};
 
@@ -24,14 +24,14 @@ use super::{
     reply::{Report, Sink, read_collision_count, read_value},
 };
 
-/// A SUMO has at least this long to load its net, however short its time for answers.
+/// Minimum time that SUMO has to load its net, even if its time for answers is shorter.
 const LEAST_START: Duration = Duration::from_secs(10);
 
-/// One or more worlds in one SUMO process.
+/// A simulation of one or more worlds in one SUMO process.
 #[derive(Debug)]
 pub struct TraciSimulation {
     fleet: Fleet,
-    /// Goes before the process: an open connection is closed before its peer is killed.
+    /// Declared before `process`, so that the connection is closed before SUMO is killed.
     client: Client,
     process: Process,
     version: Version,
@@ -42,11 +42,12 @@ pub struct TraciSimulation {
 }
 
 impl TraciSimulation {
-    /// Starts SUMO with the net, and makes the vehicle types and routes known to it.
+    /// Starts SUMO with the net and defines the vehicle types and routes.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a configuration that SUMO cannot have; [`Error::Net`] for a net that cannot be tiled;
-    /// [`Error::Refused`] for a type or route that SUMO refuses; what [`Process::start`] returns.
+    /// [`Error::Invalid`] for a configuration that SUMO does not support; [`Error::Net`] for a net
+    /// that cannot be tiled; [`Error::Refused`] for a vehicle type or route that SUMO refuses; the
+    /// errors of [`Process::start`].
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
         let fleet = Fleet::new(config)?;
         let (process, client, version) = launch(&fleet)?;
@@ -64,22 +65,22 @@ impl TraciSimulation {
         Ok(simulation)
     }
 
-    /// What SUMO said in the handshake.
+    /// Returns SUMO's version from the handshake.
     pub fn version(&self) -> &Version {
         &self.version
     }
 
-    /// Process identifier of SUMO.
+    /// Returns SUMO's process identifier.
     pub fn pid(&self) -> u32 {
         self.process.pid()
     }
 
-    /// What the last step left, also when [`Simulation::receive`] returned a refusal.
+    /// Returns the result of the last step, also if [`Simulation::receive`] returned a refusal.
     pub fn snapshot(&self) -> &Snapshot {
         &self.fleet.snapshot
     }
 
-    /// Lets SUMO load its net again.
+    /// Makes SUMO load its net again.
     fn load(&mut self) -> Result<(), Error> {
         let arguments: Vec<String> =
             self.fleet.arguments()?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
@@ -87,7 +88,7 @@ impl TraciSimulation {
         self.introduce()
     }
 
-    /// Vehicle types, routes and the subscription of the simulation, in one message.
+    /// Defines the vehicle types and routes and makes all subscriptions, in one message.
     fn introduce(&mut self) -> Result<(), Error> {
         let batch = &mut self.batch;
         batch.clear();
@@ -99,7 +100,7 @@ impl TraciSimulation {
             types.set_min_gap(&kind.id, kind.min_gap);
             types.set_max_speed(&kind.id, kind.max_speed);
             types.set_accel(&kind.id, kind.accel);
-            // Before the comfortable one, which may not exceed it.
+            // This deceleration must be set before the comfortable one, which may not exceed it.
             types.set_emergency_decel(&kind.id, kind.emergency_decel);
             types.set_decel(&kind.id, kind.decel);
             types.set_tau(&kind.id, kind.tau);
@@ -126,8 +127,9 @@ impl TraciSimulation {
             VAR_TIMELOSS.id(),
         ];
         let of_vehicles = if self.fleet.config().others.is_some() { &all[..] } else { &all[..2] };
-        // One subscription for all vehicles of a world: to begin and end one takes SUMO the longer the more there are, so
-        // that one for each vehicle would make respawns slow.
+        // One subscription covers all vehicles of a world. SUMO takes longer to begin or end a
+        // subscription the more there are, so that one subscription per vehicle would slow down
+        // respawns.
         for junction in &self.fleet.junctions {
             batch.subscribe_context(
                 Domain::JUNCTION,
@@ -153,10 +155,10 @@ impl TraciSimulation {
     }
 }
 
-/// The commands of a step on their way into its message.
+/// Writes the commands of a step into its message.
 struct Message<'a> {
     batch: &'a mut Batch,
-    /// Position and speed at departure, as SUMO wants them written.
+    /// Position, speed and lane at departure as strings, which SUMO requires.
     texts: &'a mut [String; 3],
 }
 
@@ -291,7 +293,7 @@ impl Simulation for TraciSimulation {
     }
 
     fn renew(&mut self) -> Result<Renewal, Error> {
-        // An answer that is still awaited would be taken for that to the load.
+        // The reply that is still awaited would be taken for the reply to the load command.
         let awaited = std::mem::take(&mut self.awaiting);
         self.fleet.empty();
         if !awaited && self.load().is_ok() {
@@ -325,15 +327,15 @@ const POSITION: u8 = VAR_POSITION.number();
 const ANGLE: u8 = VAR_ANGLE.number();
 const TIME_LOSS: u8 = VAR_TIMELOSS.number();
 
-/// Reads what one step leaves into the snapshot.
+/// A sink that reads the reply to a step into the snapshot.
 pub(super) struct StepSink<'a> {
     pub(super) fleet: &'a mut Fleet,
-    /// What was read of the vehicle that the reports of the moment are about.
+    /// Values read so far of the vehicle or pedestrian whose report is being read.
     pub(super) distance: Option<f64>,
     pub(super) speed: Option<f64>,
     pub(super) position: Option<[f64; 2]>,
     pub(super) angle: Option<f64>,
-    /// The commands that were refused, and why.
+    /// Indices of the refused commands, with SUMO's reasons.
     pub(super) refused: Vec<(usize, String)>,
 }
 
@@ -373,7 +375,7 @@ impl Sink for StepSink<'_> {
             SPEED => self.speed = Some(finite(value)?),
             POSITION => self.position = Some(finite_point(value)?),
             ANGLE => self.angle = Some(finite(value)?),
-            // The last that is asked for of those that SUMO drives.
+            // With background traffic, the time loss is the last variable in a vehicle's report.
             TIME_LOSS => {
                 let loss = finite(value)?;
                 if let (Some(position), Some(angle)) = (self.position.take(), self.angle.take())
@@ -384,7 +386,7 @@ impl Sink for StepSink<'_> {
             }
             _ => drop(read_value(report.response, report.variable, value)?),
         }
-        // The last that is asked for of pedestrians, who have no distance.
+        // The speed is the last variable in a pedestrian's report, which has no distance.
         if let (None, Some(position), Some(angle), Some(speed)) =
             (self.distance, self.position, self.angle, self.speed)
         {
@@ -403,7 +405,7 @@ impl Sink for StepSink<'_> {
     }
 }
 
-/// Reads a double that takes part in the environments' arithmetic.
+/// Reads a double and checks that it is finite, because the environments calculate with it.
 fn finite(value: &mut Reader<'_>) -> Result<f64, Error> {
     let number = value.double()?;
     if number.is_finite() {
@@ -413,14 +415,14 @@ fn finite(value: &mut Reader<'_>) -> Result<f64, Error> {
     }
 }
 
-/// As [`finite`], a point.
+/// Reads a position and checks that its coordinates are finite.
 fn finite_point(value: &mut Reader<'_>) -> Result<[f64; 2], Error> {
     let point = value.position_2d()?;
     let all = point.iter().all(|x| x.is_finite());
     if all { Ok(point) } else { Err(value.unexpected("finite coordinates", format!("{point:?}"))) }
 }
 
-/// Reads the collisions between vehicles of ours.
+/// Reads the collisions between vehicles of the fleet.
 fn read_collisions(value: &mut Reader<'_>, fleet: &mut Fleet) -> Result<(), Error> {
     let count = read_collision_count(value)?;
     for _ in 0..count {

@@ -1,4 +1,4 @@
-//! Sweep files that build on another: `base = "other.toml"`.
+//! Sweep files with a base: `base = "other.toml"`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +8,13 @@ use toml::{Table, Value};
 use super::Error;
 use crate::config::flatten;
 
-/// The text of a file.
+/// Reads the text of a file.
 pub(super) fn read(path: &Path) -> Result<String, Error> {
     std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
-/// What `text` says, and its base where it says nothing. The base's path begins in the folder of `file`.
+/// Parses `text`, with the values of its base for everything that `text` does not set. The path of
+/// the base is relative to the folder of `file`.
 pub(super) fn resolve<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
     let whole = with_base::<T>(text, file, &mut Vec::new())?;
     whole.try_into().map_err(|e: toml::de::Error| Error::Syntax {
@@ -34,7 +35,8 @@ fn with_base<T: DeserializeOwned>(
     file: &Path,
     before: &mut Vec<PathBuf>,
 ) -> Result<Table, Error> {
-    // Each file alone first, from its text: what is wrong with it has a line there, and none once it is merged.
+    // Each file is parsed alone first: its errors have line numbers, which are lost once the files
+    // are merged.
     let _: T = parse(text, file)?;
     let mut own: Table = parse(text, file)?;
     let Some(Value::String(base)) = own.remove("base") else { return Ok(own) };
@@ -48,7 +50,7 @@ fn with_base<T: DeserializeOwned>(
     }
     before.push(real);
     let mut whole = with_base::<T>(&text, &path, before)?;
-    // A setting may be written in a table or with a dot.
+    // A setting may be written in a table or as a key with dots.
     for table in [&mut whole, &mut own] {
         if let Some(Value::Table(settings)) = table.get_mut("settings") {
             *settings = flatten(settings).into_iter().collect();
@@ -58,7 +60,8 @@ fn with_base<T: DeserializeOwned>(
     Ok(whole)
 }
 
-/// Tables are merged, at any depth; whatever else `from` has, lists among it, replaces what was there.
+/// Merges tables at any depth; any other value of `from`, lists included, replaces the value in
+/// `to`.
 fn merge(to: &mut Table, from: Table) {
     for (key, value) in from {
         match (to.get_mut(&key), value) {

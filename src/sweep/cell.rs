@@ -1,4 +1,5 @@
-//! One cell of a sweep: a run, its evaluations, and how far both are, from the files in its folder.
+//! One cell of a sweep: a run with its evaluations. The progress of both follows from the files in
+//! the cell's folder.
 
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -14,65 +15,66 @@ use crate::train::RunDir;
 /// One run of the grid.
 #[derive(Debug, Clone)]
 pub struct Cell {
-    /// Name: its folder below the sweep's.
+    /// Name of the cell: its folder, relative to the sweep's folder.
     pub id: String,
-    /// Where it runs.
+    /// The run folder.
     pub folder: PathBuf,
-    /// Keys and values of the grid.
+    /// The cell's keys and values of the grid.
     pub values: Vec<(String, Value)>,
-    /// Everything, resolved.
+    /// All settings of the run, resolved.
     pub config: Config,
-    /// Of its scenario's files ([`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint)).
+    /// Fingerprint of the scenario's files
+    /// ([`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint)).
     pub fingerprint: String,
-    /// The cell that must be trained first, because this one begins with its policy.
+    /// Id of the cell that must be trained first, because this cell starts with its policy.
     pub after: Option<String>,
 }
 
-/// How far a cell is.
+/// The progress of a cell.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum State {
-    /// Nothing is there.
+    /// The folder contains no training.
     New,
-    /// Training was cut off after so many steps.
+    /// Training was interrupted after this number of steps.
     Partial(u64),
-    /// Trained; so many evaluations are missing.
+    /// Training is finished; this number of evaluations is missing.
     Trained(usize),
-    /// All is there.
+    /// Training and all evaluations are finished.
     Finished,
-    /// It failed; the last lines that it said.
+    /// A command failed; with the reason and the last lines of the log.
     Failed(String),
 }
 
-/// A command of a cell.
+/// A command that a cell runs next.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {
-    /// Arguments of this program.
+    /// Arguments of `iwol`.
     pub arguments: Vec<String>,
-    /// What it does, for people.
+    /// Description for the user.
     pub what: String,
 }
 
-/// Left in the folder of a run that is trained to its end.
+/// Content of the file that marks a run as trained to its end.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Trained {
-    /// Steps that were done.
+    /// Environment steps of the training.
     pub steps: u64,
-    /// Seconds of rollouts and updates.
+    /// Duration of rollouts and updates \[s\].
     pub seconds: f64,
 }
 
 impl Cell {
-    /// The run folder.
+    /// Returns the run folder.
     pub fn run(&self) -> RunDir {
         RunDir::new(&self.folder)
     }
 
-    /// A value of the grid.
+    /// Returns the cell's value of a key of the grid.
     pub fn value(&self, key: &str) -> Option<&Value> {
         value_of(&self.values, key)
     }
 
-    /// Everything that the cell's processes said.
+    /// Returns the path of the log with everything that the cell's processes printed to stderr.
     pub fn log(&self) -> PathBuf {
         self.folder.join("sweep.log")
     }
@@ -85,7 +87,7 @@ impl Cell {
         self.folder.join("failed.txt")
     }
 
-    /// Where the result of an evaluation is.
+    /// Returns the path of the result of an evaluation.
     pub fn result(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> PathBuf {
         let name = match label(combination) {
             none if none.is_empty() => evaluate.name.clone(),
@@ -94,12 +96,12 @@ impl Cell {
         self.folder.join("evaluations").join(format!("{name}.json"))
     }
 
-    /// Steps and seconds of training, once it is over.
+    /// Returns steps and seconds of the training; `None` if it is not finished.
     pub fn trained(&self) -> Option<Trained> {
         serde_json::from_slice(&std::fs::read(self.trained_mark()).ok()?).ok()
     }
 
-    /// How far it is.
+    /// Returns the progress of the cell.
     pub fn state(&self, evaluations: &[Evaluate]) -> State {
         if let Ok(text) = std::fs::read_to_string(self.failed_mark()) {
             return State::Failed(text);
@@ -114,12 +116,12 @@ impl Cell {
         }
     }
 
-    /// Steps of training that are recorded.
+    /// Returns the recorded environment steps of the training.
     pub fn steps(&self) -> u64 {
         last_line(&self.run().metrics()).and_then(|line| line["step"].as_u64()).unwrap_or(0)
     }
 
-    /// Seconds of training that are recorded.
+    /// Returns the recorded duration of the training \[s\].
     pub fn seconds(&self) -> f64 {
         last_line(&self.run().metrics())
             .and_then(|line| line["time/total_s"].as_f64())
@@ -137,7 +139,8 @@ impl Cell {
         all.filter(|(evaluate, combination)| !self.is_evaluated(evaluate, combination))
     }
 
-    /// Whether there is a result, and of the very evaluation that is asked for.
+    /// Returns whether there is a result of exactly this evaluation: with the same episodes,
+    /// checkpoint and settings.
     pub fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
         let read = || {
             serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok()
@@ -151,10 +154,11 @@ impl Cell {
             && stored == sets
     }
 
-    /// Refuses a folder whose run has other settings than this cell (but for those that change no result), or another scenario.
+    /// Checks that the run in the folder, if there is one, has this cell's settings and scenario.
+    /// Settings that do not change results may differ.
     ///
     /// # Errors
-    /// [`Error::Changed`], [`Error::Scenario`], [`Error::Teacher`].
+    /// [`Error::Changed`] for other settings, [`Error::Scenario`] for a changed scenario.
     pub fn check(&self) -> Result<(), Error> {
         let begun = self.run().last().exists() || self.trained().is_some();
         let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
@@ -167,14 +171,15 @@ impl Cell {
             table.remove("device");
             config::remove_untold(&mut table, &self.config.algorithm);
             let mut flat = config::flatten(&table);
-            // Of a run that is over it does not matter; one that goes on would teach its decoders other samples.
+            // The number of shards decides which samples the decoders learn from; it must not
+            // change in a run that continues.
             if self.trained().is_some() {
                 flat.remove("ppo.shards");
             }
             flat
         };
         let (mut was, is) = (table(&text), table(&self.config.to_toml()));
-        // Where the other cell's folder is does not matter.
+        // The folder that contains the other cell does not matter.
         if let (Some(after), Some(Value::String(path))) = (&self.after, was.get("init_from"))
             && Path::new(path).ends_with(after)
         {
@@ -194,10 +199,11 @@ impl Cell {
         }
     }
 
-    /// The next thing to do; `None` when all is done. A failure is forgotten by [`Cell::retry`] alone.
+    /// Returns the next command to run; `None` if everything is done. The mark of a failure stays
+    /// until [`Cell::retry`].
     ///
     /// # Errors
-    /// When the folder cannot be written, or holds another run.
+    /// If the folder cannot be written or contains another run.
     pub fn next(&self, evaluations: &[Evaluate]) -> Result<Option<Job>, Error> {
         self.check()?;
         let folder = self.folder.display().to_string();
@@ -208,7 +214,8 @@ impl Cell {
             source,
         })?;
         if self.trained().is_none() {
-            // A run that goes on reads it, too: what changes no result may have changed.
+            // A run that is resumed reads this file too: settings that do not change results may
+            // have changed.
             write_atomic(&self.run().config(), self.config.to_toml().as_bytes())?;
             let resumed = self.run().last().exists();
             let mut arguments = vec!["train".to_owned(), "--out".to_owned(), folder.clone()];
@@ -234,11 +241,11 @@ impl Cell {
         }))
     }
 
-    /// Copies what reports are made from, if training is over, to the same place below another folder of run folders: settings,
-    /// versions, validations and evaluations, without weights.
+    /// Copies the data of reports, if training is finished, to the same place below another folder
+    /// of run folders: settings, versions, validations and evaluations, without weights.
     ///
     /// # Errors
-    /// When a file cannot be read or written.
+    /// If a file cannot be read or written, or the copy would replace a run with weights.
     pub fn keep(&self, out: &Path, sweep: &str) -> Result<(), Error> {
         let Some(trained) = self.trained() else { return Ok(()) };
         let kept = Self { folder: out.join(sweep).join(&self.id), ..self.clone() };
@@ -271,10 +278,10 @@ impl Cell {
         Ok(write_atomic(&kept.trained_mark(), text.as_bytes())?)
     }
 
-    /// Notes that training ended by itself.
+    /// Marks the run as trained, and removes the mark of a failure.
     ///
     /// # Errors
-    /// When the note cannot be written.
+    /// If a file cannot be written or removed.
     pub fn mark_trained(&self) -> Result<(), Error> {
         let trained = Trained { steps: self.steps(), seconds: self.seconds() };
         let text = serde_json::to_string(&trained).expect("two numbers");
@@ -282,14 +289,16 @@ impl Cell {
         self.retry()
     }
 
-    /// Notes a failure with the last lines of the log.
+    /// Marks the cell as failed, with the reason and the last lines of the log, and returns that
+    /// text.
     ///
     /// # Errors
-    /// When the note cannot be written.
+    /// If the file cannot be written.
     pub fn mark_failed(&self, why: &str) -> Result<String, Error> {
         let log = std::fs::read_to_string(self.log()).unwrap_or_default();
         let lines: Vec<&str> = log.lines().filter(|line| !line.trim().is_empty()).collect();
-        // From the last complaint on, or else the end.
+        // The excerpt begins at the last error message; without one it consists of the last six
+        // lines.
         let complaint = lines
             .iter()
             .rposition(|line| line.starts_with("error:") || line.contains("panicked at"));
@@ -300,10 +309,10 @@ impl Cell {
         Ok(text)
     }
 
-    /// Forgets a failure.
+    /// Removes the mark of a failure.
     ///
     /// # Errors
-    /// When the note cannot be removed.
+    /// If the file cannot be removed.
     pub fn retry(&self) -> Result<(), Error> {
         let path = self.failed_mark();
         match std::fs::remove_file(&path) {
@@ -315,7 +324,7 @@ impl Cell {
     }
 }
 
-/// The last whole line of a file of JSON lines, without reading all of it.
+/// Returns the last whole line of a file of JSON lines; reads only the end of the file.
 fn last_line(path: &Path) -> Option<serde_json::Value> {
     let mut file = std::fs::File::open(path).ok()?;
     let length = file.metadata().ok()?.len();

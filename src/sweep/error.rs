@@ -1,10 +1,10 @@
-//! What can be wrong with a sweep.
+//! Errors of sweeps.
 
 use std::path::PathBuf;
 
 use crate::config;
 
-/// What is wrong with a sweep.
+/// An error of a sweep.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -13,37 +13,37 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The file is not TOML, or has keys that a sweep has not.
+    /// The file is not TOML, or contains an unknown key.
     #[error("{file}: {message}")]
     Syntax {
         /// The file.
         file: String,
-        /// What is wrong, with line and column.
+        /// Description of the error, with line and column.
         message: String,
     },
-    /// The file makes no sense.
+    /// The content of the file is not valid.
     #[error("{file}: {message}")]
     Content {
         /// The file.
         file: String,
-        /// What is wrong.
+        /// Description of the error.
         message: String,
     },
     /// The settings of a cell are not valid.
     #[error("{place}")]
     Cell {
-        /// File and cell.
+        /// File and cell, as text.
         place: String,
-        /// What is wrong.
+        /// The error of the settings.
         source: config::Error,
     },
     /// A file of a cell cannot be read or written.
     #[error(transparent)]
     Record(#[from] crate::record::Error),
-    /// A cell's folder holds a run of a scenario that has changed since.
+    /// A cell's folder contains a run of a scenario that has changed since.
     #[error(
         "`{}` was trained on `{}` as it was before: that file has changed, or a net or route file that it names; change it back, \
          or move the run away, or choose another --out",
@@ -55,13 +55,13 @@ pub enum Error {
         /// The scenario's file.
         path: PathBuf,
     },
-    /// What a report is made from would replace a run.
+    /// The data of a report would replace a run that has its weights.
     #[error("`{}` holds a run with its weights; choose another folder to keep what reports are made from", folder.display())]
     Kept {
         /// The run's folder.
         folder: PathBuf,
     },
-    /// A cell's folder holds a run with other settings.
+    /// A cell's folder contains a run with other settings.
     #[error(
         "`{}` holds a run with another `{key}`: {was}, and now {is}; move it away, or choose another --out",
         folder.display()
@@ -71,9 +71,9 @@ pub enum Error {
         folder: PathBuf,
         /// The setting.
         key: String,
-        /// In the folder.
+        /// Its value in the folder.
         was: String,
-        /// In the sweep file.
+        /// Its value in the sweep file.
         is: String,
     },
 }

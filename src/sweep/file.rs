@@ -1,4 +1,4 @@
-//! A sweep file as it is written: what it may say, and the cells that it describes.
+//! The format of a sweep file, and the cells that it describes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,14 +9,14 @@ use toml::{Table, Value};
 use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
 use crate::config::{Config, Document, Layers, flatten, no_matter_of_evaluation};
 
-/// Metrics for which there may be published values.
+/// Metrics for which published values may be given.
 const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
 
-/// The file as it is written, with what it leaves to its base.
+/// A sweep file as it is written, merged with its base.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
-    /// The sweep file on which this one builds.
+    /// The sweep file that this file is based on.
     #[serde(default, rename = "base")]
     _base: Option<String>,
     #[serde(default)]
@@ -35,7 +35,7 @@ pub(super) struct File {
     pub(super) reference: Vec<Reference>,
 }
 
-/// Settings of the cells that match.
+/// Settings for the cells that match.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Rule {
@@ -43,7 +43,7 @@ struct Rule {
     set: Table,
 }
 
-/// Combinations that are no cells.
+/// Combinations of the grid that are left out.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Skip {
@@ -51,7 +51,8 @@ struct Skip {
 }
 
 impl File {
-    /// Reads the text of `file` with its base, and checks what can be checked without its cells.
+    /// Parses the text of `file` with its base, and checks everything that does not depend on the
+    /// cells.
     pub(super) fn read(text: &str, file: &str) -> Result<Self, Error> {
         let mut parsed: Self = base::resolve(text, Path::new(file))?;
         if parsed.evaluate.is_empty() {
@@ -132,7 +133,8 @@ impl File {
         Ok(())
     }
 
-    /// The cells of this file, which messages call `file`; `folder` is the sweep's, where their folders are.
+    /// Returns the cells of this file. Messages call the file `file`; the cells' folders lie in
+    /// `folder`.
     pub(super) fn cells(&self, file: &str, folder: &Path) -> Result<Vec<Cell>, Error> {
         let kept = self.combinations().map_err(|message| wrong(file, message))?;
         let mut matched = vec![false; self.rule.len()];
@@ -158,7 +160,7 @@ impl File {
         }
     }
 
-    /// The grid's combinations but for those that are left out.
+    /// Returns the combinations of the grid without those that a `[[skip]]` leaves out.
     fn combinations(&self) -> Result<Vec<Vec<(String, Value)>>, String> {
         let left_out = |skip: &Skip, values: &[(String, Value)]| {
             holds(&skip.when, |key| value_of(values, key))
@@ -205,7 +207,7 @@ impl File {
             return Err(wrong(file, format!("cell {id}: {why}")));
         }
         let cell = Cell { folder: folder.join(&id), id, values, config, fingerprint, after };
-        // A mistake in how it is evaluated should not wait until it is trained.
+        // Errors in an evaluation are reported now, not after the training.
         for evaluate in self.evaluate.iter().filter(|evaluate| evaluate.applies(&cell)) {
             for combination in evaluate.combinations() {
                 let sets = evaluate.sets(&combination);
@@ -225,7 +227,8 @@ impl File {
         Ok(cell)
     }
 
-    /// Rules, those that `matched`, and evaluations are for some cell.
+    /// Checks that every rule and every evaluation applies to at least one cell; `matched` says so
+    /// for the rules.
     fn check_used(&self, cells: &[Cell], matched: &[bool]) -> Result<(), String> {
         if let Some(rule) = matched.iter().position(|matched| !matched) {
             return Err(format!(
@@ -244,7 +247,8 @@ impl File {
     }
 }
 
-/// Cells that begin with the policy of another: that one is there, and some cell can be first.
+/// Checks cells that start with the policy of another cell: the other cell must exist and have the
+/// same networks, and the order of training must contain no cycle.
 fn check_order(cells: &[Cell]) -> Result<(), String> {
     for cell in cells {
         let begins_with =
@@ -264,7 +268,7 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
                 return Err(format!("cell {}: init_from: {why}", cell.id));
             }
         }
-        // As many steps as there are cells lead back to one that was there before.
+        // If so many predecessors exist as there are cells, one of them occurs twice.
         if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
             return Err(format!(
                 "cell {}: init_from goes round in a circle: no cell of it can be first",
@@ -279,12 +283,13 @@ fn wrong(file: &str, message: String) -> Error {
     Error::Content { file: file.to_owned(), message }
 }
 
-/// What is wanted, for people.
+/// Formats a condition for a message.
 fn listed(when: &Table) -> String {
     toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
 }
 
-/// Name of the cell whose policy another one begins with: the one that has other values for the keys in `change`.
+/// Returns the id of the cell whose policy another cell starts with: the cell that differs in the
+/// keys of `change`.
 fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Result<String, String> {
     let change = flatten(change);
     for (key, wanted) in &change {
@@ -305,7 +310,8 @@ fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Resul
     Ok(cell_id(&other))
 }
 
-/// The common settings, those of the rules that match in order, and the cell's own.
+/// Merges the common settings, the cell's own values, and the settings of the matching rules in
+/// their order.
 fn settings_of(
     common: &Table,
     rules: &[Rule],
@@ -318,7 +324,7 @@ fn settings_of(
         if holds(&rule.when, |key| flat.get(key)) {
             *matched = true;
             let mut set = flatten(&rule.set);
-            // What the grid says of a cell is what its name says.
+            // Values of the grid take precedence over rules, because the cell's name contains them.
             set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
             flat.extend(set);
         }
@@ -335,7 +341,7 @@ fn settings_of(
             let inner = here.entry(part.to_owned()).or_insert_with(|| Value::Table(Table::new()));
             match inner {
                 Value::Table(table) => here = table,
-                // A setting where a table belongs: the configuration says so.
+                // A value where a table is expected: the configuration reports this error.
                 _ => break,
             }
         }
@@ -343,7 +349,8 @@ fn settings_of(
     nested
 }
 
-/// Folder of a cell below the sweep's: what it is, then its seed.
+/// Returns the folder of a cell, relative to the sweep's folder: the values of the grid, then the
+/// seed.
 fn cell_id(values: &[(String, Value)]) -> String {
     let (seed, others): (Vec<_>, Vec<_>) =
         values.iter().cloned().partition(|(key, _)| key == "seed");

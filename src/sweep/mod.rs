@@ -1,4 +1,5 @@
-//! Sweeps: a grid of settings, each combination a training run in a folder of its own, evaluated in one or more ways.
+//! Sweeps: a grid of settings. Each combination is a training run in its own folder, evaluated in
+//! one or more ways.
 //!
 //! ```toml
 //! title = "Success against the number of vehicles"
@@ -13,16 +14,16 @@
 //! set = { "train.envs" = 8 }
 //! [[skip]]                                # combinations that are no cells
 //! when = { agents = 4, seed = 2 }
-//! [[evaluate]]                            # what is played with each policy, for each combination of its own grid
+//! [[evaluate]]                            # an evaluation of each policy, for each combination
 //! name = "range"
 //! episodes = 200
 //! grid = { "env.communication_range" = [100.0, 10.0] }
 //! ```
 //!
-//! A file may name another as its `base`, and then says only what differs.
+//! A file may name another file as its `base` and then contains only what differs from it.
 //!
-//! What is done and what is not follows from the files in the cells' folders alone, so that a sweep can be cut off at any
-//! moment, divided over machines, and gone on with.
+//! The progress of a sweep follows only from the files in the cells' folders, so that a sweep can
+//! be interrupted at any moment, divided over machines, and continued.
 
 mod base;
 mod cell;
@@ -44,21 +45,22 @@ pub use crate::config::plain;
 /// A sweep file.
 #[derive(Debug, Clone)]
 pub struct Sweep {
-    /// Name: that of the file, without its extension.
+    /// Name of the sweep: the file name without its extension.
     pub name: String,
-    /// What the report is called.
+    /// Title of the report.
     pub title: String,
-    /// Keys of the grid, in the file's order, with how many values each has.
+    /// Keys of the grid, in the file's order, each with its number of values.
     pub keys: Vec<(String, usize)>,
-    /// The cells; seeds vary slowest, so that a sweep that is cut off has whole rows.
+    /// The cells. Seeds vary slowest, so that an interrupted sweep has complete rows for its first
+    /// seeds.
     pub cells: Vec<Cell>,
-    /// What is played with each policy.
+    /// Evaluations of each trained policy.
     pub evaluations: Vec<Evaluate>,
     /// Published values to compare with.
     pub references: Vec<Reference>,
 }
 
-/// One way of playing with the policy of each cell.
+/// One way of evaluating the policy of each cell.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Evaluate {
@@ -68,22 +70,25 @@ pub struct Evaluate {
     /// Heading in the report.
     #[serde(default)]
     pub title: String,
-    /// Episodes, the same for all.
+    /// Number of episodes, the same for all cells and combinations.
     #[serde(default = "Evaluate::default_episodes")]
     pub episodes: u64,
-    /// Which weights: the last ones, or those with the best validation.
+    /// Which checkpoint is evaluated: the last one, or the one with the best validation.
     #[serde(default)]
     pub checkpoint: Which,
-    /// Settings of the task and of the policy that differ from training's: each combination is an evaluation.
+    /// Settings of the task and of the policy that differ from training. Each combination is a
+    /// separate evaluation.
     #[serde(default)]
     pub grid: Table,
-    /// The cells that are evaluated so: those with these values, or one of a list of values [default: all].
+    /// Selects the cells that are evaluated: those with these values, or with one of a list of
+    /// values [default: all].
     #[serde(default)]
     pub when: Table,
-    /// The key along the horizontal axis [default: the only key of this grid, or `agents`].
+    /// The key along the horizontal axis of the figure [default: the only key of this grid, or
+    /// `agents`].
     #[serde(default)]
     pub x: Option<String>,
-    /// A key of which each value gets a panel of its own in the figure, which then shows success alone.
+    /// A key whose values each get their own panel in the figure, which then shows only success.
     #[serde(default)]
     pub panels: Option<String>,
 }
@@ -97,17 +102,18 @@ impl Evaluate {
         200
     }
 
-    /// Whether a cell is evaluated so.
+    /// Returns whether this evaluation applies to a cell.
     pub fn applies(&self, cell: &Cell) -> bool {
         holds(&self.when, |key| cell.value(key))
     }
 
-    /// Combinations of this grid, each a list of keys and values; one empty combination without a grid.
+    /// Returns the combinations of this grid, each a list of keys and values; a single empty
+    /// combination without a grid.
     pub fn combinations(&self) -> Vec<Vec<(String, Value)>> {
         combinations(&self.grid)
     }
 
-    /// A combination as `--set` takes it.
+    /// Returns a combination as values of `--set`.
     pub fn sets(&self, combination: &[(String, Value)]) -> Vec<String> {
         combination.iter().map(|(key, value)| format!("{key}={}", plain(value))).collect()
     }
@@ -117,15 +123,15 @@ impl Evaluate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Which {
-    /// At the end of training.
+    /// The checkpoint at the end of training.
     #[default]
     Last,
-    /// With the best validation.
+    /// The checkpoint with the best validation.
     Best,
 }
 
 impl Which {
-    /// Name of the checkpoint's file.
+    /// Returns the file name of the checkpoint.
     pub fn file(self) -> &'static str {
         match self {
             Self::Last => "last.safetensors",
@@ -134,39 +140,41 @@ impl Which {
     }
 }
 
-/// Values that somebody published: drawn and tabulated beside ours.
+/// Published values, drawn and tabulated beside those of the sweep.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
     /// Name in legend and table.
     pub label: String,
-    /// Our series that they are to be compared with, and whose colour they get.
+    /// Label of the series of this sweep with which the values are compared; they are drawn in its
+    /// colour.
     #[serde(default)]
     pub beside: String,
     /// Metric, as in the JSON of `iwol evaluate`.
     pub metric: String,
-    /// Values along the horizontal axis; none where there is no axis.
+    /// Values along the horizontal axis; empty if the evaluation has no axis.
     #[serde(default)]
     pub x: Vec<f64>,
-    /// The published values there, in the metric's unit (rates from 0 to 1).
+    /// The published values at `x`, in the metric's unit (rates from 0 to 1).
     pub y: Vec<f64>,
-    /// Name of the evaluation to which they belong [default: the first].
+    /// Name of the evaluation to which the values belong [default: the first].
     #[serde(default)]
     pub evaluate: Option<String>,
 }
 
 impl Sweep {
-    /// Reads a sweep file and resolves every cell; run folders are below `out`.
+    /// Reads a sweep file and resolves every cell. The run folders lie below `out`.
     ///
     /// # Errors
-    /// [`Error`], naming file, cell and key.
+    /// An [`Error`] that names file, cell and key.
     pub fn load(path: &Path, out: &Path) -> Result<Self, Error> {
         let text = base::read(path)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Self::parse(&text, &path.display().to_string(), &name, out)
     }
 
-    /// As [`Sweep::load`], from text that messages call `file`, and from whose folder the path of its base begins.
+    /// Does the same as [`Sweep::load`] for a given text. Messages call the text `file`; the path
+    /// of its base is relative to the folder of `file`.
     ///
     /// # Errors
     /// See [`Sweep::load`].
@@ -184,14 +192,15 @@ impl Sweep {
         })
     }
 
-    /// The cell that has to be trained before this one, if it is not.
+    /// Returns the cell that must be trained before this one; `None` if there is none or it is
+    /// trained.
     pub fn waits_for(&self, cell: &Cell) -> Option<&Cell> {
         let first = self.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id))?;
         (cell.trained().is_none() && first.trained().is_none()).then_some(first)
     }
 }
 
-/// Whether all these keys have the value that is wanted, or one of a list.
+/// Returns whether every key has the wanted value, or one of a list of wanted values.
 fn holds<'a>(when: &Table, value: impl Fn(&str) -> Option<&'a Value>) -> bool {
     when.iter().all(|(key, wanted)| {
         value(key)
@@ -203,7 +212,7 @@ fn value_of<'a>(values: &'a [(String, Value)], key: &str) -> Option<&'a Value> {
     values.iter().find(|(own, _)| own == key).map(|(_, value)| value)
 }
 
-/// All combinations of a grid's values; the last key varies fastest.
+/// Returns all combinations of a grid's values; the last key varies fastest.
 fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
     let mut all = vec![Vec::new()];
     for (key, values) in grid {
@@ -220,7 +229,8 @@ fn combinations(grid: &Table) -> Vec<Vec<(String, Value)>> {
     all
 }
 
-/// `key=value` pairs with the last part of each key, joined by `_`, fit for a file name; the algorithm by itself.
+/// Returns `key=value` pairs joined by `_`, fit for a file name, with the last part of each key; of
+/// the algorithm only the value.
 fn label(values: &[(String, Value)]) -> String {
     let safe = |text: String| {
         text.chars()
@@ -406,7 +416,8 @@ mod tests {
         assert!(matches!(cell.keep(folder.path(), "s"), Err(Error::Kept { .. })));
     }
 
-    /// Not after it has been trained, which may take hours.
+    /// Combinations of policy and evaluation that cannot work are refused when the file is read,
+    /// before hours of training.
     #[test]
     fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
         let with = |algorithms: &str, grid: &str| {

@@ -1,4 +1,4 @@
-//! Filling a rollout: what the worlds show, what the policy does with noise, what comes of it.
+//! Collects a rollout: observations of the worlds, noisy actions of the policy, and their results.
 
 use tch::Tensor;
 
@@ -13,21 +13,21 @@ use crate::rollout::Rollout;
 const FLOAT: (tch::Kind, tch::Device) = (tch::Kind::Float, tch::Device::Cpu);
 
 impl Trainer {
-    /// Plays as many steps as the rollout has, in all worlds.
+    /// Plays as many steps as the rollout has, in all worlds, and stores them.
     ///
     /// # Errors
-    /// When SUMO fails twice in a row.
+    /// If SUMO fails twice in a row.
     pub(super) fn collect(&mut self, seed: Seed) -> Result<(), Error> {
         let s = self.rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
-        // Each iteration begins anew: what it draws depends on its number alone.
+        // The noise starts anew in each iteration: it depends on the iteration's number alone.
         let correlation = schedule::correlation(&self.config, &self.progress);
         let mut noise =
             CorrelatedNoise::new(s.envs * s.agents, &self.task.spec.actions, correlation);
         let correlated = noise.is_correlated();
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
         self.rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
-        // An imposed schedule is for all noise there is.
+        // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
         let schedule =
             if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
@@ -106,14 +106,14 @@ impl Trainer {
             store_frames(&self.env, &self.memory, &mut self.rollout, s.steps)
         });
         if self.learner.graph_lasts() {
-            // The value of what the rollout ends with is that of the same graph.
+            // The last observation is valued over the same graph as the rollout.
             store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
         }
         Ok(())
     }
 }
 
-/// Row `t` of the rollout: what the worlds show before decision `t`, and the memory that comes with it.
+/// Stores row `t` of the rollout: the worlds' frames before decision `t`, and the policy's memory.
 fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
     let s = rollout.sizes;
     for (e, world) in env.worlds().enumerate() {
@@ -139,7 +139,7 @@ fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) 
     }
 }
 
-/// Row `t` of the noise of graphs, whose scale is e to the power of `schedule`.
+/// Stores row `t` of the communication graphs' noise, whose scale is e to the power of `schedule`.
 fn store_graph_noise(rollout: &mut Rollout, t: usize, schedule: f32, mut rng: Rng) {
     let row = rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs);
     let noise = &mut rollout.graph_noise[row];
@@ -159,8 +159,8 @@ mod tests {
     use super::*;
     use crate::config::{Config, Layers};
 
-    /// Where vehicles steer and noise lasts, each action has the probability of the process that
-    /// drew it, given the noise of the step before, in every world and at every step.
+    /// Where vehicles steer and noise is correlated, each action has the log density of the process
+    /// that drew it, given the noise of the step before, in every world and at every step.
     #[test]
     fn actions_under_lasting_noise_have_the_probability_of_its_process() {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
@@ -172,7 +172,7 @@ mod tests {
         let (correlation, log_std) =
             (config.exploration.correlation, config.exploration.log_std_start);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
-        // Nothing is left over from the rollout before.
+        // The second rollout must contain nothing of the first.
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         trainer.collect(Seed::new(2)).expect("SUMO runs");
         let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
@@ -215,7 +215,7 @@ mod tests {
         }
     }
 
-    /// What a rollout ends with is valued over the graph that acted, as all else of it.
+    /// The end of a rollout is valued over the same graph as its steps.
     #[test]
     fn a_graph_for_a_whole_rollout_is_that_of_its_end_as_well() {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");

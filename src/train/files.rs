@@ -1,4 +1,4 @@
-//! The lines that a run writes: metrics, episodes of validations, and `TensorBoard`'s.
+//! The files that a run writes: metrics, episodes of validations, and TensorBoard events.
 
 use std::path::PathBuf;
 
@@ -13,9 +13,9 @@ use crate::env::EpisodeRecord;
 use crate::evaluate::Evaluation;
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 
-/// Keys of what a validation says about a decoder: error and explained variance over all features,
-/// explained variance of the linear probe, undetermined features, and explained variance of these
-/// by the decoder and by the probe ([`crate::evaluate::Probe`]).
+/// Keys of a validation's metrics of the world decoder: error and explained variance over all
+/// features, explained variance of the linear probe, number of undetermined features, and explained
+/// variance of these features by the decoder and by the probe ([`crate::evaluate::Probe`]).
 const WORLD: [&str; 6] = [
     "validation/world_error",
     "validation/world_explained",
@@ -24,7 +24,7 @@ const WORLD: [&str; 6] = [
     "validation/world_undetermined_explained",
     "validation/world_undetermined_probe_explained",
 ];
-/// The same of the interaction decoder.
+/// The same keys for the interaction decoder.
 const INTERACTION: [&str; 6] = [
     "validation/interaction_error",
     "validation/interaction_explained",
@@ -49,8 +49,9 @@ struct EpisodeLine<'a> {
 }
 
 impl Files {
-    /// Opens or creates them; lines beyond `step`, and validations beyond the step of the last one that counts, are from a future
-    /// that is played again.
+    /// Opens or creates the files. In a resumed run, lines beyond `step` and validations beyond
+    /// `validated`, the step of the checkpoint's last validation, are removed, because that part is
+    /// repeated.
     pub(super) fn open(
         dir: &RunDir,
         config: &Config,
@@ -84,7 +85,7 @@ impl Files {
         })
     }
 
-    /// Forces all lines to disk, before a checkpoint that presumes them.
+    /// Flushes all lines to disk, before a checkpoint that relies on them.
     pub(super) fn sync(&self) -> Result<(), Error> {
         self.metrics.sync()?;
         Ok(self.episodes.sync()?)
@@ -101,7 +102,8 @@ impl Files {
         Ok(())
     }
 
-    /// Gives the success of the episodes that the iteration finished.
+    /// Writes an iteration's metrics and returns the success rate of the episodes that ended in it,
+    /// without repeated and interrupted ones; `None` if there are none.
     pub(super) fn iteration(
         &mut self,
         trainer: &Trainer,
@@ -141,6 +143,7 @@ impl Files {
         Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
     }
 
+    /// Writes the metrics and the episodes of a validation.
     pub(super) fn validation(
         &mut self,
         progress: &Progress,

@@ -1,4 +1,4 @@
-//! A run's `meta.json`: with what, on what and how it is trained, and how far it is.
+//! A run's `meta.json`: the program, command and machine of the training, and its progress.
 
 use std::path::Path;
 use std::time::SystemTime;
@@ -29,12 +29,12 @@ struct Meta<'a> {
 }
 
 impl RunDir {
-    /// Writes `meta.json` before the training that starts or goes on from `progress`: what somebody
-    /// needs to know who finds the folder in a year. `fingerprint` is the scenario's, `worlds` says
-    /// how the worlds are hosted.
+    /// Writes `meta.json` before training starts or continues from `progress`, so that the run can
+    /// be understood from its folder later. `fingerprint` is that of the scenario; `worlds`
+    /// describes how the worlds are hosted.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub fn begin_meta(
         &self,
         config: &Config,
@@ -44,7 +44,7 @@ impl RunDir {
     ) -> Result<(), record::Error> {
         let program = Program::current();
         let now = now();
-        // A folder in which no step was done belongs to no earlier run.
+        // A run without a finished step takes nothing over from a file that is in the folder.
         let before = self.read_meta().filter(|_| progress.step > 0);
         let earlier = before.as_ref().and_then(training_of).map_or_else(Vec::new, |known| {
             let mut earlier = known.earlier;
@@ -70,7 +70,7 @@ impl RunDir {
         self.write_meta(&serde_json::to_value(meta).expect("plain data"))
     }
 
-    /// Brings `meta.json` up to `progress`; a run that has none gets none.
+    /// Updates `meta.json` to `progress`; does nothing if there is no readable file.
     pub(super) fn update_meta(&self, progress: &Progress) -> Result<(), record::Error> {
         let Some(Value::Object(mut meta)) = self.read_meta() else { return Ok(()) };
         let news: Map<String, Value> = [
@@ -84,7 +84,7 @@ impl RunDir {
         self.write_meta(&Value::Object(meta))
     }
 
-    /// What the run was trained with; `None` where `meta.json` is missing or damaged.
+    /// Returns the programs that trained the run; `None` if `meta.json` is missing or damaged.
     pub fn training(&self) -> Option<Training> {
         training_of(&self.read_meta()?)
     }
@@ -106,8 +106,8 @@ fn now() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |passed| passed.as_secs())
 }
 
-/// The command line of this process; of the program's own path its name alone, which is the same on
-/// every machine.
+/// Returns the command line of this process. The program's path is reduced to its name, which is
+/// the same on every machine.
 fn command() -> Vec<String> {
     let mut words: Vec<String> =
         std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!((&meta["steps"], &meta["scenario"]), (&64.into(), &"f".into()));
         assert!(meta["host"]["cores"].as_u64() > Some(0), "{meta}");
 
-        // The same program goes on; then one of another version had begun.
+        // First the same program resumes the run; then the file names another version.
         dir.begin_meta(&config, &at(64), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
         let older = meta.to_string().replace(&training.program.version, "0.0.7");
@@ -155,7 +155,7 @@ mod tests {
         let earlier = dir.training().expect("written").earlier;
         assert_eq!(earlier.iter().map(|p| p.version.as_str()).collect::<Vec<_>>(), ["0.0.7"]);
         assert_eq!(dir.read_meta().expect("JSON")["started_unix_s"], 12345);
-        // A new run in the folder owes nothing to it.
+        // A new run in the folder takes nothing over.
         dir.begin_meta(&config, &at(0), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
     }

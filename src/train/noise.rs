@@ -3,16 +3,17 @@
 use crate::env::ActionDimension;
 use crate::rng::{self, Rng};
 
-/// The noise of a rollout's actions: a first-order autoregressive process of variance 1 in every
-/// dimension that may be correlated, independent from step to step in the others.
+/// The noise of a rollout's actions: a first-order autoregressive process with variance 1 in every
+/// dimension that may be correlated, and independent from step to step in the others.
 ///
-/// Given the noise of the step before, the noise of a step is Gaussian: its mean is what is
-/// [`carried`](Self::carried) over, its deviation the share that is drawn anew. Probabilities of
-/// actions are of that distribution, so that the policy gradient is that of the policy that acts.
+/// Given the noise of the step before, the noise of a step is Gaussian. Its mean is the part that
+/// is [`carried`](Self::carried) over, its standard deviation the share that is drawn anew.
+/// Probabilities of actions are those of this distribution, so that the policy gradient is that of
+/// the policy that acts.
 pub(super) struct CorrelatedNoise {
-    /// Of each dimension of the action, from 0 to below 1.
+    /// Correlation of each dimension of the action, from 0 to below 1.
     correlation: Vec<f32>,
-    /// The last step's noise, `[agents, A]`.
+    /// Noise of the last step, `[agents, A]`.
     values: Vec<f32>,
     drawn: Vec<f32>,
     carried: Vec<f32>,
@@ -21,8 +22,8 @@ pub(super) struct CorrelatedNoise {
 }
 
 impl CorrelatedNoise {
-    /// The noise of so many agents with actions of these dimensions; `correlation` is from 0 to
-    /// below 1.
+    /// Creates the noise of `agents` agents with actions of the given dimensions; `correlation` is
+    /// from 0 to below 1.
     pub(super) fn new(agents: usize, actions: &[ActionDimension], correlation: f32) -> Self {
         let count = agents * actions.len();
         let of = |action: &ActionDimension| if action.correlated { correlation } else { 0.0 };
@@ -36,17 +37,17 @@ impl CorrelatedNoise {
         }
     }
 
-    /// Whether any dimension is correlated.
+    /// Returns whether any dimension is correlated.
     pub(super) fn is_correlated(&self) -> bool {
         self.correlation.iter().any(|&correlation| correlation > 0.0)
     }
 
-    /// Draws the next step's noise. The result depends on `rng` and on the steps before alone.
+    /// Draws the next step's noise. The result depends only on `rng` and on the earlier steps.
     pub(super) fn advance(&mut self, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.drawn);
         let a = self.correlation.len();
         for (k, &correlation) in self.correlation.iter().enumerate() {
-            // The first step has no step before it, and noise of the same variance.
+            // The first step has no step before it, but its noise has the same variance.
             let kept = if self.begun { correlation } else { 0.0 };
             let fresh = (1.0 - kept * kept).sqrt();
             self.log_fresh[k] = fresh.ln();
@@ -58,17 +59,17 @@ impl CorrelatedNoise {
         self.begun = true;
     }
 
-    /// What is drawn anew in the current step, standard normal, `[agents, A]`.
+    /// Returns the standard normal numbers that were drawn for the current step, `[agents, A]`.
     pub(super) fn drawn(&self) -> &[f32] {
         &self.drawn
     }
 
-    /// Mean of the current step's noise given the step before, `[agents, A]`.
+    /// Returns the mean of the current step's noise given the step before, `[agents, A]`.
     pub(super) fn carried(&self) -> &[f32] {
         &self.carried
     }
 
-    /// Logarithm of the factor on what is drawn anew in the current step, `[A]`.
+    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers, `[A]`.
     pub(super) fn log_fresh(&self) -> &[f32] {
         &self.log_fresh
     }
@@ -102,14 +103,14 @@ mod tests {
             for _ in 0..4 {
                 noise.advance(&mut rng);
                 let now = whole(&noise);
-                // Steering, then throttle.
+                // Dimension 0 is steering, dimension 1 is throttle.
                 for (action, correlation) in [0.0, correlation].into_iter().enumerate() {
                     let mean = |of: &dyn Fn(usize) -> f32| {
                         (0..COUNT).map(|i| f64::from(of(2 * i + action))).sum::<f64>() / COUNT as f64
                     };
                     let (first, square) = (mean(&|i| now[i]), mean(&|i| now[i] * now[i]));
                     let product = mean(&|i| now[i] * before[i]);
-                    // Six standard errors.
+                    // The bounds are at least six standard errors.
                     prop_assert!(first.abs() < 0.05 && (square - 1.0).abs() < 0.07, "{first} {square}");
                     prop_assert!((product - f64::from(correlation)).abs() < 0.07, "{product}");
                 }

@@ -5,62 +5,64 @@ use std::path::{Path, PathBuf};
 
 use super::Error;
 
-/// Files of a run.
+/// The paths of the files in a run folder.
 #[derive(Debug, Clone)]
 pub struct RunDir(PathBuf);
 
 impl RunDir {
-    /// A run folder; nothing is created.
+    /// Returns the run folder `path`; nothing is created.
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self(path.into())
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// The resolved configuration.
+    /// Returns the path of the resolved configuration.
     pub fn config(&self) -> PathBuf {
         self.0.join("config.toml")
     }
 
-    /// With what, on what and how the run is trained, and how far it is.
+    /// Returns the path of `meta.json`: the program, command and machine of the training, and its
+    /// progress.
     pub fn meta(&self) -> PathBuf {
         self.0.join("meta.json")
     }
 
-    /// [`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint) of the scenario that the run was begun with; none before it is
-    /// begun, and of older runs.
+    /// Returns the [`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint) of the
+    /// scenario with which the run was begun; `None` before it is begun and for older runs.
     pub fn fingerprint(&self) -> Option<String> {
         Some(self.read_meta()?["scenario"].as_str()?.to_owned())
     }
 
-    /// A line per iteration, and one per validation.
+    /// Returns the path of the metrics: one line per iteration and one per validation.
     pub fn metrics(&self) -> PathBuf {
         self.0.join("metrics.jsonl")
     }
 
-    /// A line per validation episode.
+    /// Returns the path of the validation episodes, one line each.
     pub fn episodes(&self) -> PathBuf {
         self.0.join("eval.jsonl")
     }
 
-    /// The newest checkpoint.
+    /// Returns the path of the newest checkpoint.
     pub fn last(&self) -> PathBuf {
         self.0.join("checkpoints/last.safetensors")
     }
 
-    /// The checkpoint with the best validation.
+    /// Returns the path of the checkpoint with the best validation.
     pub fn best(&self) -> PathBuf {
         self.0.join("checkpoints/best.safetensors")
     }
 
-    /// Makes the folder and claims it for this process until the result is dropped, or the process is gone. A folder in which nothing was
-    /// written goes with it.
+    /// Creates the folder and locks it for this process until the result is dropped or the process
+    /// ends. A folder in which nothing was written is then removed.
     ///
     /// # Errors
-    /// [`Error::Locked`] when another process trains there.
+    /// [`Error::Locked`] if another process trains in the folder, [`Error::Folder`] if it cannot be
+    /// created.
     pub fn lock(&self) -> Result<Claim, Error> {
         std::fs::create_dir_all(&self.0)
             .map_err(|source| Error::Folder { path: self.0.clone(), source })?;
@@ -74,7 +76,7 @@ impl RunDir {
         }
     }
 
-    /// Whether a process trains there.
+    /// Returns whether a process trains in the folder.
     pub fn is_locked(&self) -> bool {
         File::open(self.lock_file())
             .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
@@ -84,8 +86,8 @@ impl RunDir {
         self.0.join(".lock")
     }
 
-    /// The run folder of what `path` stands for: a run folder, or a checkpoint in the folder
-    /// `checkpoints` of one.
+    /// Returns the run folder that `path` names: a folder itself, or the run folder of a checkpoint
+    /// in its folder `checkpoints`; `None` otherwise.
     pub fn of(path: &Path) -> Option<Self> {
         if path.is_dir() {
             return Some(Self::new(path));
@@ -97,7 +99,8 @@ impl RunDir {
         Some(Self::new(if run.as_os_str().is_empty() { Path::new(".") } else { run }))
     }
 
-    /// The checkpoint that `path` stands for: a file for itself, a run folder for its best one, or else its last.
+    /// Returns the checkpoint that `path` names: a file itself, or the best checkpoint of a run
+    /// folder, or its last one if there is no best one.
     pub fn checkpoint(path: &Path) -> PathBuf {
         let dir = Self::new(path);
         match () {
@@ -108,7 +111,7 @@ impl RunDir {
     }
 }
 
-/// The right to train in a folder, which no other process has.
+/// The exclusive right to train in a folder.
 #[derive(Debug)]
 pub struct Claim {
     dir: RunDir,
@@ -121,7 +124,7 @@ impl Drop for Claim {
             entry.is_ok_and(|e| e.path() == self.dir.lock_file())
         };
         if std::fs::read_dir(self.dir.path()).is_ok_and(|mut entries| entries.all(alone)) {
-            // Whoever cannot tidy up has lost nothing.
+            // Failing to remove the empty folder does no harm.
             let _ = std::fs::remove_file(self.dir.lock_file());
             let _ = std::fs::remove_dir(self.dir.path());
         }

@@ -1,15 +1,17 @@
-//! Where noise and learning rate stand, what a validation changes about that, and when a run may stop.
+//! The schedule of noise and learning rate, the effect of validations on it, and the criterion for
+//! stopping early.
 //!
-//! The noise falls while exploring to a level that it keeps until validations succeed. Annealing then takes it down further in
-//! its first two thirds and the learning rate in the last. It waits while validations fail, unless the run would end before it is
-//! over.
+//! While exploring, the noise falls to a level that it keeps until validations succeed. Annealing
+//! then lowers the noise further in its first two thirds and the learning rate in its last third.
+//! Annealing pauses while validations fail, unless the run would end before annealing is over.
 
 use crate::algo::Pace;
 use crate::algo::settings::NoiseMode;
 use crate::checkpoint::Progress;
 use crate::config::Config;
 
-/// Noise and learning rate.
+/// Returns the parameters of the next update: learning rate, noise, imitation weight, discount and
+/// batch growth.
 pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let (noise, ppo) = (&config.exploration, &config.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
@@ -22,7 +24,7 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     );
     let log_std = between(loud, noise.log_std_end.min(loud), quiet);
     let explored = progress.step >= noise.explore_steps;
-    // A step of the same size changes a policy with less noise by more.
+    // A step of the same size changes a policy with less noise more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
     Pace {
@@ -34,7 +36,7 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     }
 }
 
-/// Correlation of the noise from step to step: none once annealing has begun.
+/// Returns the correlation of the noise from step to step; 0 once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     let noise = &config.exploration;
     let left =
@@ -42,12 +44,13 @@ pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
     if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
 }
 
-/// From 1 to 0 over the first `steps` of training; 0 where there are none.
+/// Returns a factor that falls from 1 to 0 over the first `steps` of training; 0 if `steps` is 0.
 fn fading(steps: u64, progress: &Progress) -> f64 {
     if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step, steps) }
 }
 
-/// Whether no validation has succeeded yet, or what was found was not good enough.
+/// Returns whether the policy still explores: annealing has not begun, or failed validations took
+/// it back.
 fn searching(progress: &Progress) -> bool {
     !progress.annealing && progress.annealed == 0
 }
@@ -56,10 +59,10 @@ fn ramp(at: u64, length: u64) -> f64 {
     (at as f64 / length.max(1) as f64).min(1.0)
 }
 
-/// Takes an iteration of `steps` environment steps into account.
+/// Adds an iteration of `steps` environment steps to the progress.
 pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
     let left = anneal_steps(config).saturating_sub(progress.annealed);
-    // Begun after this iteration, it would not be over in time.
+    // If annealing began after this iteration, it would not be over at the end of the run.
     let ending = progress.step + steps + left > config.steps;
     if progress.annealing || ending {
         progress.annealed += steps;
@@ -67,7 +70,7 @@ pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
     progress.step += steps;
 }
 
-/// Takes a validation's share of successful agents into account.
+/// Adds a validation to the progress; `success` is the share of agents that succeeded.
 pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) {
     let train = &config.train;
     progress.recent.push(success);
@@ -75,7 +78,9 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
-        // Close: it learns on without more noise. Lost on the way: back to exploring. Both as far as the time that is left allows.
+        // At or above `anneal_success`, the run keeps its low noise, and the learning rate falls
+        // anew. Below, it explores again. Either way, annealing must still be over at the end of
+        // the run.
         let (whole, left) = (anneal_steps(config), config.steps.saturating_sub(progress.step));
         let back = if progress.annealing { (2 * whole).div_ceil(3) } else { 0 };
         progress.annealed = back.max(whole.saturating_sub(left));
@@ -85,15 +90,16 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.next_validation = (progress.step / train.validate_every + 1) * train.validate_every;
 }
 
-/// A run that was to take `before` steps goes on with those of `config`: what annealed only because it ended is taken back.
+/// Adapts the progress of a run of `before` steps to the steps of `config`: annealing that took
+/// place only because the run was about to end is taken back.
 pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
     if config.steps > before && !progress.annealing {
         progress.annealed = 0;
     }
 }
 
-/// Whether there is nothing more to learn: each of the last validations succeeded, so that a policy that still swings
-/// between them is not the last one.
+/// Returns whether training can stop: annealing is over and each of the last validations succeeded.
+/// A policy whose success varies between validations thus does not end a run.
 pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
     let (train, recent) = (&config.train, &progress.recent);
     let enough = recent.len() >= train.stop_validations as usize;
@@ -101,7 +107,7 @@ pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
     train.stop_success > 0.0 && enough && good && annealed(config, progress)
 }
 
-/// How long annealing takes: at most half of the run.
+/// Returns the length of annealing in environment steps, at most half of the run.
 fn anneal_steps(config: &Config) -> u64 {
     config.train.anneal_steps.min(config.steps / 2)
 }
@@ -174,7 +180,8 @@ mod tests {
         assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99, 0.99, 0.998]));
     }
 
-    /// Plays a run in iterations of 10 steps, with the success that `success` says of a step. Returns where it ended.
+    /// Simulates a run in iterations of 10 steps, in which `success` gives the success of each
+    /// validation, and returns the progress at its end.
     fn play(
         config: &Config,
         success: impl Fn(&Progress) -> f64,
@@ -211,7 +218,7 @@ mod tests {
     #[test]
     fn annealing_pauses_while_validations_fail() {
         let config = config();
-        // Solved from step 300 on, but for a gap.
+        // Validations succeed from step 300 on, except at step 350.
         let success =
             |progress: &Progress| f64::from(u8::from(progress.step >= 300 && progress.step != 350));
         let mut annealed = Vec::new();
@@ -251,7 +258,7 @@ mod tests {
     #[test]
     fn a_run_that_is_close_learns_on_without_more_noise() {
         let config = config();
-        // Good enough to anneal, not to stop.
+        // Enough for annealing, but not for stopping.
         let mut paces = Vec::new();
         let end = play(&config, |_| 0.92, |progress, pace| paces.push((progress.step, pace)));
         assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
@@ -274,7 +281,7 @@ mod tests {
             Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut lost, 0.5);
         assert_eq!((lost.annealing, lost.annealed), (false, 0));
-        // It takes back no more than there is time for.
+        // Annealing is taken back only as far as the remaining steps allow.
         let mut late =
             Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut late, 0.5);
@@ -290,7 +297,7 @@ mod tests {
         let mut config = config();
         config.exploration.correlation = 0.5;
         let mut seen = Vec::new();
-        // Found at 300, lost at 350, good enough to anneal from 400 on, and lost once annealed.
+        // Success at 300, failure at 350, enough for annealing from 400 on, failure once annealed.
         let success = |progress: &Progress| match progress.step {
             300 => 1.0,
             400..550 => 0.92,
@@ -302,7 +309,7 @@ mod tests {
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
         assert_eq!(at(560), 0.5, "it looks for a way again");
-        // Or it falls by itself.
+        // With `correlation_steps`, the correlation falls by itself.
         config.exploration.correlation_steps = 200;
         let falls = |step| correlation(&config, &Progress { step, ..Progress::default() });
         assert_eq!([0, 50, 200, 800].map(falls), [0.5, 0.375, 0.0, 0.0]);

@@ -1,5 +1,6 @@
-//! Whatever becomes of SUMO or of this program: a run goes on without the episodes that were hit, or ends with one clear
-//! error and a checkpoint to go on from; nothing hangs, and no process is left behind.
+//! Tests of failures of SUMO and of this program: a run continues without the affected episodes, or
+//! ends with one clear error and a checkpoint to resume from; nothing hangs, and no process is
+//! left.
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
@@ -14,13 +15,14 @@ use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{Hosting, Renewal, Simulation as _, TraciSimulation, find_sumo};
 
-/// The tests look for processes that are left: one at a time.
+/// Returns a lock that makes the tests run one at a time, because they look for processes that are
+/// left.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Processes among whose arguments is `word`, which is the name of a temporary folder.
+/// Returns the processes whose environment contains `word`, the name of a temporary folder.
 fn processes_with(word: &str) -> Vec<u32> {
     let of = |entry: fs::DirEntry| {
         let pid = entry.file_name().to_string_lossy().parse().ok()?;
@@ -44,7 +46,7 @@ fn signal(name: &str, pid: u32) {
     );
 }
 
-/// A folder for a run, and a `SUMO_HOME` in it whose `sumo` misbehaves.
+/// A folder for a run, with a `SUMO_HOME` whose `sumo` misbehaves.
 struct Stage {
     folder: tempfile::TempDir,
 }
@@ -68,7 +70,8 @@ impl Stage {
         self.path("run")
     }
 
-    /// `iwol train`, small; every process of it carries the folder's name in its environment.
+    /// Returns the command of a small `iwol train`; its processes have the folder's name in their
+    /// environment.
     fn train(&self, more: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_iwol"));
         command.current_dir(env!("CARGO_MANIFEST_DIR")).env("FAULT_STAGE", self.folder.path());
@@ -119,7 +122,7 @@ impl Stage {
     }
 }
 
-/// Runs to the end, within a time.
+/// Runs a command to its end, within a time limit.
 fn finish(command: &mut Command, seconds: u64) -> Output {
     let child = command.spawn().expect("the program runs");
     let pid = child.id();
@@ -135,7 +138,7 @@ fn finish(command: &mut Command, seconds: u64) -> Output {
     waiting.join().expect("no panic").expect("an end")
 }
 
-/// Kinds of faults, and what is said of them.
+/// Kinds of faults, each with a part of the message that reports it.
 const KINDS: [(&str, &str); 5] = [
     ("garbage", "not a TraCI answer"),
     ("cut", "closed the connection"),
@@ -176,7 +179,7 @@ fn a_run_whose_sumos_all_fail_ends_with_an_error_and_a_checkpoint() {
         assert_eq!(errors.matches("error:").count(), 1, "{kind}: {errors}");
         assert!(errors.contains(reason) && errors.contains("--resume"), "{kind}: {errors}");
         stage.nobody_is_left();
-        // With a SUMO in order the run comes to its end.
+        // With a working SUMO, the run resumes and ends normally.
         let output = finish(&mut stage.train(&["--steps", "256", "--resume"]), 60);
         assert_eq!(
             output.status.code(),
@@ -191,7 +194,8 @@ fn a_run_whose_sumos_all_fail_ends_with_an_error_and_a_checkpoint() {
 fn a_validation_that_fails_costs_nothing_that_was_learned() {
     let _alone = alone();
     let stage = Stage::new();
-    // Of the processes that open a port, the third and all later ones fail: those of the validation.
+    // Of the processes that open a port, the third and all later ones fail: those are the ones of
+    // the validation.
     let script = r#"#!/bin/sh
 case "$*" in *--remote-port*)
     n=$(cat "$FAULT_STAGE/starts" 2>/dev/null || echo 0)
@@ -286,7 +290,7 @@ fn a_simulation_is_made_fresh_by_the_cheapest_means_that_is_sound() {
         assert_eq!(simulation.pid(), pid);
         let time = simulation.step(&[]).expect("a step").time;
         assert!((time - 0.1).abs() < 1e-9, "{time}");
-        // In mid-exchange only a new one is sound.
+        // During an exchange, only a new process is in a known state.
         simulation.send(&[]).expect("sent");
         assert_eq!(simulation.renew().expect("fresh"), Renewal::Restarted);
         assert_ne!(simulation.pid(), pid);
@@ -302,7 +306,8 @@ fn a_full_disk_leaves_the_last_checkpoint_whole() {
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let last = stage.run().join("checkpoints/last.safetensors");
     let before = fs::read(&last).expect("a checkpoint");
-    // Files may grow to 256 blocks of 512 bytes, which is less than a checkpoint: writing on fails as on a full disk.
+    // Files may grow to 256 blocks of 512 bytes, less than a checkpoint; further writes fail as on
+    // a full disk.
     assert!(before.len() > 2 * 256 * 512, "a checkpoint of {} bytes", before.len());
     let mut limited = Command::new("sh");
     limited.args(["-c", "trap '' XFSZ; ulimit -f 256; exec \"$@\"", "sh"]);
@@ -333,7 +338,8 @@ fn a_signal_at_any_moment_ends_the_run_in_order() {
         let mut child: Child =
             stage.train(&["--steps", "1000000"]).spawn().expect("the program runs");
         thread::sleep(Duration::from_millis(milliseconds));
-        // Not SIGINT: where this test runs in the background it may be ignored, until the program listens to it.
+        // SIGINT is not used: if this test runs in the background, SIGINT may be ignored until the
+        // program handles it.
         signal("-TERM", child.id());
         let begin = Instant::now();
         let status = loop {
@@ -346,7 +352,7 @@ fn a_signal_at_any_moment_ends_the_run_in_order() {
             }
             thread::sleep(Duration::from_millis(5));
         };
-        // Before the program listens to the signal it just ends.
+        // Before the program handles the signal, the signal simply ends it.
         assert!(
             status.code() == Some(130) || status.code().is_none(),
             "after {milliseconds} ms: {status}"
@@ -435,7 +441,7 @@ fn loading_again_and_again_takes_no_memory() {
 fn another_sumo_home_is_used() {
     let _alone = alone();
     let stage = Stage::new();
-    // A home that holds only a link to the real program.
+    // This `SUMO_HOME` contains only a link to the real program.
     let home = stage.path("linked/bin");
     fs::create_dir_all(&home).expect("a folder");
     symlink(find_sumo().expect("SUMO"), home.join("sumo")).expect("a link");

@@ -1,6 +1,7 @@
-//! Runs numbered cases, each a function of its number alone, and names the one that fails.
+//! Runs numbered cases, each a function of its number only, and names the case that fails.
 //!
-//! `IWOL_FUZZ_CASES` is how many cases each test runs (`100000`), or which ones (`4711..4712`).
+//! `IWOL_FUZZ_CASES` sets the number of cases of each test (`100000`), or their range
+//! (`4711..4712`).
 
 use std::{
     ops::Range,
@@ -9,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-/// No case may take longer.
+/// Time limit of a case.
 const LIMIT: Duration = Duration::from_secs(2);
 
 fn range(default: u64) -> Range<u64> {
@@ -21,7 +22,7 @@ fn range(default: u64) -> Range<u64> {
     number(first)..number(end)
 }
 
-/// Runs `case` for each number, in a thread of its own; fails if one panics or takes too long.
+/// Runs `case` for each number in a separate thread. Panics if a case panics or takes too long.
 pub fn run(default: u64, mut case: impl FnMut(u64) + Send + 'static) {
     let (started, running) = channel();
     let worker = thread::spawn(move || {

@@ -1,7 +1,7 @@
-//! Damaged files: whatever a net or a scenario holds, its reader ends soon, in little memory, with a sound result or
-//! an error that names the file.
+//! Fuzz tests of damaged files: whatever a net or a scenario contains, its reader ends soon, uses
+//! little memory, and returns a valid result or an error that names the file.
 //!
-//! `IWOL_FUZZ_CASES` says how many cases each test runs, see [`cases`]. A long run, on one core:
+//! `IWOL_FUZZ_CASES` sets the number of cases of each test, see [`cases`]. A long run, on one core:
 //! `IWOL_FUZZ_CASES=10000000 cargo test --release --test fuzz -- --test-threads=1`.
 
 mod cases;
@@ -27,7 +27,8 @@ use iwol_sumo::{
     },
 };
 
-/// Two lanes, a chain of internal lanes, lanes without a width, a junction without internal lanes.
+/// A net with two lanes, a chain of internal lanes, lanes without a width, and a junction without
+/// internal lanes.
 const NET: &str = r#"<net>
     <location convBoundary="0,0,30,30"/>
     <edge id=":j_0" function="internal"><lane id=":j_0_0" index="0" speed="5" length="5" shape="10,0 15,0"/></edge>
@@ -46,17 +47,17 @@ const NET: &str = r#"<net>
     <connection from="north_in" to="west_in" fromLane="0" toLane="1"/>
 </net>"#;
 
-/// Heap that a reader may use for each byte of its file, and besides \[bytes\].
+/// Heap that a reader may use: bytes per byte of its file, plus a constant \[bytes\].
 const HEAP: (u64, u64) = (64, 1 << 20);
 
-/// Longest message of an error, its path aside \[bytes\].
+/// Longest error message, without the path \[bytes\].
 const MESSAGE: usize = 3000;
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The XML files of a folder of the project, in order of their names.
+/// Returns the contents of the XML files in a folder of the project, in the order of their names.
 fn files(folder: &str) -> Vec<String> {
     let mut paths: Vec<_> =
         fs::read_dir(root().join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -65,7 +66,7 @@ fn files(folder: &str) -> Vec<String> {
     paths.iter().map(|path| fs::read_to_string(path).unwrap()).collect()
 }
 
-/// Runs a reader within the bound on its memory.
+/// Runs a reader and checks its memory use.
 fn bounded<T>(bytes: usize, read: impl FnOnce() -> T) -> T {
     let mut result = None;
     let heap = measure(|| result = Some(read())).bytes_max;
@@ -87,7 +88,7 @@ fn assert_finite(numbers: &[f64]) {
     assert!(numbers.iter().all(|number| number.is_finite()), "{numbers:?}");
 }
 
-/// Positions and offsets at which a path is asked.
+/// Returns positions and offsets at which a path is evaluated.
 fn extremes(path: &Path, rng: &mut Rng) -> Vec<f64> {
     let mut all = vec![
         0.0,
@@ -105,7 +106,7 @@ fn extremes(path: &Path, rng: &mut Rng) -> Vec<f64> {
     all
 }
 
-/// A path is what its documentation says it is, and answers with numbers.
+/// Checks that a path has its documented properties and returns finite numbers.
 fn check_path(net: &Net, path: &Path, edges: &[String], rng: &mut Rng) {
     assert!(path.points.len() >= 2 && path.points.len() == path.cumulative.len());
     assert_eq!(path.widths.len() + 1, path.points.len());
@@ -144,7 +145,7 @@ fn check_path(net: &Net, path: &Path, edges: &[String], rng: &mut Rng) {
         assert!(segment < path.widths.len());
     }
     assert_eq!(path.arc(edges.len(), 0.0), None);
-    // No numbers: any answer will do.
+    // With arguments that are not finite, any answer is accepted.
     for s in [f64::NAN, f64::INFINITY, f64::MIN] {
         let _ = (
             path.at(s),
@@ -176,7 +177,7 @@ fn damaged_nets_are_read_or_refused() {
             Err(error) => return assert_short(&error, path),
         };
         let tiled = tile(&text, path, 2).unwrap();
-        // Beyond that the copies' coordinates are larger than a net's may be.
+        // Further out, the coordinates of the copies exceed the limit for nets.
         if net.extent().as_flattened().iter().all(|number| number.abs() < 1e8) {
             let copies = Net::parse(&tiled.text, path).unwrap();
             assert_eq!(
@@ -191,7 +192,7 @@ fn damaged_nets_are_read_or_refused() {
             ways.extend((0..3).map(|_| vec![some(&mut rng)]));
             ways.extend((0..3).map(|_| vec![some(&mut rng), some(&mut rng)]));
         }
-        // Along connections, as far as they lead.
+        // This route follows connections as far as they lead.
         let mut way = vec!["west_in".to_owned()];
         for _ in 0..below(&mut rng, 8) {
             let last = way
@@ -215,7 +216,7 @@ fn damaged_nets_are_read_or_refused() {
     });
 }
 
-/// Vehicles on rails: each is where its commands put it.
+/// Drives vehicles that follow their lanes exactly: each one is where its commands put it.
 fn drive(task: Task, rng: &mut Rng) {
     let task = Arc::new(task);
     let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(1), 0, 1, 2);
@@ -236,7 +237,7 @@ fn drive(task: Task, rng: &mut Rng) {
                     assert_finite(&[speed]);
                     vehicles[slot as usize].as_mut().unwrap().1 = speed;
                 }
-                // Whoever departs waits to be put on the road.
+                // A vehicle that departs waits to be inserted.
                 Command::Depart { .. }
                 | Command::SpeedMode { .. }
                 | Command::KeepLane { .. }
@@ -316,7 +317,8 @@ fn damaged_scenarios_are_read_or_refused() {
     });
 }
 
-/// Vehicles and pedestrians of damaged route files on damaged nets.
+/// Damaged route files, on damaged nets, with vehicles and pedestrians are read or refused with an
+/// error.
 #[test]
 fn damaged_route_files_are_read_or_refused() {
     let nets = root().join("sumo_nets");
@@ -364,7 +366,7 @@ fn damaged_route_files_are_read_or_refused() {
     });
 }
 
-/// A check ends soon, and every error that it finds has a place in the file.
+/// A check ends soon, and every error that it finds has a position in the file.
 #[test]
 fn damaged_scenarios_are_checked() {
     let folder = tempfile::tempdir().unwrap();
@@ -394,7 +396,7 @@ fn damaged_scenarios_are_checked() {
                 "{error:?}"
             );
         }
-        // What the check calls sound can be loaded, and nothing else can.
+        // A scenario can be loaded exactly if the check returns it.
         assert_eq!(findings.scenario.is_some(), Scenario::load(file).is_ok());
         assert!(findings.scenario.is_some() || errors.count() > 0);
     });

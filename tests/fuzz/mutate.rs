@@ -1,10 +1,10 @@
-//! Damages XML: mostly in ways that leave it well-formed, so that the damage gets past the parser.
+//! Damages XML, mostly so that it stays well-formed and the damage gets past the parser.
 
 use std::ops::Range;
 
 use iwol_sumo::rng::{Rng, below};
 
-/// Values that are none, or are extreme.
+/// Attribute values that are invalid or extreme.
 const VALUES: [&str; 36] = [
     "",
     " ",
@@ -44,7 +44,7 @@ const VALUES: [&str; 36] = [
     "\u{202e}ß𝄞",
 ];
 
-/// Pieces that do not belong into a net or a scenario.
+/// Pieces of text that do not belong into a net or a scenario.
 const PIECES: [&str; 13] = [
     "\u{feff}",
     "\0",
@@ -64,7 +64,7 @@ const PIECES: [&str; 13] = [
 const BOMB: &str = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;'>\
     <!ENTITY c '&b;&b;&b;&b;&b;&b;&b;&b;'><!ENTITY d '&c;&c;&c;&c;&c;&c;&c;&c;'>]>";
 
-/// A text with some kinds of damage, often one only; `other` is where foreign parts are taken from.
+/// Returns a text with some damage, often of one kind; foreign parts are taken from `other`.
 pub fn damaged(rng: &mut Rng, text: &str, other: &str) -> Vec<u8> {
     let mut bytes = text.as_bytes().to_vec();
     for _ in 0..=below(rng, 6).saturating_sub(2) {
@@ -106,7 +106,7 @@ fn insert_anywhere(rng: &mut Rng, bytes: &mut Vec<u8>, new: &[u8]) {
     insert(bytes, at, new);
 }
 
-/// What stands between the quotes of each attribute.
+/// Returns the ranges of all attribute values, between the quotes.
 fn values(bytes: &[u8]) -> Vec<Range<usize>> {
     let quotes = bytes
         .iter()
@@ -121,7 +121,7 @@ fn values(bytes: &[u8]) -> Vec<Range<usize>> {
         .collect()
 }
 
-/// Each element, as far as its end can be found, without comments and declarations.
+/// Returns the ranges of all elements whose end can be found, without comments and declarations.
 fn elements(bytes: &[u8]) -> Vec<Range<usize>> {
     let (mut found, mut open) = (Vec::new(), Vec::new());
     let mut at = 0;
@@ -145,14 +145,14 @@ fn any(rng: &mut Rng, ranges: &[Range<usize>]) -> Option<Range<usize>> {
     (!ranges.is_empty()).then(|| ranges[below(rng, ranges.len())].clone())
 }
 
-/// Changes an attribute's value, or one number or word of it.
+/// Changes the value of an attribute, or one number or word of it.
 fn value(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let all = values(bytes);
     let (Some(mut at), Some(from)) = (any(rng, &all), any(rng, &all)) else {
         return;
     };
     if below(rng, 3) > 0 {
-        // One item of a list.
+        // Only one item of a list is changed.
         let item = |byte: &u8| b" ,:".contains(byte);
         let cut = at.start + below(rng, at.len() + 1);
         let start =
@@ -165,7 +165,7 @@ fn value(rng: &mut Rng, bytes: &mut Vec<u8>) {
         1 => String::from_utf8_lossy(&bytes[from]).into_owned(),
         2 => String::new(),
         3 => format!("{old} {old}"),
-        // A number that may well be valid.
+        // The new value is a number that may be valid.
         _ => match old.parse::<f64>() {
             Ok(number) => match below(rng, 5) {
                 0 => (number * 0.999).to_string(),
@@ -180,7 +180,7 @@ fn value(rng: &mut Rng, bytes: &mut Vec<u8>) {
     bytes.splice(at, new.bytes());
 }
 
-/// Takes an attribute out, doubles it, or swaps the values of two.
+/// Removes an attribute, duplicates it, or swaps the values of two attributes.
 fn attribute(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let all = values(bytes);
     let (Some(a), Some(b)) = (any(rng, &all), any(rng, &all)) else {
@@ -198,14 +198,14 @@ fn attribute(rng: &mut Rng, bytes: &mut Vec<u8>) {
     }
 }
 
-/// Swaps two ranges, the first of which lies before the second.
+/// Swaps two ranges; `first` lies before `second`.
 fn swap(bytes: &mut Vec<u8>, first: Range<usize>, second: Range<usize>) {
     let (one, two) = (bytes[first.clone()].to_vec(), bytes[second.clone()].to_vec());
     bytes.splice(second, one);
     bytes.splice(first, two);
 }
 
-/// Takes an element out, repeats it, wraps it, moves it, or swaps it with another.
+/// Removes an element, repeats it, wraps it, moves it, or swaps it with another one.
 fn element(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let all = elements(bytes);
     let (Some(a), Some(b)) = (any(rng, &all), any(rng, &all)) else {
@@ -227,14 +227,14 @@ fn element(rng: &mut Rng, bytes: &mut Vec<u8>) {
     }
 }
 
-/// Puts a piece of another text anywhere.
+/// Inserts a piece of another text at a random position.
 fn transplant(rng: &mut Rng, bytes: &mut Vec<u8>, other: &[u8]) {
     let start = below(rng, other.len());
     let end = start + below(rng, other.len() - start);
     insert_anywhere(rng, bytes, &other[start..end]);
 }
 
-/// Makes one thing very long, very deep or very many.
+/// Makes something very long, very deep or very numerous.
 fn blow_up(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let size = 1 << below(rng, 16);
     let list =

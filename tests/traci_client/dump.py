@@ -1,7 +1,8 @@
-"""Reads every variable of a simulation with SUMO's own client and writes what it got as JSON.
+"""Reads every variable of a simulation with SUMO's own client and writes the values as JSON.
 
-Arguments: seconds to simulate, then SUMO's command line. Floating point numbers become the hexadecimal digits of
-their bits. Keys are `domain.method object`, with the method's name in snake case.
+Arguments: seconds to simulate, then SUMO's command line. Floating-point numbers become the
+hexadecimal digits of their bits. Keys are `domain.method object`, with the method's name in snake
+case.
 """
 import inspect
 import json
@@ -13,13 +14,13 @@ sys.path.append("/usr/share/sumo/tools")
 import traci  # noqa: E402
 from traci.domain import Domain  # noqa: E402
 
-# The domains whose variables are read; those of `gui` need a window.
+# Domains whose variables are read. The variables of `gui` need a window.
 DOMAINS = (
     "edge inductionloop junction lane lanearea parkingarea person poi polygon route simulation trafficlight vehicle "
     "vehicletype"
 ).split()
 
-# Arguments besides the object. Where Python has a default for an argument, it is given here all the same.
+# Arguments besides the object, including those for which Python has a default.
 ARGUMENTS = {
     "edge": {"getAdaptedTraveltime": [60.0], "getEffort": [60.0]},
     "junction": {"getPosition": [False]},
@@ -56,7 +57,7 @@ ARGUMENTS = {
         "wantsAndCouldChangeLane": [-1, None],
     },
 }
-# Calls of the simulation as a whole, and of domains that ignore the object.
+# Calls that take no object: those of the simulation as a whole, and some of other domains.
 ALONE = {
     "vehicle": {"getTaxiFleet": [-1]},
     "person": {"getTaxiReservations": [0]},
@@ -74,14 +75,15 @@ ALONE = {
         "findIntermodalRoute": ["wc", "ce", "", -1.0, 0, -1.0, -1.0, 10.0, 50.0, 0.0, "", "", ""],
     },
 }
-# Of all domains.
+# Arguments of calls that all domains have.
 COMMON = {"getParameter": ["key"], "getParameterWithKey": ["key"]}
 READS = re.compile("(get|is|has|could|wants)[A-Z]")
 NOT_VARIABLES = re.compile("get.*SubscriptionResults$")
 
 
 def snake(name):
-    """As the Rust names: `getCO2Emission` is `get_co2_emission`, `getLastStepVehicleIDs` `..._vehicle_ids`."""
+    """Returns the name of the Rust method: `getCO2Emission` becomes `get_co2_emission`,
+    `getLastStepVehicleIDs` becomes `get_last_step_vehicle_ids`."""
     name = name.replace("2D", "2d").replace("3D", "3d")
     for word in ("TraCI", "PMx", "NOx", "IDs", "VClass", "VType", "ToC"):
         name = name.replace(word, word.capitalize())
@@ -108,10 +110,10 @@ def ask(domain, method, arguments):
     except traci.exceptions.TraCIException as error:
         return "refused: " + str(error)
     except struct.error:
-        assert method == "getShape"  # It cannot read a shape without points.
+        assert method == "getShape"  # Python's client cannot read a shape without points.
         return []
     if method == "getFollower" and answer[0] == "":
-        return None  # As for leaders.
+        return None  # The value that `getLeader` returns if there is no vehicle.
     return answer
 
 
@@ -133,7 +135,7 @@ def main():
                 continue
             key = "%s.%s" % (name, snake(method))
             arguments = COMMON.get(method) or ARGUMENTS.get(name, {}).get(method, [])
-            # Without those of `self` and of the object.
+            # The count includes `self` and, for most calls, the object.
             count = len(inspect.signature(getattr(kind, method)).parameters)
             if method in ALONE.get(name, {}):
                 values[key] = ask(domain, method, ALONE[name][method])

@@ -1,5 +1,5 @@
-//! Results of calls as JSON, in the form and order in which Python's client has them; floating point numbers
-//! as the hexadecimal digits of their bits.
+//! Conversion of results to JSON, with the fields in the order of the Python client; floating-point
+//! numbers become the hexadecimal digits of their bits.
 
 use iwol_sumo::sumo::domain::{
     Color, RoadPosition,
@@ -64,7 +64,7 @@ macro_rules! plain {
 
 plain! { bool, i32, u8, String, &'static str }
 
-/// The fields in Python's order.
+/// Implements `ToJson` for structs, with the fields in the Python client's order.
 macro_rules! fields {
     ($($kind:ident: $($field:ident),+;)+) => {
         $(impl ToJson for $kind {

@@ -1,5 +1,6 @@
-//! A small world with something of everything: a crossing with traffic lights and sidewalks, a railway with
-//! a signal, detectors, a parking area, a bus stop, a taxi, persons who walk, wait and ride.
+//! A small world with many kinds of objects: a crossing with traffic lights and sidewalks, a
+//! railway with a signal, detectors, a parking area, a bus stop, a taxi, and persons who walk, wait
+//! and ride.
 
 use std::{path::PathBuf, process::Command};
 
@@ -58,7 +59,7 @@ const ROUTES: &str = r#"<routes>
 </routes>
 "#;
 
-/// The files of the world, in a folder of their own.
+/// The world's files, in a temporary folder of their own.
 pub struct World {
     folder: tempfile::TempDir,
 }
@@ -86,7 +87,7 @@ impl World {
         self.folder.path().join(name)
     }
 
-    /// SUMO's command line, without the program.
+    /// Returns SUMO's command line without the program.
     pub fn arguments(&self) -> Vec<String> {
         let files = [("-n", "n.net.xml"), ("-a", "n.add.xml"), ("-r", "n.rou.xml")];
         let files = files.map(|(option, name)| {

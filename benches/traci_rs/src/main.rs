@@ -1,11 +1,12 @@
-//! Plays a workload through the crate traci-rs and prints how long it took, as one line of JSON.
+//! Runs a workload with the crate traci-rs and prints the time that it takes, as one line of JSON.
 //!
-//! The workload is the JSON file that `iwol` writes for such comparisons: SUMO's arguments, the vehicle
-//! types and routes, and the commands of every simulation step. After every step the time, the number of
-//! colliding vehicles, and the position, angle and speed of every vehicle on the road are read.
+//! The workload is a JSON file that `iwol` writes for such comparisons. It contains SUMO's
+//! arguments, the vehicle types and routes, and the commands of every simulation step. After every
+//! step the client reads the time, the number of colliding vehicles, and the position, angle and
+//! speed of every vehicle on the road.
 //!
-//! `traci-rs-player plain|subscribed WORKLOAD [--steps N]`: with one call per value, or with variable
-//! subscriptions; only the first N timed steps are played if told so.
+//! `traci-rs-player plain|subscribed WORKLOAD [--steps N]` reads with one call per value, or with
+//! variable subscriptions. With `--steps` only the first N timed steps run.
 
 mod session;
 mod workload;
@@ -34,7 +35,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Plays what the command line says; returns the line to print.
+/// Runs the workload that the command line names; returns the line to print.
 fn run() -> Result<serde_json::Value> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
@@ -72,7 +73,7 @@ fn run() -> Result<serde_json::Value> {
     }))
 }
 
-/// Plays the steps; returns the sum of all that was read of the vehicles.
+/// Runs the steps; returns the sum of all values that were read of the vehicles.
 fn play(session: &mut Session, steps: &[Vec<Command>]) -> Result<f64> {
     let mut checksum = 0.0;
     for commands in steps {
@@ -84,7 +85,7 @@ fn play(session: &mut Session, steps: &[Vec<Command>]) -> Result<f64> {
     Ok(checksum)
 }
 
-/// Processor time that this process has used.
+/// Returns the processor time that this process has used.
 fn cpu_time() -> Duration {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec.unsigned_abs(), u32::try_from(time.tv_nsec).unwrap_or_default())

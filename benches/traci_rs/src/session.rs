@@ -1,4 +1,4 @@
-//! A SUMO process and the client that speaks to it.
+//! A SUMO process and its TraCI client.
 
 use std::{
     hint::black_box,
@@ -19,10 +19,11 @@ use traci_rs::{
 
 use crate::workload::{Command, VehicleType, Workload};
 
-/// The number of colliding vehicles; traci-rs has neither a constant nor a getter for it.
+/// The variable of the number of colliding vehicles; traci-rs has neither a constant nor a getter
+/// for it.
 const VAR_COLLIDING_VEHICLES_NUMBER: u8 = 0x80;
 const CONNECT_WITHIN: Duration = Duration::from_secs(10);
-/// A subscription's end \[s\] that no workload reaches.
+/// End of a subscription \[s\], later than the end of any workload.
 const FOREVER: f64 = 1e9;
 
 /// How the state of the vehicles is read.
@@ -30,34 +31,35 @@ const FOREVER: f64 = 1e9;
 pub(crate) enum Reading {
     /// One call per value.
     Getters,
-    /// Variable subscriptions, whose results come with the step.
+    /// Variable subscriptions, whose results arrive with the step.
     Subscriptions,
 }
 
-/// SUMO, told of the workload's vehicle types and routes.
+/// A SUMO process with the vehicle types and routes of the workload.
 pub(crate) struct Session<'a> {
     workload: &'a Workload,
     reading: Reading,
     client: TraciClient,
-    // Scopes of our own: those in the client cannot be called while it is lent to the call.
+    // The session has its own scopes, because those of the client cannot be called while a call
+    // borrows the client.
     vehicle: VehicleScope,
     simulation: SimulationScope,
     sumo: Sumo,
 }
 
-/// The process, killed when dropped.
+/// The SUMO process; it is killed on drop.
 struct Sumo(Child);
 
 impl Drop for Sumo {
     fn drop(&mut self) {
-        // Fails where the process is gone already, and then there is nothing to do.
+        // This fails if the process has ended already; then nothing is left to do.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 impl<'a> Session<'a> {
-    /// Starts `sumo` from PATH and makes the types and routes known to it.
+    /// Starts `sumo` from PATH and adds the vehicle types and routes.
     pub(crate) fn start(workload: &'a Workload, reading: Reading) -> Result<Self> {
         let (sumo, mut client) = launch(&workload.arguments)?;
         for kind in &workload.vehicle_types {
@@ -76,7 +78,7 @@ impl<'a> Session<'a> {
         Ok(Session { workload, reading, client, vehicle, simulation, sumo })
     }
 
-    /// Sends the command and awaits SUMO's answer to it.
+    /// Sends a command and waits for SUMO's answer.
     pub(crate) fn command(&mut self, command: &Command) -> Result<()> {
         let Self { workload, client, vehicle: scope, .. } = self;
         let name = |vehicle: usize| {
@@ -116,7 +118,8 @@ impl<'a> Session<'a> {
             }
             Command::Remove { vehicle } => {
                 let id = name(vehicle)?;
-                // Ended first, because SUMO complains of a subscription whose vehicle is gone.
+                // The subscription ends first, because SUMO reports an error for a subscription
+                // whose vehicle is gone.
                 if subscribed { unsubscribe(client, id) } else { Ok(()) }
                     .and_then(|()| scope.remove(client, id, REMOVE_VAPORIZED))
             }
@@ -124,7 +127,8 @@ impl<'a> Session<'a> {
         .with_context(|| format!("{command:?}"))
     }
 
-    /// Takes a step and reads what it left; returns the sum of what was read of the vehicles.
+    /// Runs one simulation step and reads its results; returns the sum of the values that were read
+    /// of the vehicles.
     pub(crate) fn step(&mut self) -> Result<f64> {
         if !self.client.simulation_step(0.0)? {
             bail!("SUMO ended the simulation");
@@ -160,7 +164,7 @@ impl<'a> Session<'a> {
             else {
                 bail!("of vehicle {id} SUMO reported {values:?}");
             };
-            // What is said of a vehicle that waits to be put on the road.
+            // SUMO reports this value for a vehicle that waits to be inserted.
             #[allow(clippy::float_cmp)]
             if x != INVALID_DOUBLE_VALUE {
                 total += x + y + angle + speed;
@@ -178,7 +182,7 @@ impl<'a> Session<'a> {
 }
 
 fn launch(arguments: &[String]) -> Result<(Sumo, TraciClient)> {
-    // Free now; if another takes it before SUMO does, SUMO says so and ends.
+    // The port is free now; if another process takes it before SUMO does, SUMO ends with an error.
     let port = TcpListener::bind(("127.0.0.1", 0))?.local_addr()?.port();
     let mut command = std::process::Command::new("sumo");
     command.args(arguments).arg("--remote-port").arg(port.to_string()).stdin(Stdio::null()).stdout(Stdio::null());

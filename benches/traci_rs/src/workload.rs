@@ -1,4 +1,4 @@
-//! The workload file.
+//! The format of the workload file.
 
 use std::path::Path;
 
@@ -6,22 +6,22 @@ use anyhow::{Context as _, Result};
 use serde::Deserialize;
 use serde_json::Value;
 
-/// What is to be played.
+/// A workload: what is simulated.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Workload {
-    /// SUMO's arguments, without its name and the port.
+    /// SUMO's arguments, without the program name and the port.
     pub(crate) arguments: Vec<String>,
     pub(crate) vehicle_types: Vec<VehicleType>,
     pub(crate) routes: Vec<Route>,
     /// Names of the vehicles.
     pub(crate) vehicles: Vec<String>,
-    /// How many of the first steps are not timed.
+    /// Number of warm-up steps, which come first and are not timed.
     pub(crate) warmup: usize,
     /// Commands of each step.
     pub(crate) steps: Vec<Vec<Command>>,
 }
 
-/// Metres, seconds, m/s and m/s².
+/// A vehicle type, in metres, seconds, m/s and m/s².
 #[derive(Debug, Deserialize)]
 pub(crate) struct VehicleType {
     pub(crate) id: String,
@@ -38,15 +38,15 @@ pub(crate) struct VehicleType {
 #[derive(Debug, Deserialize)]
 pub(crate) struct Route {
     pub(crate) id: String,
-    /// In driving order.
+    /// The edges in driving order.
     pub(crate) edges: Vec<String>,
 }
 
-/// One command; vehicles, routes and types by their place in the lists of the workload.
+/// A command. Vehicles, routes and types are given by their indices in the lists of the workload.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(try_from = "Vec<Value>")]
 pub(crate) enum Command {
-    /// Position \[m\], speed \[m/s\].
+    /// Adds a vehicle: position \[m\], speed \[m/s\].
     Add {
         vehicle: usize,
         route: usize,
@@ -61,12 +61,12 @@ pub(crate) enum Command {
         vehicle: usize,
         mode: i32,
     },
-    /// \[m/s\].
+    /// Sets a speed \[m/s\].
     Speed {
         vehicle: usize,
         speed: f64,
     },
-    /// Metres, and degrees clockwise from north.
+    /// Moves a vehicle: coordinates in metres, angle in degrees clockwise from north.
     Move {
         vehicle: usize,
         x: f64,
@@ -113,7 +113,7 @@ impl Command {
 }
 
 impl Workload {
-    /// Reads the file.
+    /// Reads the workload file.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
         serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))

@@ -1,4 +1,4 @@
-//! `iwol bench act`: how long a policy takes to decide.
+//! `iwol bench act`: measures how long a policy takes to decide.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -46,9 +46,9 @@ struct Row {
     /// One decision of all vehicles: median and 99th percentile \[µs\].
     median_us: f64,
     p99_us: f64,
-    /// `median_us` over all vehicles \[µs\].
+    /// `median_us` divided by the number of vehicles in all worlds \[µs\].
     per_vehicle_us: f64,
-    /// Weights of the deployed policy.
+    /// Number of weights of the deployed policy.
     parameters: i64,
 }
 
@@ -98,7 +98,8 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Times decisions on random observations of vehicles that are all within reach of each other.
+/// Times decisions on random observations of vehicles that are all in communication range of each
+/// other.
 fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
     let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)?;
     let (e, n, o) =
@@ -117,7 +118,7 @@ fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
         let decided = learner.act(&input, &ActMode::Deterministic);
         let took = begin.elapsed().as_secs_f64() * 1e6;
         input.memory = decided.memory;
-        // The first ones warm caches up.
+        // The first decisions warm up caches.
         if decision >= args.decisions / 10 {
             times.push(took);
         }

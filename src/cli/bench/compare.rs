@@ -1,4 +1,5 @@
-//! `iwol bench sim --compare`: other clients on the same commands, in the same run.
+//! `iwol bench sim --compare`: runs other clients on the same commands, in turn with this
+//! program's.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -13,17 +14,18 @@ use serde::{Deserialize, Serialize};
 use super::workload::{EPISODE, Workload};
 use super::{Host, median};
 
-/// Steps that are not timed.
+/// Number of steps before the timed ones.
 const WARMUP: u32 = 2 * EPISODE;
-/// Debian's own Python, for which its module libsumo is made.
+/// Debian's Python, for which Debian's libsumo module is made.
 const PYTHON: &str = "/usr/bin/python3";
 const PLAYERS: &str = include_str!("../../../python_bridge/players.py");
-/// Built apart: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml`.
+/// Built separately: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml`.
 const TRACI_RS: &str = "benches/traci_rs/target/release/traci-rs-player";
-/// Sums of the same numbers in another order differ by less.
+/// Relative tolerance for the difference of two checksums: sums of the same numbers in another
+/// order differ by less.
 const SAME: f64 = 1e-9;
 
-/// What a player prints.
+/// The result of a client, as it prints it in JSON.
 #[derive(Debug, Deserialize)]
 struct Played {
     steps: u32,
@@ -31,19 +33,19 @@ struct Played {
     checksum: f64,
 }
 
-/// One client, over all repetitions.
+/// The result of one client over all repetitions.
 #[derive(Debug, Serialize)]
 pub(super) struct Line {
     pub(super) agents: u32,
     client: String,
-    /// World steps per second: median, least, most.
+    /// World steps per second: median, minimum, maximum.
     steps_per_second: f64,
     least: f64,
     most: f64,
 }
 
 enum Client {
-    /// Backend, worlds, processes.
+    /// This program: backend, worlds, processes.
     Ours(Backend, usize, usize),
     Python(&'static str),
     TraciRs(&'static str),
@@ -70,7 +72,8 @@ impl Client {
         }
     }
 
-    /// Plain calls are so slow that fewer steps tell as much.
+    /// Returns the number of timed steps of this client. Plain calls are slow, so a tenth of the
+    /// steps suffices.
     fn steps(&self, steps: u32) -> u32 {
         match self {
             Client::Python("traci") | Client::TraciRs("plain") => (steps / 10).max(1),
@@ -79,7 +82,7 @@ impl Client {
     }
 }
 
-/// Plays `steps` timed steps of the workload with every client, `repetitions` times in turn.
+/// Runs `steps` timed steps of the workload with every client in turn, `repetitions` times.
 pub(super) fn run(
     workload: &Workload,
     backends: &[Backend],
@@ -170,7 +173,8 @@ pub(super) fn run(
     Ok(clients.iter().zip(rates).map(line).collect())
 }
 
-/// Ours: all worlds are sent the same commands, and all that is reported is turned into positions and angles.
+/// Runs the workload with this program: all worlds get the same commands, and all reported vehicles
+/// are converted to positions and angles.
 fn play(
     workload: &Workload,
     backend: Backend,
@@ -186,7 +190,8 @@ fn play(
             begin = Instant::now();
         }
         let commands = |world: u32, out: &mut Vec<Command>| workload.commands(world, step, out);
-        // All that is reported is read; that of the first world is what other clients play, too.
+        // All reports are evaluated for timing; the checksum is that of the first world, which the
+        // other clients simulate too.
         let read = |snapshot: &Snapshot| {
             let mut sums = snapshot.vehicles.chunks(workload.task.agents).map(|world| {
                 let vehicles = world.iter().enumerate();
@@ -220,7 +225,7 @@ fn external(program: &mut Program) -> anyhow::Result<Played> {
     serde_json::from_slice(&output.stdout).with_context(|| format!("{program:?} printed no result"))
 }
 
-/// As Markdown, with the rates as multiples of the first client's.
+/// Formats the results as Markdown, with the rates as multiples of the first client's.
 pub(super) fn table(lines: &[Line]) -> String {
     let mut text = String::from(
         "| client | vehicles | world steps/s | least to most | × plain Python |\n|---|--:|--:|--:|--:|\n",

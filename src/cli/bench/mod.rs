@@ -49,7 +49,8 @@ struct Sim {
     /// What moves the vehicles
     #[arg(long, value_enum, default_value_t = Control::Throttle)]
     control: Control,
-    /// Worlds, and over how many SUMO processes they are spread, as WORLDS/PROCESSES; libsumo has one process always
+    /// Worlds, and over how many SUMO processes they are spread, as WORLDS/PROCESSES; libsumo has
+    /// one process always
     #[arg(long, value_delimiter = ',', default_value = "1/1,16/1,16/2,16/16", value_parser = layout)]
     worlds: Vec<(usize, usize)>,
     /// Seconds per measurement
@@ -88,7 +89,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     parsed.ok_or_else(|| "allowed: 0.01 to 3600".to_owned())
 }
 
-/// One measurement.
+/// The result of one measurement.
 #[derive(Debug, Serialize)]
 struct Row {
     backend: &'static str,
@@ -98,17 +99,18 @@ struct Row {
     agents: u32,
     worlds: usize,
     processes: usize,
-    /// Of one world each.
+    /// Steps per second, counted per world and summed over all worlds.
     steps_per_second: f64,
-    /// With all processes together.
+    /// Exchanges per second, summed over all processes.
     exchanges_per_second: f64,
-    /// Share of the time that a SUMO process was computing; `None` in process.
+    /// Share of the time in which a SUMO process was computing, mean over the processes; `None` for
+    /// libsumo, which runs in this process.
     sumo_share: Option<f64>,
-    /// Bytes per exchange, sent and received.
+    /// Bytes sent and received per exchange.
     sent: f64,
     received: f64,
-    /// An exchange that respawns all vehicles of one world per process, beyond one that does not: median \[ms\];
-    /// `None` if there was none of either kind.
+    /// Median duration of an exchange that respawns all vehicles of one world per process, minus
+    /// that of an exchange without a respawn \[ms\]; `None` if one of the two did not occur.
     respawn_ms: Option<f64>,
 }
 
@@ -219,8 +221,8 @@ impl Host {
         (0..processes).map(host).collect()
     }
 
-    /// One exchange of all hosts; `commands` writes those of one world, `read` takes in what one host reports. Returns
-    /// what `read` made of the first host's.
+    /// Runs one exchange with all hosts. `commands` appends the commands of one world; `read`
+    /// evaluates the report of one host. Returns the value of `read` for the first host.
     fn exchange(
         hosts: &mut [Host],
         commands: impl Fn(u32, &mut Vec<Command>) + Sync,
@@ -246,7 +248,7 @@ fn measure(
 ) -> anyhow::Result<Row> {
     let mut hosts = Host::start(workload, backend, worlds, processes)?;
     let per_host = hosts[0].worlds;
-    // Worlds respawn one after the other, as episodes of different lengths do.
+    // Worlds respawn one after the other, like episodes of different lengths.
     let late = |world: u32| world * EPISODE / per_host;
     let advance = |hosts: &mut Vec<Host>, step: u32| -> Result<f64, sumo::Error> {
         let begin = Instant::now();
@@ -313,17 +315,18 @@ fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The value below which the share `q` of the values lies; sorts them. NaN without values.
+/// Sorts the values and returns the `q`-quantile of them; NaN without values.
 fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((values.len() as f64 * q) as usize).or(values.get(last)).copied().unwrap_or(f64::NAN)
 }
 
-/// Processor time that a process has used \[s\].
+/// Returns the processor time that a process has used \[s\].
 fn cpu_seconds(pid: u32) -> Option<f64> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // After the name, which may hold anything, the 12th and 13th fields are user and system time in hundredths.
+    // The process name may contain spaces. After it, the 12th and 13th fields are user and system
+    // time in hundredths of a second.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
     Some((ticks(11)? + ticks(12)?) / 100.0)

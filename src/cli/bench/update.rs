@@ -1,4 +1,4 @@
-//! `iwol bench update`: how long learning from a rollout takes, beside the same in PyTorch.
+//! `iwol bench update`: measures how long learning from a rollout takes, compared with PyTorch.
 
 use std::path::PathBuf;
 use std::process::Command as Program;
@@ -17,7 +17,7 @@ use toml::Value;
 use super::median;
 
 const REFERENCE: &str = include_str!("../../../benches/reference_update.py");
-/// Share of the agents that act, as in a rollout of a policy that has learned.
+/// Percentage of the agents that are active in the random rollout, as with a trained policy.
 const ACTIVE: usize = 75;
 
 #[derive(Debug, clap::Args)]
@@ -37,7 +37,8 @@ pub(super) struct Update {
     /// Timed updates
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repetitions: u32,
-    /// A Python with torch, to run benches/reference_update.py in turn, with as many threads as there are shards
+    /// A Python with torch, to run benches/reference_update.py in turn, with as many threads as
+    /// there are shards
     #[arg(long, value_name = "PYTHON")]
     reference: Option<PathBuf>,
     /// Print JSON lines instead of a table
@@ -50,15 +51,16 @@ pub(super) struct Update {
 struct Row {
     algorithm: String,
     agents: u32,
-    /// Samples (agent × step) in the rollout, each seen once per epoch.
+    /// Number of samples (agent × step) in the rollout; each is used once per epoch.
     samples: usize,
-    /// Passes over the rollout; none for methods that replay, which make `maddpg.updates` minibatches instead.
+    /// Passes over the rollout; `None` for algorithms with a replay buffer, which run
+    /// `maddpg.updates` minibatches instead.
     epochs: Option<usize>,
     median_ms: f64,
-    /// Per sample of the rollout, all epochs.
+    /// Time per sample of the rollout, over all epochs.
     per_sample_us: f64,
     reference_ms: Option<f64>,
-    /// Reference / ours.
+    /// Time of the PyTorch reference divided by the time of this program.
     ratio: Option<f64>,
 }
 
@@ -125,7 +127,7 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
     for repetition in 0..=args.repetitions {
         let begin = Instant::now();
         learner.update(&rollout, &pace, Seed::new(u64::from(repetition)))?;
-        // The first one warms caches up.
+        // The first update warms up caches.
         if repetition > 0 {
             ours.push(1e3 * begin.elapsed().as_secs_f64());
             if let Some(python) = &args.reference {
@@ -149,7 +151,7 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
     })
 }
 
-/// Noise of the shape of a rollout.
+/// Returns a rollout of random numbers, of the same shape as a real one.
 fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Rollout {
     let mut rollout = Rollout::new(Sizes {
         steps: config.train.segment,
@@ -185,7 +187,7 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
     rollout
 }
 
-/// Milliseconds of one update in PyTorch, after one that is not timed.
+/// Returns the milliseconds of one update in PyTorch, after one update that is not timed.
 fn reference(
     python: &PathBuf,
     name: &str,
@@ -208,7 +210,8 @@ fn reference(
         ("threads", config.ppo.shards as i64),
         ("repeat", 1),
     ];
-    // What the other program cannot do would be compared with something else.
+    // The reference supports only some settings; with others the two programs would not do the
+    // same.
     let usual = Settings {
         network: Network { hidden: config.network.hidden, ..Network::default() },
         iwol: Iwol {

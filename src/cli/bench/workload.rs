@@ -1,5 +1,5 @@
-//! What is simulated when speed is measured: vehicles that drive their routes at changing speeds, and are all put back
-//! every eight seconds. The same commands can be played by other clients.
+//! The simulated workload of the speed measurements: vehicles drive their routes at changing speeds
+//! and are all put back to their start every 80 steps. Other clients can run the same commands.
 
 use iwol_sumo::env::Task;
 use iwol_sumo::sumo::{Command, Hosting, SimulationConfig, VehicleState};
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 /// Steps between two respawns of all vehicles.
 pub(super) const EPISODE: u32 = 80;
-/// Speed mode with every check off, as the environments use it.
+/// SUMO speed mode with all checks off, as the environments use it.
 const NO_CHECKS: i32 = 32;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -33,7 +33,7 @@ pub(super) struct Workload {
     pub(super) control: Control,
     /// Whether SUMO looks for collisions in junctions.
     pub(super) audit: bool,
-    /// Ways since the respawn, `[N, EPISODE]` \[m\].
+    /// Distance travelled since the respawn, `[N, EPISODE]` \[m\].
     ways: Vec<f64>,
 }
 
@@ -46,7 +46,7 @@ impl Workload {
         let mut ways = Vec::with_capacity(task.agents * EPISODE as usize);
         for agent in 0..task.agents {
             let place = &task.places[agent];
-            // Who has arrived waits there.
+            // A vehicle that has arrived stays there.
             let longest = task.routes[place.routes[0]].arrival - place.pos;
             let mut way = 0.0_f64;
             for step in 0..EPISODE {
@@ -66,7 +66,7 @@ impl Workload {
         self.task.scenario.vehicle.length / 2.0
     }
 
-    /// Commands of one world in step `step`.
+    /// Appends the commands of one world in step `step`.
     pub(super) fn commands(&self, world: u32, step: u32, out: &mut Vec<Command>) {
         let (agents, episode_step) = (self.task.agents as u32, step % EPISODE);
         if episode_step == 0 {
@@ -110,7 +110,8 @@ impl Workload {
         }
     }
 
-    /// x + y + navigational angle + speed of a vehicle: a number that shows whether two clients did the same.
+    /// Returns x + y + navigational angle + speed of a vehicle. The sum shows whether two clients
+    /// simulated the same.
     pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
         let path = &self.task.routes[self.task.places[slot].routes[0]].path;
         let ([x, y], heading, _) =
@@ -122,7 +123,7 @@ impl Workload {
         self.task.simulation_config(1, worlds, &Hosting { audit: self.audit, ..Hosting::default() })
     }
 
-    /// The commands of one world, for players in other languages.
+    /// Returns the commands of one world as JSON, for clients in other languages.
     pub(super) fn export(&self, arguments: &[String], warmup: u32, steps: u32) -> Value {
         let config = self.config(1);
         let mut commands = Vec::new();

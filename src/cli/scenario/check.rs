@@ -34,7 +34,7 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// What is printed with `--json`.
+/// The result, as printed with `--json`.
 #[derive(Serialize)]
 struct Report<'a> {
     scenario: &'a Path,
@@ -87,7 +87,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     Ok(if errors > 0 { Verdict::Bad } else { Verdict::Good })
 }
 
-/// Whether a trial failed because of the scenario and its net, rather than of the machine or the number of agents asked for.
+/// Returns whether the scenario or its net made the trial fail, and not the machine or the
+/// requested number of agents.
 fn is_fault_of_scenario(error: &env::Error) -> bool {
     match error {
         env::Error::Sumo { source, .. } => {
@@ -110,7 +111,7 @@ fn failed(error: &env::Error, path: &Path) -> Finding {
     Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
 }
 
-/// The numbers first, so that what is wrong stands at the end.
+/// Prints the trial first, so that the findings stand at the end.
 fn print(findings: &Findings, trial: Option<&Trial>) {
     if let Some(trial) = trial {
         print_trial(trial);

@@ -6,10 +6,11 @@ use iwol_sumo::scenario::author::{Candidate, Map, import};
 
 use super::Verdict;
 
-/// Most junctions and warnings that are listed.
+/// Maximum number of junctions, and of warnings, that are listed.
 const LISTED: usize = 8;
 
-/// The proposal takes one junction, all ways over it that need no lane change, and places on the lanes before it.
+/// The proposal takes one junction, all ways over it that need no lane change, and places on the
+/// lanes before it.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// OpenStreetMap extract (XML), which netconvert makes a net of

@@ -48,7 +48,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
 }
 
-/// Says what to do next with a new scenario.
+/// Prints the path of a new scenario, and which commands to run next.
 fn next(scenario: &std::path::Path) {
     tell!("{}", scenario.display());
     let file = scenario.display();

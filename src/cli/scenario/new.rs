@@ -15,10 +15,12 @@ pub(super) struct Args {
     /// cross, tee, roundabout, merge, grid, bottleneck or parking
     #[arg(long, short)]
     template: String,
-    /// Lanes per direction, 1 to 4; of a bottleneck 2 to 4, of a parking lot 1 [default: the fewest]
+    /// Lanes per direction, 1 to 4; of a bottleneck 2 to 4, of a parking lot 1 [default: the
+    /// fewest]
     #[arg(long)]
     lanes: Option<u32>,
-    /// Length of the lanes on which vehicles begin, at least, in metres [default: what the agents need]
+    /// Length of the lanes on which vehicles begin, at least, in metres [default: what the agents
+    /// need]
     #[arg(long, value_name = "METRES")]
     arm_length: Option<f64>,
     /// Number of vehicles

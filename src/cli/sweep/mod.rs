@@ -13,20 +13,21 @@ use iwol_sumo::sweep::{Cell, State, Sweep};
 use self::progress::{table, time_left};
 use super::Verdict;
 
-/// Trains and evaluates every cell of a grid, each in a process and a folder of its own. Cells that are finished are skipped,
-/// those that were cut off go on: after a kill, the same command again.
+/// Trains and evaluates every cell of a grid, each in a process and a folder of its own. Cells that
+/// are finished are skipped, those that were cut off go on: after a kill, the same command again.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Sweep file, e.g. experiments/scalability.toml
     file: PathBuf,
-    /// Cells at a time [default: 1, as each uses all cores while it learns; with --slurm as many as Slurm allows]
+    /// Cells at a time [default: 1, as each uses all cores while it learns; with --slurm as many as
+    /// Slurm allows]
     #[arg(long, short, value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
     /// Only every n-th cell, beginning with the i-th: a part of the grid for each of n machines
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(usize, usize)>,
-    /// Only cells with this name, or this number, as `--dry-run` shows them; `*` stands for any part of a name, e.g. 'mappo*/seed_0'; may be
-    /// repeated
+    /// Only cells with this name, or this number, as `--dry-run` shows them; `*` stands for any
+    /// part of a name, e.g. 'mappo*/seed_0'; may be repeated
     #[arg(long, value_name = "CELL", conflicts_with = "shard")]
     cell: Vec<String>,
     /// Show the cells, how far they are and how long the rest will take; run nothing
@@ -54,7 +55,7 @@ fn parse_shard(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
-/// Whether a name is as wanted, where `*` stands for any part of it.
+/// Returns whether a name matches a pattern in which `*` stands for any part of the name.
 fn matches(wanted: &str, name: &str) -> bool {
     match wanted.split_once('*') {
         None => wanted == name,

@@ -1,4 +1,4 @@
-//! How far a sweep is, as people want to see it.
+//! The progress of a sweep, as a table for the user.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use iwol_sumo::sweep::{Cell, State, Sweep};
 use iwol_sumo::train::human_duration;
 
-/// A line per cell, and how long the rest will take.
+/// Formats one line per cell, and the time that the remaining cells will take.
 pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
     let width = cells.iter().map(|(_, cell)| cell.id.len()).max().unwrap_or(0).max(4);
     let mut text = format!(
@@ -56,8 +56,8 @@ fn name(state: &State) -> String {
     }
 }
 
-/// Training time of the cells that are not trained yet, as long as that of the most similar ones that are; `None` when none
-/// is.
+/// Estimates the remaining training time of `cells`. An untrained cell is expected to take as long
+/// as the mean of the most similar trained cells; `None` if no cell is trained.
 pub(super) fn time_left(sweep: &Sweep, cells: &[(usize, &Cell)]) -> Option<Duration> {
     let trained: Vec<(&Cell, f64)> =
         sweep.cells.iter().filter_map(|cell| Some((cell, cell.trained()?.seconds))).collect();

@@ -1,4 +1,4 @@
-//! A job array for Slurm: the engine that clusters have. What is computed is what `iwol sweep --cell` computes.
+//! Submits a sweep to Slurm as a job array. Each task runs `iwol sweep --cell`.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,7 +12,7 @@ use iwol_sumo::sweep::{Cell, State, Sweep};
 use super::Args;
 use crate::cli::Verdict;
 
-/// Writes the script and hands it to `sbatch`.
+/// Writes the job script and submits it with `sbatch`.
 pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     let open =
         |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
@@ -37,7 +37,8 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     let folder = args.out.join(&sweep.name);
     std::fs::create_dir_all(folder.join("slurm"))
         .with_context(|| format!("cannot make `{}`", folder.display()))?;
-    // Tasks that wait in the queue go by this list, whatever becomes of the sweep file and of later submissions.
+    // Queued tasks read this list, so later changes of the sweep file and later submissions do not
+    // affect them.
     let stamp = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let list = folder.join(format!("slurm/{stamp}.cells"));
     let names: Vec<&str> = numbers.iter().map(|&number| sweep.cells[number].id.as_str()).collect();
@@ -65,7 +66,8 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     Ok(Verdict::Good)
 }
 
-/// The script: a task per cell, of which Slurm runs at most `--jobs` at a time if more than one was asked for.
+/// Returns the job script: one task per cell, of which Slurm runs at most `--jobs` at a time if
+/// that option is given.
 fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Result<String> {
     let here = std::env::current_dir().context("cannot tell the current folder")?;
     let program = std::env::current_exe().context("cannot find this program's file")?;
@@ -82,7 +84,8 @@ fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Resu
     let _ = writeln!(text, "#SBATCH --job-name=iwol-{}", sweep.name);
     let _ = writeln!(text, "#SBATCH --array=1-{count}{throttle}");
     let _ = writeln!(text, "#SBATCH --output={}", quoted(&logs)?);
-    // A task that has to go gets its time to write a checkpoint; queued again, it goes on.
+    // Slurm signals a task 60 s before it ends it, which leaves time to write a checkpoint; a
+    // requeued task continues from there.
     let _ =
         writeln!(text, "#SBATCH --signal=B:TERM@60\n#SBATCH --requeue\n#SBATCH --open-mode=append");
     for option in &args.slurm_option {

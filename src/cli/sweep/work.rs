@@ -1,4 +1,4 @@
-//! Running cells: some at a time, each a child process that ends with this one.
+//! Runs cells in parallel, each in a child process that ends with this process.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -16,14 +16,14 @@ use iwol_sumo::train::human_duration;
 use super::super::INTERRUPTED;
 use super::time_left;
 
-/// How often children are looked after.
+/// Interval at which the child processes are polled.
 const TICK: Duration = Duration::from_millis(100);
-/// How long a cell waits for another process to leave its folder: one of a sweep that was killed, which still writes its
-/// checkpoint.
+/// How long a cell waits for another process to leave its folder, e.g. for a child of a killed
+/// sweep that still writes its checkpoint.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Runs what is not finished of `cells`, `jobs` at a time, until all is done or `stop` is raised. A cell that fails leaves its
-/// mark and does not disturb the others.
+/// Runs the unfinished cells among `cells`, `jobs` at a time, until all are done or `stop` is
+/// raised. A cell that fails is marked as failed and does not stop the others.
 pub(super) fn run(
     sweep: &Sweep,
     cells: &[(usize, &Cell)],
@@ -37,7 +37,7 @@ pub(super) fn run(
     let count = queue.lock().expect("no worker panics").len();
     say!("{count} of {} cells to do, {jobs} at a time", cells.len());
     let screen = Screen::new(count, jobs);
-    // Cells that are in work: what waits for them may still get its turn.
+    // Number of cells in work; cells that wait for one of them may still become ready.
     let busy = AtomicUsize::new(0);
     let next = || loop {
         let mut queue = queue.lock().expect("no worker panics");
@@ -79,19 +79,19 @@ pub(super) fn run(
     results.into_iter().collect()
 }
 
-/// How work on a cell ended.
+/// How the work on a cell ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
     Finished,
     Failed,
     Stopped,
-    /// Its own process was asked to stop, by somebody else.
+    /// Someone else asked the cell's process to stop.
     Interrupted,
-    /// Another process works in its folder.
+    /// Another process works in the cell's folder.
     Busy,
 }
 
-/// Does all that is left to do in a cell.
+/// Does everything that is left to do for a cell.
 fn finish(
     sweep: &Sweep,
     cell: &Cell,
@@ -99,7 +99,7 @@ fn finish(
     show: &mut dyn FnMut(&str),
 ) -> anyhow::Result<End> {
     loop {
-        // What is next depends on what such a process leaves behind.
+        // The next job depends on what another process leaves in the folder.
         let since = Instant::now();
         while cell.run().is_locked() && !stop.load(Ordering::Relaxed) {
             if since.elapsed() > PATIENCE {
@@ -139,14 +139,14 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
     let mut command = Command::new(program);
     command.args(["--die-with-parent", &std::process::id().to_string()]).args(&job.arguments);
     command.env("RUST_BACKTRACE", "0");
-    // In a group of its own, so that Ctrl-C reaches this program alone, which passes on one signal: two would be an order to
-    // leave everything and go.
+    // The child gets its own process group, so that Ctrl-C reaches only this program, which passes
+    // one signal on. A second signal would make the child end at once, without a checkpoint.
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).process_group(0);
     command.spawn().context("cannot start a process of this program")
 }
 
-/// Waits for a child; its exit code, `None` when a signal ended it. When `stop` is raised, the child is asked to stop, and
-/// given the time to write its checkpoint.
+/// Waits for a child process and returns its exit code; `None` if a signal ended it. When `stop` is
+/// raised, the child is asked to stop and given time to write its checkpoint.
 fn wait(
     child: &mut Child,
     stop: &AtomicBool,
@@ -160,7 +160,7 @@ fn wait(
         if stop.load(Ordering::Relaxed) && !asked {
             asked = true;
             let pid = rustix::process::Pid::from_child(child);
-            // A child that is gone needs no signal.
+            // The child may have ended already and then needs no signal.
             let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
         }
         show();
@@ -168,12 +168,13 @@ fn wait(
     }
 }
 
-/// What is shown while cells run: bars on a terminal, else a line at each beginning and end.
+/// The progress display while cells run: bars on a terminal, otherwise a line at the beginning and
+/// the end of each job.
 struct Screen {
     bars: Vec<ProgressBar>,
     all: ProgressBar,
     terminal: bool,
-    /// What each worker said last.
+    /// The last message of each worker.
     last: Mutex<Vec<String>>,
 }
 
@@ -194,7 +195,7 @@ impl Screen {
         Self { bars, all, terminal, last: Mutex::new(vec![String::new(); jobs]) }
     }
 
-    /// What worker `number` does now.
+    /// Shows what worker `number` is doing.
     fn show(&self, number: usize, cell: &Cell, what: &str) {
         let said = format!("{}: {what}", cell.id);
         let mut last = self.last.lock().expect("no worker panics");

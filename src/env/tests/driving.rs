@@ -1,10 +1,11 @@
-//! What an episode's record says about driving: distance, crashes, loitering.
+//! Tests of what an episode's record says about driving: distance, crashes, loitering.
 
 use super::*;
 
-/// An episode in which the agents of one lane stop `stops[k]` metres before the finish, counted
-/// from the first of the lane, or drive through at full throttle where there is none; all others
-/// stand at their spawn places. The record, and what was driven by SUMO's count \[km\].
+/// Plays an episode in which agent `k` of one lane, counted from the first, stops `stops[k]`
+/// metres before the finish, or drives through at full throttle if there is no stop; all other
+/// agents stand at their spawn places. Returns the record, and the distance driven by SUMO's
+/// count \[km\].
 fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
     let task = task(16, |s| s.termination.horizon = 300);
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
@@ -21,7 +22,7 @@ fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
         for (&i, stop) in lane.iter().zip(stops) {
             let Some((route, front, speed)) = rails.vehicles[i] else { continue };
             let left = stop.map(|stop| task.routes[route].arrival + half - stop - front);
-            // Brakes such that the vehicle stands at the wanted place.
+            // Brakes so that the vehicle stops at the wanted position.
             let wanted = left.map_or(f64::INFINITY, |left| (8.0 * left.max(0.0)).sqrt());
             actions[i] = if speed >= wanted { -0.3 } else { 1.0 };
         }
@@ -42,7 +43,7 @@ fn an_agent_that_waits_before_its_finish_loiters() {
     assert_eq!(share(&[Some(5.0)]), 1.0, "it stands 5 m before its finish, with nobody ahead");
     assert_eq!(share(&[Some(20.0)]), 0.0, "it is not near its finish");
     assert_eq!(share(&[None]), 0.0, "it drives through");
-    // The second stands 12 m before the finish, behind the first: only the first loiters.
+    // The second vehicle stands 12 m before the finish, behind the first. Only the first loiters.
     let (queue, _) = lane(&[Some(5.0), Some(12.0)]);
     assert_eq!((queue.loitering * 16.0, queue.crashes), (1.0, 0));
     assert_eq!(share(&[None, Some(12.0)]), 1.0, "the first has arrived and is in nobody's way");
@@ -52,8 +53,8 @@ fn an_agent_that_waits_before_its_finish_loiters() {
 fn an_agent_that_has_not_moved_yet_does_not_loiter() {
     let task = task(4, |s| s.termination.horizon = 60);
     let half = task.scenario.vehicle.length / 2.0;
-    // An episode whose first agent is alone on its lane; the finish there is moved to 8 m ahead of
-    // it.
+    // Searches for an episode whose first agent is alone on its lane. The finish of its route is
+    // then moved to 8 m ahead of the agent.
     let begin = |seed| {
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -66,7 +67,8 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
     let mut close = Task::clone(&task);
     close.routes[route].arrival = front - half + 8.0;
     let close = Arc::new(close);
-    // The share that loiters where agent 0 drives for so many steps and then stands.
+    // Returns the share of agents that loiter if agent 0 drives for this number of steps and then
+    // stands.
     let loitering = |steps: usize| {
         let (mut world, mut rails) = (world(&close, seed), Rails::new(&close));
         world.reset(0);
@@ -95,8 +97,8 @@ fn distance_and_crashes_are_counted() {
         record.distance_km
     );
     assert_eq!(record.crashes, 0);
-    // The second of the lane runs into the first, which stands: one crash of two. The third runs
-    // into the wrecks: one more.
+    // The second vehicle of the lane hits the first, which stands: one crash of two agents. The
+    // third hits the wrecks: one more crash.
     let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
     assert_eq!((record.crashes, record.failures.crashed()), (2, 3), "{record:?}");
 }

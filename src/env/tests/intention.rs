@@ -1,4 +1,4 @@
-//! What a scenario hides of vehicles' routes shows in no observation.
+//! Tests that no observation reveals what the scenario hides of the vehicles' routes.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -12,10 +12,10 @@ use crate::scenario::{Intention, Lidar, Observation, SpawnRow};
 
 /// Scenarios with routes that begin alike.
 const FORKED: [&str; 3] = ["intersection_turns_small", "intersection_turns", "parking_lot"];
-/// Vehicles in a scene.
+/// Number of vehicles in a scene.
 const VEHICLES: usize = 8;
 
-/// A scenario with every feature group in its agents' observations.
+/// Returns a scenario with every feature group in its agents' observations.
 fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
     let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
@@ -36,7 +36,7 @@ fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario 
     scenario
 }
 
-/// The task of a scenario, made once.
+/// Returns the task of a scenario, which is built once and then kept.
 fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> {
     static MADE: Mutex<BTreeMap<String, Arc<Task>>> = Mutex::new(BTreeMap::new());
     let make = || {
@@ -49,21 +49,22 @@ fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> 
     Arc::clone(made.entry(format!("{name} {intention:?} {signal_distance}")).or_insert_with(make))
 }
 
-/// A vehicle's route and place as shares of what there is, its offset \[m\], its turn of heading
-/// \[rad\] and its speed \[m/s\].
+/// A vehicle's route and position along it as shares of their number and of its length, its
+/// lateral offset \[m\], its heading relative to the route's \[rad\], and its speed \[m/s\].
 type Place = (f64, f64, f64, f64, f64);
 
 fn place() -> impl Strategy<Value = Place> {
     (0.0..1.0, 0.0..1.0, -1.5..1.5, -0.4..0.4, -1.0..14.0)
 }
 
-/// Sends the vehicle of a slot along another route from where it is.
+/// Puts the vehicle of a slot on another route, at its present pose.
 fn send(task: &Task, slot: &mut Slot, route: usize) {
     slot.route = route;
     (slot.s, slot.lateral, slot.segment) =
         task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
 }
 
+/// Returns traffic with a vehicle at each of these places.
 fn scene(task: &Task, places: &[Place]) -> Traffic {
     let mut traffic = Traffic::new(places.len(), task.routes.len());
     for (k, (slot, &(route, at, lateral, turned, speed))) in
@@ -81,7 +82,7 @@ fn scene(task: &Task, places: &[Place]) -> Traffic {
     traffic
 }
 
-/// All agents' observations, as a world has them in the first step of an episode.
+/// Returns all agents' observations, as a world makes them in the first step of an episode.
 fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
     let mut traffic = traffic.clone();
     traffic.refresh();
@@ -100,7 +101,7 @@ fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
     seen
 }
 
-/// Names of the features that differ between the observations of agents other than `but`.
+/// Returns the features that differ between two sets of observations, for all agents except `but`.
 fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<String> {
     let mut names = Vec::new();
     for (i, (a, b)) in a.iter().zip(b).enumerate().filter(|(i, _)| *i != but) {
@@ -112,7 +113,7 @@ fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<Str
     names
 }
 
-/// Routes other than its own on which a vehicle may be that began where it did.
+/// Returns the other routes that begin on the same lane as `route`.
 fn alike(task: &Task, route: usize) -> Vec<usize> {
     let begin = |k: usize| task.routes[k].path.lanes.first();
     (0..task.routes.len()).filter(|&k| k != route && begin(k) == begin(route)).collect()
@@ -121,8 +122,8 @@ fn alike(task: &Task, route: usize) -> Vec<usize> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
-    /// Wherever a vehicle is, and whichever route that begins alike it is on, the others observe
-    /// the same.
+    /// The other agents' observations do not depend on which of the routes that begin alike a
+    /// vehicle is on, wherever it is.
     #[test]
     fn a_hidden_route_changes_no_observation(
         name in prop::sample::select(&FORKED[..]),
@@ -140,7 +141,8 @@ proptest! {
         }
     }
 
-    /// An indicator that is not yet on tells nothing, and one that is tells the direction only.
+    /// While a vehicle's indicator is not yet on, the other agents' observations do not depend on
+    /// the vehicle's route.
     #[test]
     fn a_route_is_hidden_until_it_is_signalled(
         name in prop::sample::select(&FORKED[..]),
@@ -149,7 +151,8 @@ proptest! {
     ) {
         let task = task_of(name, Intention::Signalled, 2.0);
         let mut traffic = scene(&task, &places);
-        // On its first lane, where it is farther from the next junction than its signal reaches.
+        // The vehicle is on its first lane, farther from the next junction than the signal
+        // distance.
         let slot = &mut traffic.slots[sent];
         let path = &task.routes[slot.route].path;
         let end = path.lane_stretches().next().map_or(0.0, |(_, _, end)| end);
@@ -165,7 +168,8 @@ proptest! {
         }
     }
 
-    /// A vehicle on its route may be on it, at the same place.
+    /// The candidates of a vehicle that is on its route contain that route, at the vehicle's
+    /// position.
     #[test]
     fn a_vehicle_on_its_route_may_take_it(
         name in prop::sample::select(&FORKED[..]),
@@ -185,12 +189,12 @@ proptest! {
         }
     }
 
-    /// Where no route but one begins on a lane, nothing is hidden of the vehicles there.
+    /// Hiding routes changes nothing for vehicles on a lane on which only one route begins.
     #[test]
     fn a_route_that_is_the_only_one_is_known(places in prop::collection::vec(place(), VEHICLES)) {
         let of = |intention| {
             let mut scenario = scenario("intersection_turns_small", intention, 30.0);
-            // Behind the straight routes of all arms the left one of the west arm.
+            // The straight routes of all arms, then the left turn of the west arm.
             let kept = [3, 6, 9, 0, 1];
             scenario.routes = kept.iter().map(|&route| scenario.routes[route].clone()).collect();
             let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8 };
@@ -199,7 +203,7 @@ proptest! {
         };
         let [seen, hidden] = [Intention::Seen, Intention::Hidden].map(of);
         prop_assert!(Intentions::new(&hidden).is_some() && Intentions::new(&seen).is_none());
-        // On one of the first three.
+        // The vehicles are on one of the first three routes.
         let places: Vec<Place> = places.iter().map(|&(r, at, lateral, h, v)| (0.59 * r, at, lateral, h, v)).collect();
         let traffic = scene(&seen, &places);
         let differ = differing(&seen, &observe(&seen, &traffic), &observe(&hidden, &traffic), VEHICLES);
@@ -207,8 +211,8 @@ proptest! {
     }
 }
 
-/// The groups of features that tell others' routes where those are seen, so that the tests above
-/// can fail.
+/// Routes that are seen or signalled change the feature groups that depend on routes, so that the
+/// tests above can fail; hidden routes change none.
 #[test]
 fn a_seen_route_changes_what_depends_on_it() {
     let places = |k: usize| -> Vec<Place> {
@@ -256,7 +260,8 @@ fn a_seen_route_changes_what_depends_on_it() {
     }
 }
 
-/// An indicator is read where it is on and in sight, and tells the direction at the next junction.
+/// An indicator is observed where it is on and in sight, and shows the direction at the next
+/// junction.
 #[test]
 fn an_indicator_is_seen_past_nobody() {
     let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
@@ -277,7 +282,8 @@ fn an_indicator_is_seen_past_nobody() {
         send(&task, &mut traffic.slots[k], route(id));
     };
     let end = task.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
-    // The first is behind the second, the third comes towards both.
+    // Vehicle 0 is behind vehicle 1, vehicle 2 comes towards both, and vehicle 3 is behind vehicle
+    // 0.
     put(0, "west_straight", end - 20.0);
     put(1, "west_left", end - 8.0);
     put(2, "east_straight", 20.0);
@@ -296,7 +302,7 @@ fn an_indicator_is_seen_past_nobody() {
     assert_eq!(known(1, 0), ["west_straight"], "an indicator that is off");
     let everybody = Knowledge::public(&task, &traffic, Some(&intentions));
     assert_eq!(everybody.candidates(1).count(), 3, "nobody's sight");
-    // Beyond the range, and before the indicator is on.
+    // Beyond the detection range, and before the indicator is on.
     for (signal_distance, detection_range) in [(30.0, 5.0), (4.0, 100.0)] {
         let mut task = Task::clone(&task);
         task.scenario.observation.signal_distance = signal_distance;
@@ -307,8 +313,8 @@ fn an_indicator_is_seen_past_nobody() {
     }
 }
 
-/// Which routes are open from the beginning of a turn to its end, and where nothing is to be
-/// hidden.
+/// Candidate routes close one after the other in the course of a left turn, and scenarios without
+/// routes that begin alike hide nothing.
 #[test]
 fn routes_close_where_they_part() {
     let task = task_of("intersection_turns_small", Intention::Hidden, 30.0);
@@ -333,7 +339,7 @@ fn routes_close_where_they_part() {
         open[..20].iter().all(|&count| count == 3) && open[40..].iter().all(|&count| count == 1),
         "{open:?}"
     );
-    // Where every vehicle's route is the only one from its lane, hiding costs nothing.
+    // Hiding has no effect if the route of every vehicle is the only one from its lane.
     for name in ["intersection", "mixed_cross", "pedestrians_cross"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
         let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
@@ -342,8 +348,8 @@ fn routes_close_where_they_part() {
     }
 }
 
-/// A vehicle that steers where its actions take it, through whole episodes: which route it means to
-/// take shows nowhere.
+/// Over whole episodes of agents that steer, no observation depends on the route that another
+/// vehicle intends to take, as long as the vehicle's actions are the same.
 #[test]
 fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
     let mut differences = [0; 2];
@@ -361,7 +367,8 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
                 world.act(0, &actions, &mut Vec::new());
             }
             let agents = worlds[0].agents().collect::<Vec<_>>();
-            // Every second vehicle of the second world means to go elsewhere than it drives.
+            // Every second vehicle of the second world is assigned another route than the one it
+            // drives.
             let mut sent = [false; VEHICLES];
             for (j, agent) in agents.iter().enumerate().filter(|(j, _)| j % 2 == 1) {
                 if let Some(&route) = alike(&task, agent.route).first() {
@@ -398,7 +405,7 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
     assert!(differences[0] > 100 && differences[1] == 0, "{differences:?}");
 }
 
-/// Following the vehicles and observing them takes no memory once there was an observation.
+/// After the first step, tracking hidden routes and writing observations allocates no memory.
 #[test]
 fn what_is_hidden_takes_no_memory_in_a_step() {
     for intention in [Intention::Hidden, Intention::Signalled] {

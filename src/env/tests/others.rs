@@ -1,8 +1,8 @@
-//! Vehicles that SUMO drives, on rails.
+//! Tests of background traffic in the fake simulator.
 
 use super::*;
 
-/// The intersection with vehicles that SUMO drives, as `scenarios/mixed_cross.xml` has it.
+/// Returns the intersection with background traffic of `scenarios/mixed_cross.xml`.
 fn mixed(penetration: f64, capacity: u32, horizon: u32) -> Arc<Task> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/mixed_cross.xml");
     let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
@@ -15,8 +15,9 @@ fn mixed(penetration: f64, capacity: u32, horizon: u32) -> Arc<Task> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Agents and others keep to their slots (the rails see to it that none is taken twice), no more are there than there is room
-    /// for, and masks and observations are the agents'.
+    /// Agents and background traffic keep to their slots (the fake simulator checks that no slot
+    /// is used twice), the number of background vehicles is at most the capacity, and masks and
+    /// observations cover agents only.
     #[test]
     fn others_keep_to_their_slots(
         penetration in 0.01f64..1.0, capacity in 1u32..6, horizon in 20u32..400, seed in any::<u64>(), mean in -0.2f32..1.0,
@@ -55,7 +56,8 @@ proptest! {
         prop_assert!(most > 0 && (episodes > 0 || horizon > 100));
     }
 
-    /// The demand of an episode depends on its seed alone: the same departures, whatever the agents do, as long as there is room.
+    /// The departures of an episode depend on its seed alone and not on the agents' actions, as
+    /// long as there is room on the road.
     #[test]
     fn departures_follow_from_the_seed(seed in any::<u64>(), throttles in (-1.0f32..1.0, -1.0f32..1.0)) {
         let task = mixed(0.5, 64, 600);
@@ -105,6 +107,7 @@ fn flows_have_the_rates_that_they_say() {
             world.observe(0, &snapshot).expect("nothing vanishes on rails");
         }
     }
-    // One in 40 s on each arm, in 400 episodes of 40 s: 400, give or take four standard deviations.
+    // Each arm has one departure in 40 s. In 400 episodes of 40 s, 400 are expected; the limits
+    // are four standard deviations away.
     assert!(counts.iter().all(|count| (320..=480).contains(count)), "{counts:?}");
 }

@@ -1,11 +1,12 @@
-//! Routes, where they meet, and the ways that vehicles drive on them.
+//! Tests of routes, their conflicts, and the paths that vehicles drive on them.
 
 use super::super::geometry::{Pose, boxes_overlap};
 use super::super::routes::RouteGeometry;
 use super::super::steering::Motion;
 use super::*;
 
-/// Behind a fork the ways stay one as long as vehicles on them would touch.
+/// Behind a fork, a vehicle on the other route counts as ahead as long as vehicles on both would
+/// touch.
 #[test]
 fn who_waits_behind_a_fork_is_still_ahead() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
@@ -20,7 +21,7 @@ fn who_waits_behind_a_fork_is_still_ahead() {
         assert!((there - s).abs() < 0.1, "{s}: {there}");
     }
     assert_eq!(own.shared_position(right, other.path.length() - 1.0), None);
-    // Wherever one counts as ahead, it is in the way.
+    // A vehicle that counts as ahead is close to the path.
     for (a, own) in task.routes.iter().enumerate() {
         for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
             for s in (0..other.path.length() as u32).map(f64::from) {
@@ -37,7 +38,8 @@ fn who_waits_behind_a_fork_is_still_ahead() {
     }
 }
 
-/// Nobody stands in an agent's way unseen: who touches a vehicle on the agent's centre line is ahead, or their ways meet.
+/// Every vehicle that an agent could touch on its path is an encounter: it is ahead, or the two
+/// routes have a conflict.
 #[test]
 fn who_is_in_the_way_is_an_encounter() {
     for name in ["intersection_turns_small", "intersection_turns", "parking_lot"] {
@@ -52,7 +54,7 @@ fn who_is_in_the_way_is_an_encounter() {
         let mut unseen = Vec::new();
         for (a, own) in task.routes.iter().enumerate() {
             for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
-                // From where whole vehicles are on their routes, up to where they arrive.
+                // Positions up to the arrival.
                 let ways = |route: &RouteGeometry| {
                     (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0)
                 };
@@ -61,7 +63,7 @@ fn who_is_in_the_way_is_an_encounter() {
                         continue;
                     }
                     let live = |t: f64| own.next_meeting(t, b, s, CLEARED).is_some();
-                    // Who is past the meeting drives on.
+                    // A vehicle past the conflict point drives on.
                     let ahead =
                         |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
                     let past = |t: f64| own.meeting(b).is_some() && !ahead(t);
@@ -82,7 +84,8 @@ fn who_is_in_the_way_is_an_encounter() {
     }
 }
 
-/// Also where a route turns back within 3.5 m, which no vehicle can follow.
+/// Pure pursuit stays on the road on every route, also where a route turns back within 3.5 m,
+/// which no vehicle can follow exactly.
 #[test]
 fn pursuit_stays_on_the_road_of_every_route() {
     let mut around = 0;
@@ -129,7 +132,8 @@ fn pursuit_stays_on_the_road_of_every_route() {
     assert_eq!(around, 4, "the inner lane of each arm of the large intersection");
 }
 
-/// Any lane of the last edge will do, not its shoulder or the lanes of the other direction.
+/// An agent that steers arrives on any lane of its last edge, but not beside the road or on lanes
+/// of the other direction.
 #[test]
 fn an_agent_that_steers_arrives_on_any_lane() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns.xml");
@@ -139,7 +143,7 @@ fn an_agent_that_steers_arrives_on_any_lane() {
     for route in &task.routes {
         let [right, left] = route.finish;
         let width = route.path.widths.last().expect("a path has segments");
-        // Two lanes: its own, and one beside it.
+        // The finish spans two lanes: the route's own and the one beside it.
         assert!((left - right - 2.0 * width).abs() < 1e-9, "{right} {left}");
         ends.insert(if left > -right { "right lane" } else { "left lane" });
     }
@@ -152,7 +156,8 @@ fn routes_meet_where_the_lanes_cross() {
     let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
     let (east, west, south, north) =
         (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
-    // Eastbound along y = 0 from x = 0 meets southbound at x = 40, then northbound at x = 43.5; westbound never.
+    // Eastbound (y = 0, from x = 0) has conflicts with southbound at x = 40 and with northbound at
+    // x = 43.5, and none with westbound.
     let conflicts = &task.routes[east].conflicts;
     assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
     assert!((conflicts[0].own - 40.0).abs() < 1e-6 && (conflicts[1].own - 43.5).abs() < 1e-6);
@@ -176,7 +181,7 @@ fn ways_that_lie_on_each_other_meet() {
     let index =
         |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
     let meeting = |a: &str, b: &str| task.routes[index(a)].meeting(index(b));
-    // Into a space, and out of it: they share its lanes' ground, and the last metres before it.
+    // A route into a space and a route out of it share the space and the last metres before it.
     let met = meeting("west_space1", "space1_north").expect("they meet");
     assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
     for (leaves, enters) in [
@@ -184,7 +189,8 @@ fn ways_that_lie_on_each_other_meet() {
         ("space5_west", "north_space5"),
         ("space7_south", "west_space7"),
     ] {
-        // Who leaves meets who enters at the end of their common way: out of the space, which is 7 m long.
+        // The conflict of a route out of a space with a route into it is at the end of their
+        // common stretch, where the vehicle is out of the space. The space is 7 m long.
         let met = meeting(leaves, enters).expect("they meet");
         assert!((2.0..12.0).contains(&met.own), "{leaves}, {enters}: {met:?}");
         let place = |id: &str, s: f64| task.routes[index(id)].path.at(s).0;
@@ -203,8 +209,8 @@ fn ways_that_lie_on_each_other_meet() {
     );
 }
 
-/// The reward for speed counts its magnitude, as the paper's simulator does: who drives backwards
-/// is paid as well.
+/// The reward for speed depends on its magnitude, as in the paper's simulator: driving backwards
+/// is rewarded as well.
 #[test]
 fn the_reward_for_speed_is_for_its_magnitude() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");

@@ -1,4 +1,5 @@
-//! How a world's vehicles get onto the road and move: actions become SUMO's commands, and its snapshots poses.
+//! Spawning and motion of a world's vehicles: turns actions into SUMO's commands, and SUMO's
+//! snapshots into poses.
 
 use std::sync::Arc;
 
@@ -13,29 +14,30 @@ use crate::sumo::{Command, Snapshot};
 
 /// SUMO's speed mode with every check off.
 pub(super) const NO_CHECKS: i32 = 32;
-/// SUMO's speed mode of its own driver.
+/// SUMO's speed mode with all checks of SUMO's own driver.
 const SUMO_CHECKS: i32 = 31;
 
-/// A driver that needs no training: it follows its route.
+/// A rule-based policy that follows its route by pure pursuit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pursuit {
-    /// How fast \[m/s\].
+    /// Speed \[m/s\].
     pub speed: f64,
-    /// Whether it gives way to others, first come, first served; otherwise it heeds nobody.
+    /// Whether the policy gives way by the rule first come, first served; otherwise it ignores
+    /// other vehicles.
     pub gives_way: bool,
 }
 
 impl World {
-    /// What such drivers do in all slots, `[N, A]`.
+    /// Writes the actions of such a policy for all slots, `[N, A]`.
     pub fn pursue(&self, Pursuit { speed, gives_way }: Pursuit, actions: &mut [f32]) {
         let (task, n) = (&*self.task, self.task.agents);
         let reverses = task.scenario.control.steering.is_some_and(|steering| steering.reverse);
         let waits = if gives_way { fcfs::giving_way(task, &self.traffic) } else { vec![false; n] };
         for (i, action) in actions.chunks_mut(task.spec.actions.len()).enumerate() {
             let [steer, throttle] = self.pursuit(i, if waits[i] { 0.0 } else { speed });
-            // Where full brake drives nobody backwards, it is the shortest way to stand.
+            // Where full brake does not drive backwards, it stops the vehicle fastest.
             let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
-            // Who is on rails has no steering.
+            // A vehicle that does not steer has the throttle as its only action.
             action
                 .iter_mut()
                 .zip(&wanted[2 - task.spec.actions.len()..])
@@ -43,8 +45,9 @@ impl World {
         }
     }
 
-    /// Steering and throttle with which the agent of a slot pursues its route at `speed` \[m/s\]: pure pursuit, and throttle closes the
-    /// gap in speed within half a second.
+    /// Returns steering and throttle with which the agent of a slot follows its route at
+    /// `speed` \[m/s\]. Steering is by pure pursuit; the throttle closes a gap in speed within
+    /// half a second.
     pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
         let (task, own) = (&*self.task, &self.traffic.slots[slot]);
         let control = &task.scenario.control;
@@ -55,7 +58,8 @@ impl World {
         [pursuit::steer(&steering, &task.routes[own.route].path, own.s, &own.pose), throttle]
     }
 
-    /// Commands of the coming exchange; `actions` is `[N, A]`, of which only active agents' entries count.
+    /// Appends the commands of the coming exchange. `actions` is `[N, A]`, of which only active
+    /// agents' entries count.
     pub fn act(&mut self, world: u32, actions: &[f32], commands: &mut Vec<Command>) {
         match self.phase {
             Phase::Idle | Phase::Spawning => {}
@@ -91,7 +95,8 @@ impl World {
                                 let (way, speed) =
                                     dynamics::advance(control, vehicle, slot.speed, slot.action);
                                 slot.speed = speed;
-                                // SUMO moves a vehicle by its new speed times the step: the mean speed gives the exact way.
+                                // SUMO moves a vehicle by its new speed times the step length, so
+                                // that the mean speed over the step gives the exact distance.
                                 commands.push(Command::SetSpeed {
                                     world,
                                     slot: at,
@@ -107,7 +112,7 @@ impl World {
                         Status::Wreck => {
                             slot.wreck_steps -= 1;
                             match &task.scenario.control.steering {
-                                // SUMO knows no vehicle any more.
+                                // SUMO does not have the vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
                                 Some(_) if self.driver == Driver::Agents => {
                                     moves(task, world, at, slot, commands)
@@ -131,6 +136,8 @@ impl World {
         }
     }
 
+    /// Begins the next episode: draws its agents, routes and positions, and appends the commands
+    /// that replace the vehicles on the road. The world becomes idle if no episode is left.
     fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
         let task = Arc::clone(&self.task);
         let fresh = std::mem::take(&mut self.interrupted);
@@ -154,7 +161,8 @@ impl World {
             Driver::Agents => (AGENT_TYPE, NO_CHECKS),
             Driver::Sumo => (SUMO_TYPE, SUMO_CHECKS),
         };
-        // A draw only where there is a choice, so that the others stay as they are.
+        // The number is drawn only if there is a choice, so that the other random numbers do not
+        // depend on this setting.
         let choice = task.agents - task.fewest;
         self.crew = task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
         let mut taken = Vec::new();
@@ -164,7 +172,7 @@ impl World {
                 |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
             let choice = place.routes.iter().filter(free).count();
             let drawn = if choice > 1 { rng::below(rng, choice) } else { 0 };
-            // The scenario's check has seen to it that something is free.
+            // The scenario's check guarantees that a route is free.
             let route = *place.routes.iter().filter(free).nth(drawn).unwrap_or(&place.routes[0]);
             taken.extend(task.reserved[route]);
             (route, place.pos + rng::symmetric(rng) * task.scenario.jitter.longitudinal)
@@ -221,6 +229,9 @@ impl World {
     }
 
     /// Reads every vehicle's pose from the snapshot.
+    ///
+    /// # Errors
+    /// [`Error::Vanished`] if SUMO has lost a vehicle.
     pub(super) fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         let task = &*self.task;
         let first = world as usize * task.slots();
@@ -232,7 +243,8 @@ impl World {
             }
             let steers = self.driver == Driver::Agents && task.scenario.control.steering.is_some();
             let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
-                // Off its route, a vehicle that steers ends with the road it is on: it leaves the net, on its own wheels.
+                // SUMO removes a vehicle that is off its route when the vehicle reaches the end of
+                // the road that it is on.
                 if slot.departed
                     && steers
                     && (slot.track != Track::Route || slot.status == Status::Wreck)
@@ -241,12 +253,14 @@ impl World {
                     slot.pose = slot.motion.pose;
                     continue;
                 }
-                // A wreck that SUMO's driver had yet to stop may roll over the end of its route.
+                // With SUMO's driver, a wreck may reach the end of its route before it has
+                // stopped.
                 if slot.departed && self.driver == Driver::Sumo && slot.status == Status::Wreck {
                     (slot.status, slot.added) = (Status::Empty, false);
                     continue;
                 }
-                // SUMO's driver may have to wait for room before it departs; a vehicle that had departed cannot go.
+                // SUMO's driver may have to wait for room before it departs, but a vehicle that
+                // has departed must not disappear.
                 if slot.departed || self.driver == Driver::Agents {
                     let (route, length) =
                         (task.route_ids[slot.route].clone(), task.routes[slot.route].path.length());
@@ -286,8 +300,9 @@ impl World {
     }
 }
 
-/// Puts a vehicle that steers where it is. On its lane SUMO has it on the middle, and is given the speed that takes it as far along
-/// as it is: `moveToXY` takes SUMO many times longer. One that stands still SUMO leaves where it is.
+/// Moves a vehicle that steers to its pose in SUMO. On its lane, SUMO keeps the vehicle on the
+/// centre line and is given the speed that takes it as far along the route as the pose is, because
+/// `moveToXY` takes SUMO many times longer. A vehicle that stands still needs no command.
 fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut Vec<Command>) {
     let pose = vehicle.motion.pose;
     if vehicle.sent == Some((pose, 0.0)) {
@@ -300,7 +315,7 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     if place == Place::Beside {
         vehicle.track = Track::Astray;
     }
-    // Where it was beside its route, SUMO may have given it another.
+    // After the vehicle was beside its route, SUMO may have given it another route.
     let place = if vehicle.track == Track::Route { place } else { Place::Beside };
     let distance = task.routes[vehicle.route].lanes().distance_of_arc(s);
     let held = vehicle.held.take().filter(|_| place != Place::Beside);
@@ -313,7 +328,8 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
         commands.push(Command::SetSpeed { world, slot, speed });
         return;
     }
-    // Over a junction SUMO may take another lane that lies there, and go on along that: it has another route then.
+    // Over a junction, SUMO may put the vehicle on another lane that lies there and take it on
+    // along that lane, so that it has another route.
     if place == Place::Junction {
         vehicle.track = Track::Astray;
     }

@@ -1,8 +1,11 @@
-//! Vehicles that SUMO drives, and pedestrians: when they depart, where they are, what becomes of them among the agents, and what they met with.
+//! Background traffic: the vehicles that SUMO drives, and pedestrians. This module decides when
+//! they depart, reads where they are, turns them into wrecks after collisions, and records their
+//! encounters with agents.
 //!
-//! They have the slots behind the agents'. First come those that start at spawn places, then those of the route files, as many
-//! as there is capacity for. One that collides with an agent or a wreck stands as a wreck itself, as long as an agent's; SUMO's
-//! drivers among themselves are SUMO's business.
+//! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
+//! spawn places, then those of the route files, as many as the scenario's capacity allows. A
+//! background vehicle that collides with an agent or a wreck becomes a wreck itself, for as long
+//! as an agent's wreck. Collisions of background vehicles with each other are left to SUMO.
 
 use rand::RngExt as _;
 
@@ -16,35 +19,42 @@ use crate::rng::{Rng, Seed};
 use crate::scenario::Spacing;
 use crate::sumo::{Command, Snapshot};
 
-/// Braking above this is hard: SUMO's cars, which brake with 4.5 m/s² and some imprecision, do not do so by themselves \[m/s²\].
+/// Deceleration above which braking counts as hard \[m/s²\]. SUMO's cars, which brake with
+/// 4.5 m/s² and some imprecision, do not exceed this value by themselves.
 const HARD: f64 = 6.0;
-/// An agent less than this away in time, if both go on as they do, is close \[s\].
+/// Time to collision below which an agent counts as close \[s\].
 const CLOSE: f64 = 1.5;
-/// Longest times to collision and post-encroachment times that count \[s\]: vehicles further apart have nothing to do with each other.
+/// Upper limit of times to collision and post-encroachment times \[s\]. Vehicles further apart in
+/// time do not affect each other.
 const HORIZON: f64 = 5.0;
 
-/// When the vehicles of a vehicle or flow depart.
+/// Departure times of a vehicle or flow of the route files.
 #[derive(Debug, Clone)]
 struct Clock {
     rng: Rng,
-    /// Next departure, from the start of the episode \[s\].
+    /// Next departure, counted from the start of the episode \[s\].
     next: f64,
+    /// Number of departures left.
     left: u64,
 }
 
-/// What one of them met with.
+/// What is recorded about one background vehicle.
 #[derive(Debug, Clone, Copy, Default)]
 struct Guest {
+    /// SUMO's time loss of the vehicle \[s\].
     time_loss: f64,
-    /// Its hardest braking \[m/s²\].
+    /// The vehicle's hardest braking \[m/s²\].
     braking: f64,
+    /// Whether an agent came closer than [`CLOSE`] or the vehicle crashed.
     close: bool,
+    /// Whether the vehicle collided with an agent or a wreck.
     crashed: bool,
-    /// SUMO has been told that it stands.
+    /// Whether SUMO has been told to stop the vehicle, which is a wreck.
     stopped: bool,
 }
 
-/// When an agent and one of them passed the place where their ways meet, fronts in and rears out \[s\].
+/// Times at which an agent and a background vehicle passed their conflict point \[s\]: when the
+/// front of each entered and when its rear left.
 #[derive(Debug, Clone, Copy)]
 struct Pass {
     agent: [f64; 2],
@@ -53,16 +63,18 @@ struct Pass {
 
 const NOT_YET: Pass = Pass { agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
 
-/// The vehicles of an episode that SUMO drives.
+/// The background traffic of an episode.
 #[derive(Debug, Clone)]
 pub(super) struct Others {
     clocks: Vec<Clock>,
     guests: Vec<Guest>,
-    /// `[N, others]`.
+    /// Times at the conflict points, `[N, others]`.
     passes: Vec<Pass>,
-    /// The vehicles that have left, and the pedestrians.
+    /// Records of the vehicles that have left the road, and those of the pedestrians that have.
     left: [Vec<Guest>; 2],
+    /// Smallest time to collision with an agent so far \[s\].
     ttc: f64,
+    /// Smallest post-encroachment time with an agent so far \[s\].
     pet: f64,
 }
 
@@ -78,7 +90,7 @@ impl Others {
         }
     }
 
-    /// A new episode.
+    /// Begins a new episode.
     fn begin(&mut self, task: &Task, seed: Seed) {
         self.clocks.clear();
         for (index, source) in task.demand.sources.iter().enumerate() {
@@ -98,7 +110,7 @@ impl Others {
         (self.ttc, self.pet) = (HORIZON, HORIZON);
     }
 
-    /// One has left the road: its slot may be another's.
+    /// Stores the record of a vehicle that has left the road, so that its slot may be used again.
     fn dismiss(&mut self, guest: usize, walks: bool) {
         self.left[usize::from(walks)].push(std::mem::take(&mut self.guests[guest]));
         let others = self.guests.len();
@@ -108,18 +120,18 @@ impl Others {
     }
 }
 
-/// Seconds to the next departure.
+/// Returns the seconds to the next departure.
 fn gap(spacing: Spacing, rng: &mut Rng) -> f64 {
     match spacing {
         Spacing::Equal(gap) => gap,
         Spacing::Poisson(rate) => -(1.0 - rng.random::<f64>()).ln() / rate,
-        // Tries, one a second, until the first that succeeds.
+        // Number of attempts, one per second, until the first success.
         Spacing::Chance(p) if p >= 1.0 => 1.0,
         Spacing::Chance(p) => ((1.0 - rng.random::<f64>()).ln() / (-p).ln_1p()).ceil().max(1.0),
     }
 }
 
-/// Draws one of several by weight.
+/// Draws an index from a list of indices and weights.
 fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
     if let [(only, _)] = mix {
         return *only;
@@ -133,7 +145,8 @@ fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
 }
 
 impl World {
-    /// Empties the slots of the others and lets those at spawn places begin, at the places behind the agents'.
+    /// Empties the slots of background traffic and adds the vehicles that start at spawn places,
+    /// given as route and position of the centre \[m\].
     pub(super) fn spawn_others(
         &mut self,
         world: u32,
@@ -167,7 +180,7 @@ impl World {
         self.let_depart(world, commands);
     }
 
-    /// Commands of the coming exchange for those that SUMO drives.
+    /// Appends the commands of the coming exchange for background traffic.
     pub(super) fn act_others(&mut self, world: u32, commands: &mut Vec<Command>) {
         let first = self.task.agents;
         for (i, slot) in self.traffic.slots.iter_mut().enumerate().skip(first) {
@@ -190,7 +203,8 @@ impl World {
         self.let_depart(world, commands);
     }
 
-    /// Vehicles of the route files whose time has come, if there is a slot for them; the others go on waiting.
+    /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
+    /// the other vehicles wait.
     fn let_depart(&mut self, world: u32, commands: &mut Vec<Command>) {
         let task = &*self.task;
         let now = f64::from(self.step) * task.scenario.control.interval;
@@ -198,7 +212,8 @@ impl World {
         for (index, (source, clock)) in
             task.demand.sources.iter().zip(&mut self.others.clocks).enumerate()
         {
-            // Half a millisecond: SUMO's times are whole ones, and sums of ours are rounded.
+            // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums
+            // are rounded.
             while clock.left > 0 && clock.next <= now + 5e-4 && clock.next < source.end {
                 let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
                 let Some(i) = (first..task.slots()).find(|&i| free(&self.traffic.slots[i])) else {
@@ -220,7 +235,7 @@ impl World {
         }
     }
 
-    /// Reads from the snapshot where they are, and who has come or gone.
+    /// Reads from the snapshot where the background vehicles are, and which have come or gone.
     pub(super) fn place_others(&mut self, world: u32, snapshot: &Snapshot) {
         let task = &*self.task;
         let (first, interval) = (task.agents, task.scenario.control.interval);
@@ -230,7 +245,7 @@ impl World {
             let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten())
             else {
                 if slot.departed {
-                    // It came to the end of its route.
+                    // The vehicle came to the end of its route.
                     self.others.dismiss(i - first, task.routes[slot.route].is_walked());
                     *slot = EMPTY;
                 }
@@ -263,7 +278,8 @@ impl World {
         }
     }
 
-    /// What becomes of them after a step: crashes, and how near agents came to them.
+    /// Turns background vehicles that crashed in the step into wrecks, and records how near agents
+    /// came to the others.
     pub(super) fn meet_others(&mut self, wreck_steps: u32) {
         let task = &*self.task;
         let first = task.agents;
@@ -296,12 +312,12 @@ impl World {
         }
     }
 
-    /// Whether a slot's vehicle is a pedestrian.
+    /// Returns whether a slot's vehicle is a pedestrian.
     pub(super) fn is_pedestrian(&self, slot: &Slot) -> bool {
         self.task.routes[slot.route].is_walked()
     }
 
-    /// What they met with in the episode; `None` in tasks without any.
+    /// Returns the summary of the background traffic of the episode; `None` in tasks without any.
     pub(super) fn others_record(&self) -> Option<Record> {
         if self.task.others == 0 {
             return None;
@@ -338,8 +354,9 @@ impl World {
     }
 }
 
-/// Time from when the first of two left a place until the second came there; 0 where both were there at once, and for ever while
-/// one has not come \[s\].
+/// Returns the time from when the first of two vehicles left a place until the second reached
+/// it \[s\]. It is 0 if both were there at once, and infinite as long as one of them has not
+/// reached the place.
 fn post_encroachment(pass: &Pass) -> f64 {
     let (first, second) = if pass.agent[0] <= pass.other[0] {
         (pass.agent, pass.other)
@@ -349,8 +366,8 @@ fn post_encroachment(pass: &Pass) -> f64 {
     if second[0].is_infinite() { f64::INFINITY } else { (second[0] - first[1]).max(0.0) }
 }
 
-/// Notes when the front of a vehicle reaches a place on its way, and when its rear has left it; the place is as long as the
-/// vehicle that crosses there is wide.
+/// Notes when the front of a vehicle reaches a conflict point on its route, and when its rear has
+/// left it. The conflict point is as long as the vehicle that crosses there is wide.
 fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
     let half = slot.size[0] / 2.0;
     for (time, passed) in times
@@ -363,7 +380,8 @@ fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
     }
 }
 
-/// Time until two vehicles touch if both go on as they do, at most [`HORIZON`] \[s\].
+/// Returns the time until two vehicles touch if both keep their speeds and headings, at most
+/// [`HORIZON`] \[s\].
 fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
     let reach = (a.size[0] + a.size[1] + b.size[0] + b.size[1]) / 2.0;
     if a.pose.distance(&b.pose) > reach + HORIZON * (a.speed.abs() + b.speed.abs()) {
@@ -377,13 +395,14 @@ fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
 mod tests {
     use super::*;
 
-    /// A vehicle 4 m long whose middle is at `s`, at a speed.
+    /// Returns a vehicle of 4 m length with its centre at `s` and with this speed.
     fn at(s: f64, speed: f64) -> Slot {
         let pose = Pose { x: s, y: 0.0, heading: 0.0 };
         Slot { size: [4.0, 2.0], s, speed, pose, ..EMPTY }
     }
 
-    /// Both drive at 10 m/s; the other comes `late` seconds later to where their ways cross, 50 m from both starts.
+    /// Returns the post-encroachment time of two vehicles at 10 m/s whose routes cross 50 m from
+    /// both starts. The other vehicle reaches the conflict point `late` seconds after the agent.
     fn encounter(late: f64) -> f64 {
         let (mut pass, mut least) = (NOT_YET, f64::INFINITY);
         for step in 0..200 {
@@ -397,7 +416,8 @@ mod tests {
 
     #[test]
     fn post_encroachment_is_the_time_between_leaving_and_coming() {
-        // From 47 m, with the front at 49, to 53 m, with the rear at 51, the place is taken: 0.6 s.
+        // A vehicle occupies the place while its centre drives from 47 m (front at 49 m) to 53 m
+        // (rear at 51 m), which takes 0.6 s.
         for (late, expected) in
             [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)]
         {

@@ -1,71 +1,72 @@
-//! What learners and onlookers see of a world.
+//! What learners and observers get to see of a world.
 
 use crate::env::geometry::{Pose, Size};
 use crate::env::slots::Fate;
 
-/// What agents and learners get from a world after an exchange. Reused from step to step.
+/// What a world gives to agents and learners after an exchange. Reused from step to step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
-    /// `[N, O]`; zeros where no agent is present.
+    /// Observations, `[N, O]`; zeros where no agent is present.
     pub observation: Vec<f32>,
-    /// `[N, S]`; zeros where no agent is present.
+    /// Privileged states, `[N, S]`; zeros where no agent is present.
     pub state: Vec<f32>,
-    /// Physical mask G_p, `[N, N]`; its diagonal tells who is present.
+    /// Physical mask G_p, `[N, N]`. Its diagonal is 1 for the agents that are present.
     pub comm: Vec<f32>,
     /// `[N]`, 1 where an agent acts in the coming step.
     pub active: Vec<f32>,
-    /// Whether a new trajectory starts here (memories are cleared).
+    /// Whether a new episode starts with this frame, so that memories are cleared.
     pub start: bool,
-    /// `[N]`: each agent's own reward of the last step.
+    /// `[N]`, each agent's own reward of the last step.
     pub reward: Vec<f32>,
     /// Which agents share in each other's advantages, `[N, N]`: 1 where they are no further apart
-    /// than the scenario's share range; empty where it has none, and all agents share.
+    /// than the scenario's share range. Empty if the scenario has no share range and all agents
+    /// share.
     pub sharing: Vec<f32>,
-    /// `[N]`, 1 where the last step ended an agent's trajectory for good.
+    /// `[N]`, 1 where the last step ended an agent's trajectory by arrival or failure.
     pub terminated: Vec<f32>,
-    /// `[N]`, 1 where the last step truncated an agent's trajectory: at the horizon, or because the
-    /// simulation broke off.
+    /// `[N]`, 1 where the last step truncated an agent's trajectory: at the horizon, or because
+    /// the simulation broke off.
     pub truncated: Vec<f32>,
     /// Whether the simulation broke off in the last step.
     pub interrupted: bool,
 }
 
-/// An agent as an onlooker sees it.
+/// An agent as an observer sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct AgentView {
-    /// Whether it drives.
+    /// Whether the agent is driving.
     pub driving: bool,
-    /// Whether it stands there as a wreck.
+    /// Whether the agent's vehicle is a wreck on the road.
     pub wreck: bool,
-    /// How it ended.
+    /// How the episode has ended for the agent.
     pub fate: Fate,
-    /// Of its centre, the last one where it is gone.
+    /// Pose of the vehicle's centre; the last one if the vehicle is gone.
     pub pose: Pose,
-    /// Its route's number.
+    /// Index of the agent's route.
     pub route: usize,
-    /// Position of its centre along that \[m\].
+    /// Position of the centre along the route \[m\].
     pub position: f64,
-    /// Offset from the route's centre line, positive to the left \[m\].
+    /// Offset from the route's path, positive to the left \[m\].
     pub lateral: f64,
-    /// \[m/s\]
+    /// Forward speed, negative backwards \[m/s\].
     pub speed: f64,
-    /// Its own reward of the last step.
+    /// The agent's own reward of the last step.
     pub reward: f64,
 }
 
-/// A vehicle that SUMO drives, as an onlooker sees it.
+/// A background vehicle as an observer sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OtherView {
-    /// Whether it stands there as a wreck.
+    /// Whether the vehicle is a wreck.
     pub wreck: bool,
-    /// Of its centre.
+    /// Pose of the vehicle's centre.
     pub pose: Pose,
-    /// Length and width.
+    /// Length and width \[m\].
     pub size: Size,
-    /// Its route's number.
+    /// Index of the vehicle's route.
     pub route: usize,
-    /// Position of its centre along that \[m\].
+    /// Position of the centre along the route \[m\].
     pub position: f64,
-    /// \[m/s\]
+    /// Forward speed \[m/s\].
     pub speed: f64,
 }

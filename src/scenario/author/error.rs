@@ -1,34 +1,34 @@
-//! Why a scenario cannot be made or built.
+//! Errors of creating and building scenarios.
 
 use std::{io, path::PathBuf};
 
 use super::super::Error as ScenarioError;
 use crate::{record, sumo};
 
-/// Why a scenario cannot be made or built.
+/// Error of a scenario that cannot be created or built.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A size that the template does not have.
+    /// A size is outside the range of the template.
     #[error("--{option} {value}: allowed: {allowed}")]
     Size {
-        /// Which.
+        /// Name of the option.
         option: &'static str,
-        /// What was asked for.
+        /// Requested value.
         value: String,
-        /// What may be asked for.
+        /// Allowed values.
         allowed: String,
     },
-    /// The name is no name of a scenario.
+    /// The name is not valid for a scenario.
     #[error("`{name}` cannot be the name of a scenario: 1 to 64 letters, digits, `-` and `_`")]
     Name {
         /// The name.
         name: String,
     },
-    /// There is something already where the scenario would go.
+    /// A file or folder of the new scenario already exists.
     #[error("`{}` is there already; choose another name, or move it away", path.display())]
     Exists {
-        /// What is there.
+        /// Existing file or folder.
         path: PathBuf,
     },
     /// A file cannot be read.
@@ -36,21 +36,21 @@ pub enum Error {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A folder cannot be made, or a file of the system's cannot be written.
+    /// A folder or a temporary file cannot be created.
     #[error("cannot write `{}`", path.display())]
     Write {
         /// The folder or file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// A file cannot be written.
     #[error(transparent)]
     Record(#[from] record::Error),
-    /// A `.netccfg` is no configuration of netconvert.
+    /// A `.netccfg` is not a configuration of netconvert.
     #[error("`{}` is no configuration of netconvert: {why}", path.display())]
     Configuration {
         /// The file.
@@ -58,26 +58,26 @@ pub enum Error {
         /// What is wrong.
         why: String,
     },
-    /// netconvert refused the sources.
+    /// netconvert rejects the sources.
     #[error("netconvert cannot build `{}`: {message}", config.display())]
     Netconvert {
-        /// The configuration it was given.
+        /// Configuration that netconvert has read.
         config: PathBuf,
-        /// What it said.
+        /// Error message of netconvert.
         message: String,
     },
-    /// netconvert is not there.
+    /// netconvert is missing or cannot be started.
     #[error(transparent)]
     Sumo(#[from] sumo::Error),
     /// The net of an import cannot be read.
     #[error(transparent)]
     Net(#[from] sumo::net::NetError),
-    /// A map has nowhere to coordinate.
+    /// A map has no junction at which vehicles have to coordinate.
     #[error("{}: {why}", path.display())]
     NoSite {
-        /// The net.
+        /// The net or map.
         path: PathBuf,
-        /// What it lacks.
+        /// What is missing.
         why: String,
     },
     /// The scenario is not valid.
@@ -90,7 +90,7 @@ impl Error {
         Self::Size { option, value: value.to_string(), allowed }
     }
 
-    /// What the user may do about it, where that is not plain from the message.
+    /// Returns what the user can do about the error, unless the message already says it.
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {

@@ -1,5 +1,5 @@
-//! The files of a scenario and where they are: `scenarios/<name>.xml` with its schema, and in `sumo_nets/<name>/` the net
-//! with its sources, and what SUMO alone needs to show it.
+//! Files of a scenario and their locations: `scenarios/<name>.xml` with its schema, and in
+//! `sumo_nets/<name>/` the net with its sources and the files with which SUMO alone shows it.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -16,18 +16,19 @@ use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
 use crate::sumo::net::Path as Way;
 
-/// Range of sight, more than it takes to stop from any speed that a template allows \[m\].
+/// Detection range \[m\], longer than the braking distance from any speed that a template allows.
 const DETECTION: f64 = 100.0;
-/// Range of radio \[m\].
+/// Communication range \[m\].
 const RADIO: f64 = 50.0;
-/// Most crossing or merging streams that agents see, which is also the most that a scenario may ask for.
+/// Largest number of crossing or merging streams in the observation, which is the limit of the
+/// scenario format.
 const STREAMS: usize = 16;
-/// Speed at which vehicles that steer take narrow curves, about \[m/s\].
+/// Approximate speed at which vehicles that steer take narrow curves \[m/s\].
 const CURVES: f64 = 5.0;
-/// An episode has so many times the steps of the longest route, as cars have to wait.
+/// Ratio of the horizon to the steps that the longest route takes without waiting.
 const PATIENCE: f64 = 8.0;
 
-/// Where the files of a new scenario go.
+/// Paths of the files of a new scenario.
 pub(super) struct Layout {
     pub(super) scenario: PathBuf,
     pub(super) folder: PathBuf,
@@ -36,15 +37,16 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Below the folder `root`.
+    /// Returns the paths below the folder `root`.
     ///
     /// # Errors
-    /// [`Error::Name`], [`Error::Exists`].
+    /// [`Error::Name`] if the name is not valid, [`Error::Exists`] if a file or folder is already
+    /// there.
     pub(super) fn new(root: &Path, name: &str) -> Result<Self, Error> {
         if !Scenario::is_name(name) {
             return Err(Error::Name { name: name.into() });
         }
-        // `.` would stand before all names in messages.
+        // A leading `.` would appear in every path of a message.
         let root = root.strip_prefix(".").unwrap_or(root);
         let scenario = root.join("scenarios").join(format!("{name}.xml"));
         let folder = root.join("sumo_nets").join(name);
@@ -60,25 +62,27 @@ impl Layout {
         Ok(Self { scenario, folder, net, name: name.into() })
     }
 
-    /// Runs `make` with the folders in place; what it has written is removed if it fails.
+    /// Creates the folders and runs `make`. If `make` fails, the scenario file and the net's folder
+    /// are removed.
     pub(super) fn fill<T>(&self, make: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         for folder in [self.scenario.parent(), Some(&self.folder)].into_iter().flatten() {
             fs::create_dir_all(folder)
                 .map_err(|source| Error::Write { path: folder.into(), source })?;
         }
         make().inspect_err(|_| {
-            // Both are ours: neither was there before.
+            // [`Layout::new`] has made sure that neither existed before.
             let _ = fs::remove_dir_all(&self.folder);
             let _ = fs::remove_file(&self.scenario);
         })
     }
 
-    /// A file in the net's folder that is called after the scenario.
+    /// Returns the path of a file in the net's folder that has the scenario's name.
     pub(super) fn file(&self, ending: &str) -> PathBuf {
         self.folder.join(format!("{}.{ending}", self.name))
     }
 
-    /// Writes netconvert's configuration: inputs as `(option, file name)`, and further options.
+    /// Writes netconvert's configuration from inputs, as `(option, file name)`, and further
+    /// options.
     pub(super) fn configure(
         &self,
         inputs: &[(&str, String)],
@@ -109,17 +113,18 @@ impl Layout {
         Ok(write_atomic(&self.file("netccfg"), text.as_bytes())?)
     }
 
-    /// Writes the scenario with comments and its schema, and what `sumo -c` takes.
+    /// Writes the scenario with comments, its schema, and the files that `sumo -c` reads.
     pub(super) fn write(&self, scenario: &Scenario) -> Result<(), Error> {
         write_atomic(&self.scenario.with_file_name("scenario.xsd"), SCHEMA.as_bytes())?;
         write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
-        // What goes for everyone goes for files that were just made.
+        // Reading the file back applies the checks of every scenario to the new one.
         let scenario = Scenario::load(&self.scenario)?;
         write_atomic(&self.file("sumocfg"), self.configuration(&scenario).as_bytes())?;
         scenario.nets.iter().try_for_each(|net| show_traffic(&scenario, net))
     }
 
-    /// What `sumo -c` takes: net, vehicles, and what else is shown, if there is something.
+    /// Returns the configuration for `sumo -c`: the net, the vehicles and, if they exist,
+    /// additional files.
     fn configuration(&self, scenario: &Scenario) -> String {
         let name = &self.name;
         let additional = if self.file("add.xml").exists() {
@@ -135,11 +140,12 @@ impl Layout {
         )
     }
 
-    /// A scenario on the net with usual settings: `rows` are the routes that begin on a lane, and the number of places there.
+    /// Returns a scenario on the net of `site`, with the usual settings.
     pub(super) fn scenario(&self, site: Site) -> Scenario {
         let Site { description, routes, ways, rows, agents, speed, steers } = site;
         let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
-        // A vehicle should see all whose way it may meet; those behind each other on a lane do not count.
+        // An agent should observe all vehicles that its path may conflict with. Vehicles that begin
+        // on the same lane, one behind the other, do not count.
         let meets = |one: &Way| {
             ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
         };
@@ -218,10 +224,11 @@ impl Layout {
     }
 }
 
-/// The same for vehicles that steer: as in `scenarios/intersection_turns.xml`, with room for the outer wheels of narrow curves.
+/// Returns the scenario for vehicles that steer, as in `scenarios/intersection_turns.xml`. The kerb
+/// as border leaves room for the outer wheels in narrow curves.
 fn on_road(scenario: Scenario) -> Scenario {
     Scenario {
-        // One alone has something to do, too.
+        // A vehicle that steers has a task even without other vehicles.
         agents: AgentRange { min: 1, ..scenario.agents },
         control: Control { steering: Some(Steering::default()), ..scenario.control },
         observation: Observation {
@@ -237,7 +244,7 @@ fn on_road(scenario: Scenario) -> Scenario {
     }
 }
 
-/// The same for vehicles that steer and can reverse: as in `scenarios/parking_lot.xml`.
+/// Returns the scenario for vehicles that steer and can reverse, as in `scenarios/parking_lot.xml`.
 fn on_lot(scenario: Scenario) -> Scenario {
     let scenario = on_road(scenario);
     let (accel, steering) = (scenario.control.accel, scenario.control.steering);
@@ -250,22 +257,22 @@ fn on_lot(scenario: Scenario) -> Scenario {
     }
 }
 
-/// Whether vehicles steer.
+/// Whether and how vehicles steer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Steers {
-    /// They follow their lanes.
+    /// Vehicles do not steer but follow their lanes.
     No,
-    /// They do, forwards.
+    /// Vehicles steer and drive forwards only.
     Road,
-    /// They do, and can reverse.
+    /// Vehicles steer and can reverse.
     Lot,
 }
 
-/// What a scenario is made of beside its usual settings.
+/// The parts of a scenario that differ between sites.
 pub(super) struct Site {
     pub(super) description: String,
     pub(super) routes: Vec<Route>,
-    /// Where the routes lead, in their order.
+    /// Paths of the routes, in the order of the routes.
     pub(super) ways: Vec<Way>,
     pub(super) rows: Vec<Row>,
     pub(super) agents: u32,
@@ -274,16 +281,16 @@ pub(super) struct Site {
     pub(super) steers: Steers,
 }
 
-/// Places on a lane.
+/// A row of spawn places on a lane.
 pub(super) struct Row {
-    /// Indices of the routes that begin there.
+    /// Indices of the routes that begin on the lane.
     pub(super) routes: Vec<usize>,
     /// Position of the first place \[m\].
     pub(super) first: f64,
     pub(super) count: u32,
 }
 
-/// A scenario's XML with the schema's explanations before each part.
+/// Returns a scenario's XML with the schema's explanations as comments before each part.
 fn commented(xml: &str) -> String {
     let mut text = String::new();
     for line in xml.lines() {
@@ -299,7 +306,8 @@ fn commented(xml: &str) -> String {
     text
 }
 
-/// Writes the vehicles that SUMO alone shows, if there is a `.sumocfg` beside the net.
+/// Writes the vehicles that SUMO shows without this program, if there is a `.sumocfg` beside the
+/// net.
 pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> {
     let config = netconvert::beside(&net.file, "sumocfg");
     if !config.exists() {
@@ -308,7 +316,8 @@ pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> 
     Ok(write_atomic(&netconvert::beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
 }
 
-/// Routes for SUMO alone: a vehicle at each place of a net, which takes one of the place's routes.
+/// Returns a route file for SUMO without this program: one vehicle at each spawn place, on one of
+/// the place's routes.
 fn traffic(scenario: &Scenario, net: &Net) -> String {
     let (v, c) = (scenario.vehicle, &scenario.control);
     let mut text = String::from(
@@ -331,7 +340,7 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
     for (number, place) in net.places().enumerate() {
         let route = &scenario.routes[place.routes[number % place.routes.len()]];
         let lane = route.lane.map_or_else(|| "best".to_owned(), |lane| lane.to_string());
-        // SUMO's positions are those of the front bumper.
+        // SUMO's positions are positions of the front bumper.
         let front = place.pos + v.length / 2.0;
         let _ = writeln!(
             text,
@@ -342,7 +351,7 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
     text + "</routes>\n"
 }
 
-/// Whether two ways merge or cross.
+/// Returns whether two paths merge or cross.
 pub(super) fn meet(one: &Way, other: &Way) -> bool {
     let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| {
         (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])

@@ -1,4 +1,5 @@
-//! A first scenario for a map: one junction of it, the routes over that, and places upstream, for people to go on from.
+//! Makes a first scenario from a map, as a basis for editing: one junction of the map, the routes
+//! over it, and spawn places upstream.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,7 +10,8 @@ use super::files::{Layout, Row, Site, Steers, meet};
 use super::{Error, FIRST, SPACING, netconvert};
 use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as Way};
 
-/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and rules instead of signals, which agents do not see.
+/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and priority rules
+/// instead of traffic lights, which agents do not observe.
 const OSM_OPTIONS: [(&str, &str); 7] = [
     ("geometry.remove", "true"),
     ("roundabouts.guess", "true"),
@@ -19,64 +21,70 @@ const OSM_OPTIONS: [(&str, &str); 7] = [
     ("remove-edges.isolated", "true"),
     ("no-turnarounds", "true"),
 ];
-/// What a place needs behind the last one on its lane: half a vehicle and the jitter \[m\].
+/// Distance between the last spawn place and the end of its lane: half a vehicle and the jitter
+/// \[m\].
 const BEHIND: f64 = 3.3;
-/// Least width of a lane that a vehicle and its jitter need \[m\].
+/// Smallest width of a lane on which a vehicle fits with its jitter \[m\].
 const WIDTH: f64 = 2.4;
-/// How far before the end of a long lane the last place is \[m\].
+/// Distance of the last spawn place from the end of a long lane \[m\].
 const AHEAD: f64 = 20.0;
-/// Places on a lane for which it is not worth going further upstream, most places in a row, and most routes.
+/// Number of places on a lane that ends the search upstream, largest number of places in a row, and
+/// largest number of routes.
 const ENOUGH: u32 = 4;
 const ROW: u32 = 12;
 const ROUTES: usize = 64;
-/// How far upstream places are looked for, and how far downstream a finish: edges and metres.
+/// Limits of the searches for spawn places upstream and for a finish line downstream: number of
+/// edges, and distance upstream \[m\].
 const EDGES: usize = 8;
 const UPSTREAM: f64 = 300.0;
-/// Shortest last edge: the finish lies 5 m before its end \[m\].
+/// Length of the shortest last edge \[m\]; the finish line is 5 m before its end.
 const LAST: f64 = 6.0;
-/// Bounds of the top speed, which is the lowest limit on the way \[m/s\].
+/// Bounds of the top speed, which is the lowest speed limit on the routes \[m/s\].
 const SPEED: (f64, f64) = (5.0, 22.222);
 
-/// What a scenario is made of.
+/// Map from which a scenario is made.
 #[derive(Debug, Clone, Copy)]
 pub enum Map<'a> {
     /// An extract of OpenStreetMap, as XML.
     Osm(&'a Path),
-    /// A net for SUMO.
+    /// A SUMO net.
     Net(&'a Path),
 }
 
-/// A junction that may be a site.
+/// A junction that is a possible site of the scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its id.
+    /// Id.
     pub junction: String,
-    /// SUMO's type.
+    /// SUMO's type of junction.
     pub kind: String,
-    /// Roads that vehicles come from.
+    /// Number of roads that vehicles come from.
     pub arms: usize,
-    /// Ways over it.
+    /// Number of routes over the junction.
     pub routes: usize,
-    /// Places for vehicles.
+    /// Number of spawn places.
     pub places: u32,
 }
 
-/// What an import made.
+/// Result of an import.
 #[derive(Debug, Clone)]
 pub struct Imported {
     /// The scenario file.
     pub scenario: PathBuf,
-    /// All junctions that could be the site, the chosen one first, then by arms and places.
+    /// All possible junctions: the chosen one first, the others in descending order of arms and
+    /// places.
     pub candidates: Vec<Candidate>,
-    /// What netconvert warned of.
+    /// Warnings of netconvert.
     pub warnings: Vec<String>,
 }
 
-/// Makes a scenario called `name` of a map, below the folder `root`, at the junction of this id or, without one, at that with the most
-/// arms and places; by default for so many agents, where there is room, which steer or follow their lanes.
+/// Makes a scenario `name` from a map, below the folder `root`. Its site is the junction with the
+/// given id or, without one, the junction with the most arms and places. `agents` is the default
+/// number of agents, limited by the number of places. With `steering`, vehicles steer instead of
+/// following their lanes.
 ///
 /// # Errors
-/// [`Error`]; nothing is left behind then.
+/// [`Error`]; no file is left behind in this case.
 pub fn import(
     root: &Path,
     name: &str,
@@ -144,18 +152,19 @@ pub fn import(
     })
 }
 
-/// A junction with what a scenario on it needs.
+/// A junction with the parts of a scenario at it.
 struct Proposal {
     candidate: Candidate,
     routes: Vec<Route>,
     rows: Vec<Row>,
-    /// Lowest limit on the way \[m/s\].
+    /// Lowest speed limit on the routes \[m/s\].
     speed: f64,
-    /// In order of the routes.
+    /// Paths of the routes, in the order of the routes.
     ways: Vec<Way>,
 }
 
-/// All junctions at which vehicles from two roads or more can begin.
+/// Returns all junctions at which paths of vehicles from at least two roads conflict, in descending
+/// order of arms and places.
 fn sites(net: &Net) -> Vec<Proposal> {
     let map = Streets::new(net);
     let mut sites: Vec<Proposal> =
@@ -167,10 +176,11 @@ fn sites(net: &Net) -> Vec<Proposal> {
     sites
 }
 
-/// A net's lanes for cars, and how one gets there.
+/// The lanes of a net that cars can use, and their predecessors.
 struct Streets<'a> {
     net: &'a Net,
-    /// Lanes that lead to each lane and to no other one beside it, those straight on first.
+    /// For each lane, the lanes that lead to it and to no other lane of its edge; straight
+    /// connections come first.
     before: Vec<Vec<usize>>,
     /// Edges that lead to each junction.
     leading: BTreeMap<&'a str, Vec<usize>>,
@@ -199,19 +209,20 @@ impl<'a> Streets<'a> {
         Self { before, ..streets }
     }
 
-    /// Whether a car, somewhat to the side, fits on a lane of a road.
+    /// Returns whether a car, with its lateral jitter, fits on a lane of a road.
     fn fits(&self, lane: usize) -> bool {
         let (lane, edge) = (&self.net.lanes[lane], &self.net.edges[self.net.lanes[lane].edge]);
         lane.cars && lane.width >= WIDTH && edge.function == EdgeFunction::Normal
     }
 
-    /// Places on a lane.
+    /// Returns the number of spawn places that fit on a lane.
     fn room(&self, lane: usize) -> u32 {
         let free = self.net.lanes[lane].length - FIRST - BEHIND;
         if free < 0.0 { 0 } else { ((free / SPACING) as u32 + 1).min(ROW) }
     }
 
-    /// The edges from where there is the most room, upstream of a lane, to the lane's edge, and the lane to begin on.
+    /// Searches `lane` and the lanes upstream for the one with the most room. Returns the edges
+    /// from there to the edge of `lane`, and the lane with the most room.
     fn upstream(&self, lane: usize) -> (Vec<usize>, usize) {
         let edge = |lane: usize| self.net.lanes[lane].edge;
         let (mut chain, mut lane) = (vec![edge(lane)], lane);
@@ -232,7 +243,8 @@ impl<'a> Streets<'a> {
         best
     }
 
-    /// A lane's edge and those after it, until one is long enough to end on.
+    /// Returns a lane's edge and the edges after it, up to the first edge that is long enough for a
+    /// finish line.
     fn downstream(&self, mut lane: usize) -> Option<Vec<usize>> {
         let mut chain = Vec::new();
         loop {
@@ -251,7 +263,8 @@ impl<'a> Streets<'a> {
         }
     }
 
-    /// The routes over a junction from each of its lanes, and the places where they begin.
+    /// Returns the routes over a junction from each of its lanes, and the rows of places where the
+    /// routes begin.
     fn site(&self, junction: &Junction) -> Option<Proposal> {
         let incoming = self.leading.get(junction.id.as_str())?;
         if incoming.len() < 2 {
@@ -317,16 +330,18 @@ impl<'a> Streets<'a> {
         })
     }
 
-    /// A route along edges from a lane, if it can be driven without changing lanes.
+    /// Returns a route along edges from a lane, and its path, if the route can be driven without
+    /// changing lanes.
     fn route(&self, chain: &[usize], exit: &[usize], start: usize) -> Option<(Route, Way)> {
-        // A loop would lead back onto places.
+        // A loop would lead back over spawn places.
         if exit.iter().any(|edge| chain.contains(edge)) {
             return None;
         }
         let id = |edge: &usize| self.net.edges[*edge].id.clone();
         let edges: Vec<String> = chain.iter().chain(exit).map(id).collect();
         let lane = Some(self.net.lanes[start].index);
-        // Where a lane forks towards one road, SUMO may choose another way than ours.
+        // Where a lane leads to several lanes of one road, SUMO may choose another lane than the
+        // route.
         let way = self
             .net
             .route_path_from(&edges, lane)

@@ -1,5 +1,5 @@
-//! Makes scenarios: from a template ([`create`]) or from a map ([`import`]), as files that people go on editing, and builds
-//! their nets ([`build`]).
+//! Makes scenarios from a template ([`create`]) or from a map ([`import`]), as files for further
+//! editing, and builds their nets ([`build`]).
 
 mod error;
 mod files;
@@ -21,11 +21,13 @@ use crate::record::write_atomic;
 use crate::sumo::net::Net;
 use files::{Layout, Row, Site, Steers};
 
-/// First place on a lane: half a vehicle and the jitter lie before it \[m\].
+/// Position of the first spawn place on a lane, with room for half a vehicle and the jitter behind
+/// it \[m\].
 const FIRST: f64 = 4.0;
-/// Distance between places \[m\].
+/// Distance between spawn places \[m\].
 const SPACING: f64 = 8.0;
-/// netconvert's options for coordinates as they are in the sources, no turning back, and smooth turns that are not too tight.
+/// netconvert's options: coordinates as in the sources, no U-turns, and smooth turns that are not
+/// too tight.
 const OPTIONS: [(&str, &str); 4] = [
     ("offset.disable-normalization", "true"),
     ("no-turnarounds", "true"),
@@ -33,10 +35,11 @@ const OPTIONS: [(&str, &str); 4] = [
     ("junctions.internal-link-detail", "15"),
 ];
 
-/// Writes a scenario called `name` of a template below the folder `root`, builds its net and loads it; gives its file.
+/// Writes a scenario `name` from a template below the folder `root`, builds its net and loads it.
+/// Returns the path of the scenario file.
 ///
 /// # Errors
-/// [`Error`]; nothing is left behind then.
+/// [`Error`]; no file is left behind in this case.
 pub fn create(
     root: &Path,
     name: &str,
@@ -89,7 +92,7 @@ pub fn create(
     })
 }
 
-/// The routes that begin on each lane, in order of the routes.
+/// Returns the routes that begin on each lane, in the order of the routes.
 fn starts(routes: &[Route]) -> BTreeMap<(usize, u32), Vec<usize>> {
     let mut starts = BTreeMap::<(usize, u32), Vec<usize>>::new();
     for (i, route) in routes.iter().enumerate() {

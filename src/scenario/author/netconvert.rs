@@ -1,4 +1,5 @@
-//! Nets are built from sources beside them: `<net>.netccfg`, a configuration of SUMO's netconvert, names those.
+//! Builds nets from the sources beside them. `<net>.netccfg`, a configuration of SUMO's netconvert,
+//! names the sources.
 
 use std::ffi::OsString;
 use std::fs;
@@ -15,36 +16,38 @@ use crate::sumo::net::xml;
 
 /// Largest configuration that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 20;
-/// Lines of netconvert's that a message repeats.
+/// Largest number of netconvert's error lines in a message.
 const LAST_LINES: usize = 6;
 
-/// How a net stands to its sources.
+/// State of a net in relation to its sources.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
-    /// There is no configuration beside it: it was made elsewhere.
+    /// There is no configuration beside the net: it was made elsewhere.
     NoSources,
-    /// It is as new as its sources.
+    /// The net is as new as its sources.
     UpToDate,
-    /// It is older than one of its sources, or not there.
+    /// The net is missing or older than one of its sources.
     OutOfDate,
 }
 
-/// A net of a scenario, after a build.
+/// A net of a scenario after a build.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Built {
-    /// The `.net.xml`.
+    /// Path of the `.net.xml`.
     pub net: PathBuf,
-    /// How it stood to its sources before; what was out of date is built now.
+    /// State before the build, which has built the net if it was out of date.
     pub before: State,
-    /// What netconvert warned of, if it ran.
+    /// Warnings of netconvert, if it ran.
     pub warnings: Vec<String>,
 }
 
-/// Builds those nets of a scenario that are out of date, or (`all`) all that have sources. The same sources give the same bytes.
-/// What SUMO alone shows (`.rou.xml`) follows the scenario.
+/// Builds the nets of a scenario that are out of date or, with `all`, every net that has sources.
+/// The same sources give the same bytes. Also updates the vehicles that SUMO alone shows
+/// (`.rou.xml`).
 ///
 /// # Errors
-/// [`Error`]: the scenario cannot be read, netconvert is missing or refuses the sources.
+/// [`Error`] if the scenario cannot be read, netconvert is missing, or netconvert rejects the
+/// sources.
 pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
     let scenario = Scenario::read(scenario)?;
     let mut built = Vec::new();
@@ -61,10 +64,10 @@ pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
     Ok(built)
 }
 
-/// How a net stands to its sources.
+/// Returns the state of a net in relation to its sources.
 ///
 /// # Errors
-/// [`Error::Configuration`] or [`Error::Read`] when there is a configuration, but one that cannot be read.
+/// [`Error::Configuration`] or [`Error::Read`] if there is a configuration that cannot be read.
 pub fn state(net: &Path) -> Result<State, Error> {
     let config = configuration(net);
     if !config.exists() {
@@ -77,18 +80,18 @@ pub fn state(net: &Path) -> Result<State, Error> {
     Ok(if newest.is_some_and(|newest| newest > built) { State::OutOfDate } else { State::UpToDate })
 }
 
-/// Where the configuration for a net is.
+/// Returns the path of a net's configuration.
 fn configuration(net: &Path) -> PathBuf {
     beside(net, "netccfg")
 }
 
-/// A file that is called after a net, with another ending.
+/// Returns the path of a file that has a net's name and another ending.
 pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
     let name = net.file_name().unwrap_or_default().to_string_lossy();
     net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
 }
 
-/// The files that a configuration names as its input.
+/// Returns the files that a configuration names as its input.
 fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
     let text = xml::read(config, MAX_BYTES)
         .map_err(|source| Error::Read { path: config.into(), source })?;
@@ -105,7 +108,7 @@ fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(files.map(|file| folder.join(file.trim())).collect())
 }
 
-/// Runs netconvert for one net; gives its warnings.
+/// Runs netconvert for one net; returns its warnings.
 pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     let config = configuration(net);
     let folder =
@@ -137,7 +140,7 @@ pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     Ok(lines().filter_map(|line| line.strip_prefix("Warning: ")).map(Into::into).collect())
 }
 
-/// netconvert's comment holds the date and the paths of the machine.
+/// Removes the comments of a net, in which netconvert writes the date and the machine's paths.
 fn without_comments(text: &str) -> String {
     let (mut plain, mut rest) = (String::with_capacity(text.len()), text);
     while let Some((before, comment)) = rest.split_once("<!--") {

@@ -1,4 +1,4 @@
-//! A road network before netconvert has built it: SUMO's plain XML, with the routes through it.
+//! A road network before netconvert builds it: SUMO's plain XML, and the routes through it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -7,10 +7,10 @@ use super::super::{Route, write::escape};
 
 /// Width of every lane \[m\].
 pub(super) const LANE_WIDTH: f64 = 3.5;
-/// Where SUMO's schemas are, for editors.
+/// Location of SUMO's schemas, for editors.
 const XSD: &str = "http://sumo.dlr.de/xsd";
 
-/// Nodes, edges, connections, and how vehicles drive through them.
+/// Nodes, edges and connections of a network, and the routes through it.
 #[derive(Debug, Default)]
 pub(super) struct Plan {
     pub(super) nodes: Vec<Node>,
@@ -19,23 +19,23 @@ pub(super) struct Plan {
     /// Ids of the nodes and edges of a roundabout.
     pub(super) ring: Option<(Vec<String>, Vec<String>)>,
     pub(super) routes: Vec<Route>,
-    /// Edges on which the first place is so much further ahead than on others \[m\].
+    /// Edges whose first spawn place is further ahead than on other edges, and by how much \[m\].
     pub(super) ahead: BTreeMap<String, f64>,
-    /// Edges with one place only.
+    /// Edges with only one spawn place.
     pub(super) single: BTreeSet<String>,
     pub(super) spaces: Vec<Space>,
-    /// Vehicles can only steer there, and reverse.
+    /// Whether the site is a parking lot, in which vehicles always steer and can reverse.
     pub(super) lot: bool,
 }
 
 #[derive(Debug)]
 pub(super) struct Node {
     pub(super) id: String,
-    /// \[m\]
+    /// Position \[m\].
     pub(super) at: [f64; 2],
     /// SUMO's type of junction.
     pub(super) kind: &'static str,
-    /// Its outline \[m\]; empty: netconvert's choice.
+    /// Outline \[m\]; empty: netconvert computes it.
     pub(super) shape: Vec<[f64; 2]>,
 }
 
@@ -45,29 +45,29 @@ pub(super) struct Edge {
     pub(super) from: String,
     pub(super) to: String,
     pub(super) lanes: u32,
-    /// Points between its ends \[m\]; empty: straight.
+    /// Points between the ends \[m\]; empty: straight.
     pub(super) shape: Vec<[f64; 2]>,
-    /// Its lanes lie on both sides of its line, not to the right of it.
+    /// Whether the lanes lie on both sides of the edge's line instead of to the right of it.
     pub(super) centred: bool,
 }
 
-/// A lane leads to a lane of the next edge.
+/// A connection from a lane to a lane of the next edge.
 #[derive(Debug)]
 pub(super) struct Link {
     pub(super) from: String,
     pub(super) to: String,
     pub(super) lanes: [u32; 2],
-    /// The way from one to the other \[m\]; empty: netconvert's choice.
+    /// Path from one lane to the other \[m\]; empty: netconvert computes it.
     pub(super) shape: Vec<[f64; 2]>,
 }
 
-/// A space to park in.
+/// A parking space.
 #[derive(Debug)]
 pub(super) struct Space {
     pub(super) id: String,
-    /// The edge into it, of one lane.
+    /// Edge into the space, with one lane.
     pub(super) edge: String,
-    /// Length of that \[m\].
+    /// Length of this edge \[m\].
     pub(super) depth: f64,
 }
 
@@ -97,12 +97,13 @@ impl Plan {
         self.links.push(Link { from: from.into(), to: to.into(), lanes, shape: Vec::new() });
     }
 
-    /// The rightmost lanes lead to each other along points \[m\].
+    /// Connects the rightmost lanes of two edges by a path through the given points \[m\].
     pub(super) fn way(&mut self, from: &str, to: &str, shape: Vec<[f64; 2]>) {
         self.links.push(Link { from: from.into(), to: to.into(), lanes: [0, 0], shape });
     }
 
-    /// A route on each of `lanes` lanes, called after its lane where there are several.
+    /// Adds a route on each of `lanes` lanes. If there are several, the lane's index is appended to
+    /// the id.
     pub(super) fn route(&mut self, id: &str, edges: &[String], lanes: u32) {
         for lane in 0..lanes {
             let (id, lane) = if lanes > 1 {
@@ -121,7 +122,8 @@ impl Plan {
         }
     }
 
-    /// The sources by the ending of their names, for vehicles that keep to `speed` \[m/s\].
+    /// Returns the sources as file endings and texts. Roads have `lanes` lanes and the limit
+    /// `speed` \[m/s\] by default.
     pub(super) fn sources(&self, lanes: u32, speed: f64) -> [(&'static str, String); 4] {
         let mut nodes = opening(
             "nodes",
@@ -188,7 +190,8 @@ impl Plan {
         ]
     }
 
-    /// The spaces as parking areas, in one of SUMO's additional files; `None` without any.
+    /// Returns the spaces as parking areas in a SUMO additional file, or `None` if there are no
+    /// spaces.
     pub(super) fn additional(&self) -> Option<String> {
         let mut text = format!(
             "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- The spaces, for SUMO alone: `iwol` does not read this file. -->\n\
@@ -204,7 +207,7 @@ impl Plan {
     }
 }
 
-/// Points as an attribute, each once; nothing where there are none.
+/// Returns points as an attribute, without repetitions, or an empty string if there are none.
 fn outline(points: &[[f64; 2]]) -> String {
     let mut points: Vec<[f64; 2]> = points.iter().map(|point| point.map(centimetres)).collect();
     points.dedup();
@@ -212,12 +215,12 @@ fn outline(points: &[[f64; 2]]) -> String {
     if points.is_empty() { String::new() } else { format!(" shape=\"{}\"", points.join(" ")) }
 }
 
-/// Rounded, and never a negative zero.
+/// Rounds to centimetres, without negative zeros.
 fn centimetres(metres: f64) -> f64 {
     (100.0 * metres).round() / 100.0 + 0.0
 }
 
-/// The beginning of a source file.
+/// Returns the beginning of a source file.
 fn opening(root: &str, comment: &str) -> String {
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- {comment}\n     After a change: iwol scenario build. -->\n\

@@ -1,73 +1,78 @@
-//! Sites that new scenarios begin with: SUMO sources of some sizes, and routes through them.
+//! Templates of sites: SUMO sources in several sizes, and routes through them.
 //!
-//! Everywhere lane k leads to lane k, so that no route needs a lane change; traffic keeps to the right.
+//! Each lane leads to one lane of the next edge, so that no route needs a lane change: lane k to
+//! lane k, except in a bottleneck. Traffic keeps to the right.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::plan::{LANE_WIDTH, Plan, Space};
 use super::{Error, SPACING};
 
-/// A kind of site.
+/// Kind of site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Template {
-    /// Four arms, right before left: straight on, left, right.
+    /// A junction with four arms, right before left: straight on, left, right.
     Cross,
-    /// Three arms, the straight road first.
+    /// A junction with three arms, where the straight road has priority.
     Tee,
-    /// Four arms around a circle, which has the right of way.
+    /// A roundabout with four arms, whose circle has priority.
     Roundabout,
-    /// A ramp joins a main road.
+    /// A ramp that joins a main road.
     Merge,
     /// Two by two junctions, right before left.
     Grid,
-    /// A road with half as many lanes in the middle, both ways.
+    /// A road in both directions with half as many lanes in the middle.
     Bottleneck,
-    /// A road between two rows of spaces, in which vehicles steer.
+    /// A road between two rows of parking spaces, on which vehicles steer.
     Parking,
 }
 
-/// How large a site is.
+/// Sizes of a site.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sizes {
-    /// Lanes per direction; `None`: the fewest that the template has, 1 or, of a bottleneck, 2.
+    /// Lanes per direction. `None`: the smallest number that the template allows, which is 2 for a
+    /// bottleneck and 1 for the others.
     pub lanes: Option<u32>,
-    /// Length of the lanes on which vehicles begin, at least \[m\]; `None`: what the agents need, at least 30 m.
+    /// Minimum length of the lanes on which vehicles begin \[m\]. `None`: the length that the
+    /// agents need, at least 30 m.
     pub arm_length: Option<f64>,
     /// Number of agents.
     pub agents: u32,
     /// Speed limit and top speed of the vehicles \[m/s\].
     pub speed: f64,
-    /// Vehicles steer, instead of following their lanes; in a parking lot always.
+    /// Whether vehicles steer instead of following their lanes. In a parking lot they always do.
     pub steering: bool,
 }
 
-/// Where vehicles come from: name, and heading into the site in quarter turns counter-clockwise from east.
+/// Arms of a site: name, and heading into the site in quarter turns counter-clockwise from east.
 const ARMS: [(&str, usize); 4] = [("west", 0), ("south", 1), ("east", 2), ("north", 3)];
-/// Name, and quarter turns counter-clockwise.
+/// Turns at a junction: name, and quarter turns counter-clockwise.
 const TURNS: [(&str, usize); 3] = [("straight", 0), ("left", 1), ("right", 3)];
 /// Unit vectors of the four headings.
 const HEADINGS: [[f64; 2]; 4] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
-/// What is left free of a lane beside its places \[m\].
+/// Length of a lane that is not taken by its spawn places \[m\].
 const FREE: f64 = 10.0;
-/// Half a vehicle \[m\], and the time between decisions \[s\].
+/// Half the length of a vehicle \[m\], and the decision interval \[s\].
 const HALF: f64 = 2.26;
 const INTERVAL: f64 = 0.1;
-/// Shortest lane \[m\].
+/// Length of the shortest lane \[m\].
 const SHORTEST: f64 = 30.0;
-/// Angle between ramp and main road \[rad\].
+/// Angle between the ramp and the main road \[rad\].
 const RAMP: f64 = PI / 6.0;
-/// Radius of the curves between a road and spaces, and length of a space \[m\].
+/// Radius of the curves between the road and the spaces, and length of a space \[m\].
 const CURVE: f64 = 4.0;
 const DEPTH: f64 = 8.0;
-/// From the last of these curves to where the line between the directions begins \[m\]: in a narrow
-/// curve a vehicle with tyres points to the inside of its way by up to 26 degrees.
+/// Distance from the last of these curves to the beginning of the line between the directions
+/// \[m\]. In a narrow curve, a vehicle with tyres points up to 26 degrees to the inside of its
+/// path.
 const STRAIGHT: f64 = 1.0;
-/// Most agents of a parking lot, which has four routes for each, and highest speed \[m/s\], at which one stops within sight.
+/// Largest number of agents of a parking lot, which has four routes for each agent, and highest
+/// speed, from which a vehicle stops within the detection range \[m/s\].
 const LOT_AGENTS: u32 = 60;
 const LOT_SPEED: f64 = 22.222;
 
 impl Template {
-    /// All of them.
+    /// All templates.
     pub const ALL: [Self; 7] = [
         Self::Cross,
         Self::Tee,
@@ -78,7 +83,7 @@ impl Template {
         Self::Parking,
     ];
 
-    /// Its name on the command line.
+    /// Returns the template's name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cross => "cross",
@@ -91,12 +96,12 @@ impl Template {
         }
     }
 
-    /// The template of this name.
+    /// Returns the template with this name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|template| template.name() == name)
     }
 
-    /// One sentence about it.
+    /// Returns a description in one sentence.
     pub(super) fn description(self) -> &'static str {
         match self {
             Self::Cross => {
@@ -113,7 +118,7 @@ impl Template {
         }
     }
 
-    /// Lanes per direction.
+    /// Returns the number of lanes per direction.
     pub(super) fn lanes(self, sizes: &Sizes) -> Result<u32, Error> {
         let (least, most, usual) = match self {
             Self::Bottleneck => (2, 4, 2),
@@ -129,7 +134,7 @@ impl Template {
         Ok(lanes)
     }
 
-    /// The site, and the number of places on each lane where vehicles begin.
+    /// Returns the site, and the number of spawn places on each lane where vehicles begin.
     pub(super) fn plan(self, sizes: &Sizes) -> Result<(Plan, u32), Error> {
         let lanes = self.lanes(sizes)?;
         let (agents, speed, kind) = match self {
@@ -149,7 +154,8 @@ impl Template {
             Self::Grid => 8 * lanes,
             Self::Bottleneck | Self::Parking => 2 * lanes,
         };
-        // A parking lot has two rows of as many spaces: one for each vehicle from outside.
+        // A parking lot has two rows of `places` spaces each: one space for each vehicle from
+        // outside.
         let fewest = if self == Self::Parking { 2 } else { 1 };
         let places = sizes.agents.div_ceil(starts).max(fewest);
         let ahead = if self == Self::Roundabout { quarter(radius(lanes)) } else { 0.0 };
@@ -169,14 +175,16 @@ impl Template {
             Self::Bottleneck => bottleneck(lanes, arm),
             Self::Parking => parking(places, arm),
         };
-        // A vehicle must be seen behind the finish before SUMO takes it off the road.
+        // The vehicle must be observed beyond the finish line before SUMO removes it at the end of
+        // its route.
         let finish = (HALF + sizes.speed * INTERVAL).ceil();
         plan.routes.iter_mut().for_each(|route| route.arrival_pos = route.arrival_pos.min(-finish));
         Ok((plan, places))
     }
 }
 
-/// `size` x `size` junctions with arms on the given sides, `arm` metres from junction to junction and to the arms' ends.
+/// Returns `size` x `size` junctions with arms on the given sides. Roads between junctions and to
+/// the ends of the arms are `arm` metres long.
 fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
     let kind = if arms.len() < 4 { "priority" } else { "right_before_left" };
     let side = arm + corner(lanes);
@@ -184,7 +192,7 @@ fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
     let junction = |[column, row]: [usize; 2]| {
         if size == 1 { "centre".to_owned() } else { format!("junction_{column}_{row}") }
     };
-    // The arm on a side of a cell: there is one in each row or column.
+    // The arm on a side of a cell: each row or column has one.
     let outside = |quarter: usize, [column, row]: [usize; 2]| {
         let (name, _) = *arms.iter().find(|(_, own)| *own == quarter)?;
         let number = if quarter.is_multiple_of(2) { row } else { column };
@@ -195,7 +203,7 @@ fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
         let cell = [column.checked_add_signed(dx)?, row.checked_add_signed(dy)?];
         cell.iter().all(|&i| i < size).then_some(cell)
     };
-    // The edge by which one leaves a cell, and the cell it leads to, if any.
+    // The edge that leaves a cell, and the cell that it leads to, if any.
     let leaving = |cell: [usize; 2], heading: usize| match beyond(cell, heading) {
         Some(next) => Some((format!("{}_to_{}", junction(cell), junction(next)), Some(next))),
         None => Some((format!("{}_out", outside((heading + 2) % 4, cell)?), None)),
@@ -232,7 +240,7 @@ fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
     plan
 }
 
-/// The edges from a cell straight on to the outside.
+/// Returns the edges straight on from a cell to the outside.
 fn drive(
     leaving: &impl Fn([usize; 2], usize) -> Option<(String, Option<[usize; 2]>)>,
     mut cell: [usize; 2],
@@ -249,17 +257,17 @@ fn drive(
     }
 }
 
-/// How far a junction reaches into its roads, at most \[m\].
+/// Returns an upper bound of the distance that a junction reaches into its roads \[m\].
 fn corner(lanes: u32) -> f64 {
     8.0 + 5.0 * f64::from(lanes)
 }
 
-/// Radius of a roundabout's centre line \[m\].
+/// Returns the radius of a roundabout's centre line \[m\].
 fn radius(lanes: u32) -> f64 {
     14.0 + 6.0 * f64::from(lanes)
 }
 
-/// Way around a roundabout from one arm to the next \[m\].
+/// Returns the distance around a roundabout from one arm to the next \[m\].
 fn quarter(radius: f64) -> f64 {
     (radius * FRAC_PI_2).round()
 }
@@ -279,7 +287,7 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
         let start = PI + FRAC_PI_2 * turns as f64;
         let angles = (0..=8).map(|k| start + FRAC_PI_2 * f64::from(k) / 8.0);
         let arc = angles.map(|angle| [radius * angle.cos(), radius * angle.sin()]).collect();
-        // Counter-clockwise to the next arm.
+        // The circle leads counter-clockwise to the next arm.
         plan.edge(ring(turns), [&node, &format!("{}_entry", ARMS[(turns + 1) % 4].0)], lanes)
             .shape = arc;
         for lane in 0..lanes {
@@ -287,7 +295,8 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
             plan.link(&ring(turns + 3), &ring(turns), [lane, lane]);
             plan.link(&ring(turns + 3), &format!("{name}_out"), [lane, lane]);
         }
-        // Vehicles from west and east reach the next arm when those from there do: else full throttle would be a solution.
+        // Vehicles from west and east begin further ahead, so that they reach the next arm together
+        // with the vehicles from there. Otherwise full throttle would succeed.
         if turns.is_multiple_of(2) {
             plan.ahead.insert(format!("{name}_in"), quarter(radius));
         }
@@ -306,7 +315,7 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
 }
 
 fn merge(lanes: u32, arm: f64) -> Plan {
-    // At a small angle the junction reaches far into both roads.
+    // At a small angle, the junction reaches far into both roads.
     let outer = arm + 4.0 * corner(lanes);
     let mut plan = Plan::default();
     plan.node("west", [-outer, 0.0], "dead_end");
@@ -341,20 +350,22 @@ fn bottleneck(lanes: u32, arm: f64) -> Plan {
         for lane in 0..lanes {
             plan.link(&entry, &middle, [lane, (lane / 2).min(narrow - 1)]);
         }
-        // Each to one: what leads to several lanes is SUMO's choice.
+        // Each lane leads to one lane: from a lane that leads to several, SUMO chooses.
         (0..narrow).for_each(|lane| plan.link(&middle, &exit, [lane, 2 * lane]));
         plan.route(direction, &[entry, middle, exit], lanes);
     }
     plan
 }
 
-/// Two rows of `spaces` spaces beside a road, which goes on for `arm` metres to the west and to the east.
+/// Returns two rows of `spaces` parking spaces beside a road that continues for `arm` metres to the
+/// west and to the east.
 ///
-/// As in `sumo_nets/parking_lot`, vehicles reach every space from both directions and leave it in both, along quarters of circles, and
-/// the edges into a space and out of it lie on one another.
+/// As in `sumo_nets/parking_lot`, vehicles enter every space from both directions and leave it in
+/// both directions, along quarter circles. The edges into a space and out of it lie on one another.
 fn parking(spaces: u32, arm: f64) -> Plan {
     let half = LANE_WIDTH / 2.0;
-    // From the middle to the lot's ends, and to where spaces begin.
+    // Distances from the middle to the last space, to the end of the lot, and to the beginning of
+    // the spaces.
     let last = half * f64::from(spaces - 1);
     let (end, mouth) = (last + CURVE + STRAIGHT, half + CURVE);
     let mut plan = Plan { lot: true, ..Plan::default() };
@@ -377,7 +388,8 @@ fn parking(spaces: u32, arm: f64) -> Plan {
         .collect();
     for (space, up, x) in &places {
         let [entry, exit] = ["in", "out"].map(|way| format!("{space}_{way}"));
-        // An end each for in and out: netconvert would move them apart at a common one.
+        // The edges into and out of a space have separate end nodes: netconvert would move edges
+        // with a common end node apart.
         let ends = ["end", "start"].map(|which| format!("{space}_{which}"));
         let [near, far] = [mouth, mouth + DEPTH].map(|y| [*x, up * y]);
         for id in &ends {
@@ -388,7 +400,7 @@ fn parking(spaces: u32, arm: f64) -> Plan {
         let edge = plan.edge(exit.clone(), [&ends[1], "lot"], 1);
         (edge.shape, edge.centred) = (vec![far, near], true);
         for (name, side) in sides {
-            // From a lane at a side of the lot into the space, by a quarter of a circle.
+            // A quarter circle from a lane at one side of the lot into the space.
             let bend = |lane: f64| {
                 let angles = (0..=9).map(|k| FRAC_PI_2 * f64::from(k) / 9.0);
                 let arc = angles.map(|angle| {

@@ -1,4 +1,5 @@
-//! Replies, whole, cut, damaged and hostile, and peers that misbehave.
+//! Tests of replies (complete, truncated, damaged and malicious) and of peers that violate the
+//! protocol.
 
 use super::*;
 use crate::sumo::{
@@ -8,7 +9,7 @@ use crate::sumo::{
 };
 use proptest::{collection::vec, prelude::*};
 
-/// A batch with every kind of answer, and a reply to it as SUMO 1.15 lays it out.
+/// Returns a batch with every kind of answer, and a reply to it in the format of SUMO 1.15.
 fn dialogue() -> (Batch, Vec<u8>) {
     let mut batch = Batch::new();
     batch.vehicle().set_speed("a", 1.0);
@@ -44,7 +45,7 @@ fn dialogue() -> (Batch, Vec<u8>) {
     status(&mut w, 0x89, 0, "");
     context(&mut w);
     status(&mut w, 0xc4, 0xff, "Vehicle 'b' is not known");
-    // A refused subscription is answered too.
+    // SUMO sends an answer also for a refused subscription.
     status(&mut w, 0xd4, 0xff, "Vehicle 'c' is not known");
     w.command(0xe4, |w| {
         w.str("c").u8(1).u8(VAR_SPEED.number()).u8(0xff).string("Vehicle 'c' is not known");
@@ -157,7 +158,7 @@ proptest! {
     }
 }
 
-/// A client whose peer sends `bytes` and then closes, or holds the connection open.
+/// Returns a client whose peer sends `bytes` and then closes the connection, after `hold` if given.
 fn client_of(
     bytes: &'static [u8],
     hold: Option<Duration>,
@@ -195,7 +196,7 @@ fn a_large_claim_that_is_not_kept_costs_no_memory() {
 fn silence_is_a_timeout_and_an_end_is_closed() {
     let (mut client, peer) = client_of(&[0, 0], Some(Duration::from_millis(600)));
     assert!(matches!(client.handshake(), Err(Error::Timeout { .. })));
-    // What comes later is not taken for an answer.
+    // The client does not take bytes that arrive later for an answer.
     assert!(matches!(client.handshake(), Err(Error::Closed { .. })));
     peer.join().unwrap();
     let (mut client, peer) = client_of(&[0, 0], None);

@@ -1,4 +1,5 @@
-//! Values and commands on the wire and back; bytes that lie.
+//! Tests that values and commands survive encoding and decoding, and that invalid bytes are
+//! rejected.
 
 use super::*;
 use proptest::{collection::vec, num, prelude::*};

@@ -1,9 +1,10 @@
-//! Views of the graphical interface (`sumo-gui`). SUMO without it refuses these calls.
+//! Views of the graphical interface (`sumo-gui`). SUMO without a graphical interface refuses these
+//! calls.
 
 use super::Scope;
 use crate::sumo::{batch::Call, constants::Domain};
 
-/// The view that `sumo-gui` opens with.
+/// Identifier of the view that `sumo-gui` opens at the start.
 pub const DEFAULT_VIEW: &str = "View #0";
 
 domain! {
@@ -23,11 +24,11 @@ getters! { Gui, "gui", GUI;
     get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
     /// Lower left and upper right corner \[m\].
     get_boundary "getBoundary" VAR_VIEW_BOUNDARY 0xa3 -> Vec<[f64; 2]>;
-    /// Whether there is such a view.
+    /// Whether a view of this identifier exists.
     has_view "hasView" VAR_HAS_VIEW 0xa7 -> bool;
     /// The vehicle that the view follows; empty for none.
     get_tracked_vehicle "getTrackedVehicle" VAR_TRACK_VEHICLE 0xa6 -> String;
-    /// Whether an object is selected; `kind` is its sort, such as `vehicle`.
+    /// Whether an object is selected; `kind` is the kind of object, such as `vehicle`.
     is_selected "isSelected" 0xa4 (kind: &str) -> bool;
 }
 
@@ -42,16 +43,18 @@ setters! { Gui, "gui", GUI;
     set_angle "setAngle" 0x43 (angle: f64);
     /// Closes the view.
     remove_view "removeView" 0x81;
-    /// Writes the view to a file after the next step; -1: width and height of the view \[pixel\].
+    /// Writes the view to an image file after the next step; -1 stands for the view's own width or
+    /// height \[pixel\].
     screenshot "screenshot" 0xa5 [file: &str, width: i32, height: i32];
-    /// Lets the view follow a vehicle; empty: no longer.
+    /// Makes the view follow a vehicle; an empty identifier ends this.
     track_vehicle "trackVehicle" 0xa6 (vehicle: &str);
-    /// Selects an object, or no longer; `kind` is its sort, such as `vehicle`.
+    /// Selects an object, or deselects it if it is selected; `kind` is the kind of object, such as
+    /// `vehicle`.
     toggle_selection "toggleSelection" 0xa4 (kind: &str);
 }
 
 impl<S: Scope> Gui<'_, S> {
-    /// Opens a view.
+    /// Opens a view with a colour scheme.
     pub fn add_view(&mut self, id: &str, scheme: &str, in_3d: bool) -> S::Output<()> {
         super::set(self.0, Call::set("gui.addView", Domain::GUI, 0x80), id, |w| {
             w.compound(2).string(scheme).integer(in_3d.into());
@@ -75,7 +78,7 @@ impl<S: Scope> Gui<'_, S> {
         )
     }
 
-    /// Lets the view follow a vehicle or a person; empty: no longer.
+    /// Makes the view follow a vehicle or a person; an empty identifier ends this.
     pub fn track(&mut self, id: &str, object: &str) -> S::Output<()> {
         self.track_vehicle(id, object)
     }

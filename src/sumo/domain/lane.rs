@@ -11,17 +11,17 @@ identifiers! { Lane, "lane", LANE }
 emissions! { Lane, "lane", LANE }
 
 record! {
-    /// A way across a junction, from a lane to another.
+    /// A connection across a junction, from one lane to another.
     Connection {
-        /// The lane that it leads to.
+        /// The lane where the connection ends.
         approached_lane: String,
-        /// The lane inside the junction; empty if there is none.
+        /// The lane inside the junction; empty for none.
         approached_internal: String,
-        /// Whether it has the right of way.
+        /// Whether the connection has priority.
         has_prio: bool,
-        /// Whether it can be passed now.
+        /// Whether a vehicle can pass the connection now.
         is_open: bool,
-        /// Whether a vehicle with the right of way approaches.
+        /// Whether a vehicle with priority approaches.
         has_foe: bool,
         /// State of the signal as a letter, such as `G`.
         state: String,
@@ -42,21 +42,21 @@ getters! { Lane, "lane", LANE;
     get_friction "getFriction" VAR_FRICTION 0x3d -> f64;
     /// Width \[m\].
     get_width "getWidth" VAR_WIDTH 0x4d -> f64;
-    /// Vehicle classes that may use it; none: all.
+    /// Vehicle classes that may use the lane; an empty list: all.
     get_allowed "getAllowed" LANE_ALLOWED 0x34 -> Vec<String>;
-    /// Vehicle classes that may not use it.
+    /// Vehicle classes that may not use the lane.
     get_disallowed "getDisallowed" LANE_DISALLOWED 0x35 -> Vec<String>;
-    /// Number of ways on from its end.
+    /// Number of connections that start at the lane.
     get_link_number "getLinkNumber" LANE_LINK_NUMBER 0x30 -> i32;
-    /// Ways on from its end.
+    /// Connections that start at the lane.
     get_links "getLinks" LANE_LINKS 0x33 -> Vec<Connection>;
     /// Centre line \[m\].
     get_shape "getShape" VAR_SHAPE 0x4e -> Vec<[f64; 2]>;
-    /// The edge that it is part of.
+    /// The edge that the lane is part of.
     get_edge_id "getEdgeID" LANE_EDGE_ID 0x31 -> String;
     /// Mean speed within the last step \[m/s\].
     get_last_step_mean_speed "getLastStepMeanSpeed" LAST_STEP_MEAN_SPEED 0x11 -> f64;
-    /// Share of the length that vehicles covered within the last step, 0 to 1.
+    /// Fraction of the length that vehicles covered within the last step, 0 to 1.
     get_last_step_occupancy "getLastStepOccupancy" LAST_STEP_OCCUPANCY 0x13 -> f64;
     /// Mean length of the vehicles within the last step \[m\].
     get_last_step_length "getLastStepLength" LAST_STEP_LENGTH 0x15 -> f64;
@@ -66,31 +66,32 @@ getters! { Lane, "lane", LANE;
     get_traveltime "getTraveltime" VAR_CURRENT_TRAVELTIME 0x5a -> f64;
     /// Number of vehicles within the last step.
     get_last_step_vehicle_number "getLastStepVehicleNumber" LAST_STEP_VEHICLE_NUMBER 0x10 -> i32;
-    /// Number of vehicles that stood within the last step.
+    /// Number of vehicles that were halted within the last step.
     get_last_step_halting_number "getLastStepHaltingNumber" LAST_STEP_VEHICLE_HALTING_NUMBER 0x14 -> i32;
     /// Vehicles within the last step.
     get_last_step_vehicle_ids "getLastStepVehicleIDs" LAST_STEP_VEHICLE_ID_LIST 0x12 -> Vec<String>;
-    /// Lanes whose vehicles have the right of way over those that go from here to the lane `to`.
+    /// Lanes whose vehicles have priority over the vehicles that drive from this lane to the lane
+    /// `to`.
     get_foes "getFoes" 0x37 (to: &str) -> Vec<String>;
-    /// Vehicles that wait to depart here.
+    /// Vehicles that wait to depart on this lane.
     get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
 }
 
 impl<S: Scope> Lane<'_, S> {
-    /// Lanes inside the junction that cross this one, which is inside a junction too.
+    /// Returns the internal lanes that cross this one, which must be an internal lane too.
     pub fn get_internal_foes(&mut self, id: &str) -> S::Output<Vec<String>> {
         self.get_foes(id, "")
     }
 }
 
 setters! { Lane, "lane", LANE;
-    /// Sets the vehicle classes that may use it.
+    /// Sets the vehicle classes that may use the lane.
     set_allowed "setAllowed" 0x34 (classes: &[impl AsRef<str>]);
-    /// Sets the vehicle classes that may not use it.
+    /// Sets the vehicle classes that may not use the lane.
     set_disallowed "setDisallowed" 0x35 (classes: &[impl AsRef<str>]);
     /// Sets the speed limit \[m/s\].
     set_max_speed "setMaxSpeed" 0x41 (speed: f64);
-    /// Sets the friction, 0 to 1. SUMO 1.15 refuses it.
+    /// Sets the friction, 0 to 1. SUMO 1.15 refuses this call.
     set_friction "setFriction" 0x3d (friction: f64);
     /// Sets the length \[m\].
     set_length "setLength" 0x44 (length: f64);

@@ -14,25 +14,25 @@ getters! { LaneArea, "lanearea", LANE_AREA;
     get_jam_length_vehicle "getJamLengthVehicle" JAM_LENGTH_VEHICLE 0x18 -> i32;
     /// Length of the jam \[m\].
     get_jam_length_meters "getJamLengthMeters" JAM_LENGTH_METERS 0x19 -> f64;
-    /// Mean speed of the vehicles within the last step \[m/s\]; -1: there was none.
+    /// Mean speed of the vehicles within the last step \[m/s\]; -1: no vehicle was on the detector.
     get_last_step_mean_speed "getLastStepMeanSpeed" LAST_STEP_MEAN_SPEED 0x11 -> f64;
     /// Vehicles within the last step.
     get_last_step_vehicle_ids "getLastStepVehicleIDs" LAST_STEP_VEHICLE_ID_LIST 0x12 -> Vec<String>;
-    /// Share of the length that vehicles covered within the last step \[%\].
+    /// Fraction of the length that vehicles covered within the last step \[%\].
     get_last_step_occupancy "getLastStepOccupancy" LAST_STEP_OCCUPANCY 0x13 -> f64;
-    /// Distance of its start from the start of the lane \[m\].
+    /// Distance of the detector's start from the start of the lane \[m\].
     get_position "getPosition" VAR_POSITION 0x42 -> f64;
-    /// The lane that it lies in.
+    /// The lane of the detector.
     get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
     /// Length \[m\].
     get_length "getLength" VAR_LENGTH 0x44 -> f64;
     /// Number of vehicles within the last step.
     get_last_step_vehicle_number "getLastStepVehicleNumber" LAST_STEP_VEHICLE_NUMBER 0x10 -> i32;
-    /// Number of vehicles that stood within the last step.
+    /// Number of vehicles that were halted within the last step.
     get_last_step_halting_number "getLastStepHaltingNumber" LAST_STEP_VEHICLE_HALTING_NUMBER 0x14 -> i32;
 }
 
 setters! { LaneArea, "lanearea", LANE_AREA;
-    /// Pretends that there are so many vehicles; negative: no longer pretends.
+    /// Overrides the reported number of vehicles; a negative number ends the override.
     override_vehicle_number "overrideVehicleNumber" 0x22 (vehicles: i32);
 }

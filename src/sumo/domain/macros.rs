@@ -1,10 +1,12 @@
-//! The tables of calls. A row of [`getters`] makes a method and, if it names one, a constant for subscriptions; a
-//! row of [`setters`] a method: documentation, name, SUMO's name, constant, number, arguments, type.
+//! Macros for the tables of calls. A row of [`getters`] defines a method and, if the row names one,
+//! a constant for subscriptions; a row of [`setters`] defines a method. The columns are:
+//! documentation, name, SUMO's name, constant, number, arguments, type.
 //!
-//! Arguments in parentheses are one typed value; those in brackets are the items of a compound. SUMO 1.15 dies of
-//! a subscription to a variable that needs an argument, except for those with a constant here: they take it.
+//! Arguments in parentheses are one typed value; arguments in brackets are the items of a compound.
+//! SUMO 1.15 crashes on a subscription to a variable that needs an argument, except to those
+//! variables that have a constant here: SUMO accepts their argument in the subscription.
 
-/// A handle with the calls that all domains have.
+/// Defines a handle with the calls that all domains have.
 macro_rules! domain {
     ($(#[$doc:meta])* $handle:ident, $name:literal, $domain:ident) => {
         $(#[$doc])*
@@ -12,9 +14,10 @@ macro_rules! domain {
         pub struct $handle<'a, S>(pub(super) &'a mut S);
 
         getters! { $handle, $name, $domain;
-            /// A generic parameter of the object; empty if it has none of that name.
+            /// A generic parameter of the object; empty if the object has no parameter of that
+            /// name.
             get_parameter "getParameter" VAR_PARAMETER 0x7e (key: &str) -> String;
-            /// As `get_parameter`, together with the parameter's name.
+            /// Like `get_parameter`, together with the name of the parameter.
             get_parameter_with_key "getParameterWithKey" VAR_PARAMETER_WITH_KEY 0x3e (key: &str) -> (String, String);
         }
 
@@ -24,22 +27,23 @@ macro_rules! domain {
         }
 
         impl<S: Scope> $handle<'_, S> {
-            /// Has the variables of the object reported now and after each step from now on, besides those that
-            /// an earlier subscription named; [`unsubscribe`](Self::unsubscribe) first to have these alone. In a
-            /// batch, `Replies::first` has the values of now; a client's call drops them.
+            /// Subscribes to variables of the object: SUMO reports them now and after each later
+            /// step, in addition to the variables of earlier subscriptions. Call
+            /// [`unsubscribe`](Self::unsubscribe) first to replace those. In a batch,
+            /// `Replies::first` has the current values; a client's call drops them.
             ///
             /// # Errors
-            /// Besides those of all calls, `Error::Invalid` for a variable of another domain and for more than
-            /// 255 variables; nothing is sent then.
+            /// Besides the errors of all calls, `Error::Invalid` for a variable of another domain
+            /// and for more than 255 variables; nothing is sent then.
             pub fn subscribe(&mut self, id: &str, variables: &[crate::sumo::domain::VariableId]) -> S::Output<()> {
                 self.0.request(|batch| batch.subscribe(Domain::$domain, id, variables), crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, from the simulation time `begin` to `end` \[s\]. Subscriptions with different
-            /// times exist beside each other, and each is reported.
+            /// Like `subscribe`, from the simulation time `begin` to `end` \[s\]. Subscriptions
+            /// with different times exist side by side, and SUMO reports each.
             ///
             /// # Errors
-            /// As `subscribe`.
+            /// As for `subscribe`.
             pub fn subscribe_during(
                 &mut self,
                 id: &str,
@@ -53,10 +57,10 @@ macro_rules! domain {
                 self.0.request(fill, crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, for one variable that needs an argument.
+            /// Like `subscribe`, for one variable that needs an argument.
             ///
             /// # Errors
-            /// As `subscribe`.
+            /// As for `subscribe`.
             pub fn subscribe_with<A: crate::sumo::domain::SubscriptionArgument, T>(
                 &mut self,
                 id: &str,
@@ -69,8 +73,9 @@ macro_rules! domain {
                 self.0.request(fill, crate::sumo::domain::done)
             }
 
-            /// As `subscribe`, for a generic parameter; reported as `VAR_PARAMETER_WITH_KEY`. Of several keys,
-            /// `Reports::get` gives the last; `Reports::subscriptions` has all.
+            /// Like `subscribe`, for a generic parameter, which is reported as
+            /// `VAR_PARAMETER_WITH_KEY`. With several keys, `Reports::get` returns the last one;
+            /// `Reports::subscriptions` holds all.
             pub fn subscribe_parameter_with_key(&mut self, id: &str, key: &str) -> S::Output<()> {
                 self.subscribe_with(id, VAR_PARAMETER_WITH_KEY, key)
             }
@@ -80,19 +85,21 @@ macro_rules! domain {
                 self.subscribe(id, &[])
             }
 
-            /// Has the variables of the objects of the domain `around` within `range` \[m\] of this object
-            /// reported now and after each step from now on. With the same range, the variables of an earlier
-            /// subscription stay; with another one, both subscriptions exist, and the reports hold the last
-            /// one's values.
+            /// Subscribes to variables of the objects of the domain `around` within `range` \[m\]
+            /// of this object: SUMO reports them now and after each later step. If the range is
+            /// that of an earlier subscription, the variables are added to it. If the range
+            /// differs, both subscriptions exist, and the reports hold the values of the last one.
             ///
-            /// SUMO 1.15 dies if it does not know this object. A client therefore asks for it first, in an
-            /// exchange of its own; in a batch, only name objects that exist when the command's turn comes. It
-            /// also dies if this object is removed by a call while the subscription lasts: end it first.
+            /// SUMO 1.15 crashes if this object does not exist. A client therefore reads the object
+            /// first, in an exchange of its own; in a batch, name only objects that exist when SUMO
+            /// reaches the command. SUMO also crashes if a call removes this object while the
+            /// subscription lasts: end the subscription first.
             ///
             /// # Errors
-            /// Besides those of all calls, `Error::Invalid` if SUMO knows no objects `around` of that domain
-            /// (traffic lights, routes, vehicle types and others that have no place), for a variable of another
-            /// domain than `around`, and for more than 255 variables; nothing is sent then.
+            /// Besides the errors of all calls, `Error::Invalid` if the domain `around` has no
+            /// objects with a position (traffic lights, routes, vehicle types and others), for a
+            /// variable of another domain than `around`, and for more than 255 variables; nothing
+            /// is sent then.
             pub fn subscribe_context(
                 &mut self,
                 id: &str,
@@ -106,7 +113,8 @@ macro_rules! domain {
                 self.0.request_for(Domain::$domain, id, fill, crate::sumo::domain::done)
             }
 
-            /// Ends all subscriptions to objects of the domain `around` near this object, whatever their range.
+            /// Ends all subscriptions, of any range, to objects of the domain `around` near this
+            /// object.
             pub fn unsubscribe_context(&mut self, id: &str, around: Domain) -> S::Output<()> {
                 let fill = |batch: &mut crate::sumo::Batch| {
                     batch.subscribe_context(Domain::$domain, id, around, 0.0, &[]);
@@ -117,7 +125,7 @@ macro_rules! domain {
     };
 }
 
-/// The identifiers of a domain.
+/// Defines the calls that list the objects of a domain.
 macro_rules! identifiers {
     ($handle:ident, $name:literal, $domain:ident) => {
         global_getters! { $handle, $name, $domain;
@@ -129,7 +137,7 @@ macro_rules! identifiers {
     };
 }
 
-/// Calls that read a variable of an object.
+/// Defines calls that read a variable of an object.
 macro_rules! getters {
     ($handle:ident, $name:literal, $domain:ident; $(
         $(#[$doc:meta])*
@@ -158,7 +166,7 @@ macro_rules! getters {
     };
 }
 
-/// The constant of a variable: none, or one without an argument, or one with an argument.
+/// Defines the constant of a variable: none, one without an argument, or one with an argument.
 macro_rules! variable {
     ([$($doc:tt)*] [] [$($kind:ty)?] $domain:ident $id:literal $result:ty) => {};
     ([$($doc:tt)*] [$constant:ident] [] $domain:ident $id:literal $result:ty) => {
@@ -173,7 +181,7 @@ macro_rules! variable {
     };
 }
 
-/// Calls that read a variable of the domain as a whole.
+/// Defines calls that read a variable of the domain as a whole.
 macro_rules! global_getters {
     ($handle:ident, $name:literal, $domain:ident; $(
         $(#[$doc:meta])* $method:ident $sumo:literal $constant:ident $id:literal -> $result:ty;
@@ -196,7 +204,7 @@ macro_rules! global_getters {
     };
 }
 
-/// Calls that change an object.
+/// Defines calls that change an object.
 macro_rules! setters {
     ($handle:ident, $name:literal, $domain:ident; $(
         $(#[$doc:meta])*
@@ -221,7 +229,7 @@ macro_rules! setters {
     };
 }
 
-/// Writes nothing, one value, or a compound.
+/// Writes the arguments of a call: nothing, one value, or a compound.
 macro_rules! write_arguments {
     ($writer:ident) => {{
         let _ = $writer;
@@ -235,7 +243,7 @@ macro_rules! write_arguments {
     }};
 }
 
-/// A struct that SUMO sends as values one after the other, in the order of the fields.
+/// Defines a struct that SUMO sends as consecutive values, in the order of the fields.
 macro_rules! record {
     ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty,)+ }) => {
         $(#[$doc])*
@@ -253,7 +261,7 @@ macro_rules! record {
     };
 }
 
-/// Lets a list of records be the value of a variable: SUMO sends their number and then all their values.
+/// Implements `FromValue` for a list of records: SUMO sends their number and then all their values.
 macro_rules! flat_list {
     ($($name:ident),+) => {
         $(impl FromValue for Vec<$name> {
@@ -264,7 +272,7 @@ macro_rules! flat_list {
     };
 }
 
-/// Lets a record be the value of a variable, and a list of them: SUMO sends each as a compound.
+/// Implements `FromValue` for a record and for a list of records: SUMO sends each as a compound.
 macro_rules! nested_list {
     ($($name:ident),+) => {
         $(impl FromValue for $name {
@@ -281,7 +289,7 @@ macro_rules! nested_list {
     };
 }
 
-/// What a vehicle, a person and a vehicle type have in common.
+/// Defines the calls that vehicles, persons and vehicle types have in common.
 macro_rules! type_attributes {
     ($handle:ident, $name:literal, $domain:ident) => {
         getters! { $handle, $name, $domain;
@@ -289,7 +297,7 @@ macro_rules! type_attributes {
             get_length "getLength" VAR_LENGTH 0x44 -> f64;
             /// Highest speed \[m/s\].
             get_max_speed "getMaxSpeed" VAR_MAXSPEED 0x41 -> f64;
-            /// Time between two decisions \[s\].
+            /// Time between two decisions of the driver model \[s\].
             get_action_step_length "getActionStepLength" VAR_ACTIONSTEPLENGTH 0x7d -> f64;
             /// Factor on the speed limit.
             get_speed_factor "getSpeedFactor" VAR_SPEED_FACTOR 0x5e -> f64;
@@ -301,7 +309,7 @@ macro_rules! type_attributes {
             get_decel "getDecel" VAR_DECEL 0x47 -> f64;
             /// Strongest deceleration \[m/s²\].
             get_emergency_decel "getEmergencyDecel" VAR_EMERGENCY_DECEL 0x7b -> f64;
-            /// Deceleration that others expect \[m/s²\].
+            /// Deceleration that other drivers expect of this vehicle \[m/s²\].
             get_apparent_decel "getApparentDecel" VAR_APPARENT_DECEL 0x7c -> f64;
             /// Imperfection of the driver (sigma), 0 to 1.
             get_imperfection "getImperfection" VAR_IMPERFECTION 0x5d -> f64;
@@ -325,9 +333,9 @@ macro_rules! type_attributes {
             get_min_gap_lat "getMinGapLat" VAR_MINGAP_LAT 0xbb -> f64;
             /// Highest lateral speed \[m/s\].
             get_max_speed_lat "getMaxSpeedLat" VAR_MAXSPEED_LAT 0xba -> f64;
-            /// Preferred place in the lane, such as `center`.
+            /// Preferred lateral position in the lane, such as `center`.
             get_lateral_alignment "getLateralAlignment" VAR_LATALIGNMENT 0xb9 -> String;
-            /// Number of persons that find room.
+            /// Number of persons that the vehicle can carry.
             get_person_capacity "getPersonCapacity" VAR_PERSON_CAPACITY 0x38 -> i32;
         }
 
@@ -356,7 +364,7 @@ macro_rules! type_attributes {
             set_decel "setDecel" 0x47 (decel: f64);
             /// Sets the strongest deceleration \[m/s²\].
             set_emergency_decel "setEmergencyDecel" 0x7b (decel: f64);
-            /// Sets the deceleration that others expect \[m/s²\].
+            /// Sets the deceleration that other drivers expect of this vehicle \[m/s²\].
             set_apparent_decel "setApparentDecel" 0x7c (decel: f64);
             /// Sets the imperfection of the driver (sigma), 0 to 1.
             set_imperfection "setImperfection" 0x5d (sigma: f64);
@@ -368,13 +376,13 @@ macro_rules! type_attributes {
             set_min_gap_lat "setMinGapLat" 0xbb (gap: f64);
             /// Sets the highest lateral speed \[m/s\].
             set_max_speed_lat "setMaxSpeedLat" 0xba (speed: f64);
-            /// Sets the preferred place in the lane.
+            /// Sets the preferred lateral position in the lane.
             set_lateral_alignment "setLateralAlignment" 0xb9 (alignment: &str);
         }
 
         impl<S: Scope> $handle<'_, S> {
-            /// Sets the time between two decisions \[s\]. `reset_offset`: the first decision is at the next
-            /// step, else when it would have been.
+            /// Sets the time between two decisions of the driver model \[s\]. With `reset_offset`,
+            /// the next decision is at the next step; without it, the next decision keeps its time.
             pub fn set_action_step_length(
                 &mut self,
                 id: &str,
@@ -394,7 +402,7 @@ macro_rules! type_attributes {
     };
 }
 
-/// Emissions and consumption within the last step.
+/// Defines the calls that read emissions and consumption within the last step.
 macro_rules! emissions {
     ($handle:ident, $name:literal, $domain:ident) => {
         getters! { $handle, $name, $domain;

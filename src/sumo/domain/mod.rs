@@ -1,29 +1,33 @@
-//! The TraCI calls of fifteen kinds of objects, defined once and usable alone or in a batch: edges, views of the
-//! graphical interface, induction loops, junctions, lanes, lane area detectors, parking areas, persons, points of
-//! interest, polygons, routes, the simulation, traffic lights, vehicles and vehicle types. The other kinds that
-//! SUMO 1.15 knows, such as [`Domain::BUS_STOP`], have no module; [`Batch::get`], [`Batch::set`] and
+//! The TraCI calls of fifteen kinds of objects, defined once and usable alone or in a batch: edges,
+//! views of the graphical interface, induction loops, junctions, lanes, lane area detectors,
+//! parking areas, persons, points of interest, polygons, routes, the simulation, traffic lights,
+//! vehicles and vehicle types. The other kinds of objects in SUMO 1.15, such as
+//! [`Domain::BUS_STOP`], have no module here; [`Batch::get`], [`Batch::set`] and
 //! [`Batch::subscribe`] reach their variables by number.
 //!
-//! There is one module for each kind of object, with a handle whose methods bear SUMO's names in snake
-//! case: `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs
-//! to a [`Scope`]. From a [`Client`] (`client.vehicle()`) each call is one exchange and returns the
-//! result. From a [`Batch`] (`batch.vehicle()`) it returns a [`Ticket`]: the calls go out together, and
-//! the [`Replies`](super::Replies) give the result for each ticket. An exchange costs far more than a call.
+//! Each kind of object has one module, with a handle whose methods have SUMO's names in snake case:
+//! `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs
+//! to a [`Scope`]. On a handle from a [`Client`] (`client.vehicle()`), each call is one exchange,
+//! that is, one message to SUMO and its reply, and returns the result. On a handle from a [`Batch`]
+//! (`batch.vehicle()`), each call returns a [`Ticket`]: all calls of the batch are sent in one
+//! message, and [`Replies`](super::Replies) gives the result for each ticket. The cost of an
+//! exchange is far greater than the cost of a call.
 //!
-//! A variable that can be subscribed to also is a constant of the module, such as [`vehicle::VAR_SPEED`]: a
-//! [`Variable`], or a [`VariableWith`] if it needs an argument, such as [`vehicle::VAR_LEADER`]. SUMO 1.15 dies of
-//! subscriptions to others.
+//! A variable that SUMO accepts in subscriptions is also a constant of its module, such as
+//! [`vehicle::VAR_SPEED`]: a [`Variable`], or a [`VariableWith`] if the variable needs an argument,
+//! such as [`vehicle::VAR_LEADER`]. SUMO 1.15 crashes on subscriptions to other variables.
 //!
-//! Units are metres, seconds, and what follows from them; angles are navigational degrees (0 is north,
-//! clockwise). Where SUMO has no value it reports
-//! [`INVALID_DOUBLE_VALUE`](super::constants::INVALID_DOUBLE_VALUE).
+//! Units are metres, seconds and their combinations; angles are navigational degrees (0 is north,
+//! clockwise). SUMO reports [`INVALID_DOUBLE_VALUE`](super::constants::INVALID_DOUBLE_VALUE) where
+//! it has no value.
 //!
 //! # Errors
-//! All calls of a client fail in the same way: [`Error::Refused`] if SUMO refuses the call, [`Error::Invalid`] if it
-//! is not sent, and [`Error::Type`] if its result is of another type than it should be, after which the connection
-//! goes on; [`Error::Closed`], [`Error::Timeout`] and [`Error::Protocol`] if it does not. In a batch, a refused call
-//! fails when its ticket is taken, or else in [`Replies::check`](super::Replies::check), and the others are
-//! carried out.
+//! All calls of a client fail in the same way. The connection stays usable after [`Error::Refused`]
+//! (SUMO refuses the call), [`Error::Invalid`] (the call is not sent) and [`Error::Type`] (the
+//! result has an unexpected type). It is not usable after [`Error::Closed`], [`Error::Timeout`] and
+//! [`Error::Protocol`]. In a batch, the error of a refused call is returned when its ticket is
+//! taken, or otherwise by [`Replies::check`](super::Replies::check); SUMO carries out the other
+//! calls.
 //!
 //! # Examples
 //! ```
@@ -31,14 +35,16 @@
 //!
 //! # fn main() -> Result<(), iwol_sumo::sumo::Error> {
 //! let net = concat!(env!("CARGO_MANIFEST_DIR"), "/sumo_nets/intersection/arm30.net.xml");
-//! let options = Options { arguments: vec!["--net-file".into(), net.into()], ..Options::default() };
+//! let options =
+//!     Options { arguments: vec!["--net-file".into(), net.into()], ..Options::default() };
 //! let (_process, mut client, _version) = Process::start(&options)?;
 //!
 //! // One exchange for each call.
 //! let edges = client.edge().get_id_list()?;
 //! let road = edges.iter().find(|edge| !edge.starts_with(':')).expect("a road");
 //! client.route().add("r", &[road])?;
-//! client.vehicle().add("v0", &vehicle::Addition { depart_speed: "3", ..vehicle::Addition::on_route("r") })?;
+//! let addition = vehicle::Addition { depart_speed: "3", ..vehicle::Addition::on_route("r") };
+//! client.vehicle().add("v0", &addition)?;
 //!
 //! // One exchange for all of them, the step included.
 //! let mut batch = client.batch();
@@ -96,20 +102,21 @@ pub use value::{Argument, Color, FromValue, Highlight, RoadPosition};
 use value::{Fields, compound};
 pub use variable::{Reported, SubscriptionArgument, Variable, VariableId, VariableWith};
 
-/// Makes the result of a call out of what SUMO answered: the value that was asked for, or nothing.
+/// Converts SUMO's answer to a call, the requested value or nothing, to the result of the call.
 pub type Decode<T> = fn(Option<Value>) -> Result<T, Error>;
 
-/// Where calls go: to SUMO at once ([`Client`]), or into a message that is sent later ([`Batch`]).
+/// Destination of calls: SUMO at once ([`Client`]), or a message that is sent later ([`Batch`]).
 pub trait Scope {
-    /// What a call returns whose result is a `T`.
+    /// The return type of a call whose result is a `T`.
     type Output<T>;
 
-    /// Takes the commands that `fill` puts into a batch, at least one, as one call: its result is the first
-    /// refusal, or else the last answer.
+    /// Puts one or more commands into a batch by means of `fill` and treats them as one call: the
+    /// result is the first refusal, or otherwise the last answer.
     fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Self::Output<T>;
 
-    /// As `request`, for commands of which SUMO 1.15 dies if it does not know the object. A client asks for the
-    /// object first, in an exchange of its own, and sends nothing more if SUMO refuses that.
+    /// Like `request`, for commands on which SUMO 1.15 crashes if `object` does not exist. A client
+    /// first reads the object in an exchange of its own, and sends nothing more if SUMO refuses
+    /// that.
     fn request_for<T>(
         &mut self,
         domain: Domain,
@@ -139,11 +146,12 @@ impl Scope for Batch {
     }
 }
 
-/// Stands for the result of a call in a batch until the replies are there.
+/// Placeholder for the result of a call in a batch; [`Replies::take`](super::Replies::take) returns
+/// the result.
 pub struct Ticket<T> {
-    /// The number of its batch.
+    /// Number of the batch that the call belongs to.
     pub(super) batch: u64,
-    /// The commands in the batch.
+    /// Range of the call's commands in the batch.
     pub(super) commands: Range<usize>,
     pub(super) decode: Decode<T>,
 }
@@ -185,7 +193,7 @@ fn set<S: Scope>(
     scope.request(|batch| batch.call(call, object, content), done)
 }
 
-/// The result of a call that has a value.
+/// Converts the answer to a call that has a value.
 fn value<T: FromValue>(answer: Option<Value>) -> Result<T, Error> {
     match answer {
         Some(value) => T::from_value(value),
@@ -193,13 +201,13 @@ fn value<T: FromValue>(answer: Option<Value>) -> Result<T, Error> {
     }
 }
 
-/// The result of a call that has none.
+/// Accepts the answer to a call that has no value.
 #[expect(clippy::unnecessary_wraps, reason = "a `Decode`")]
 fn done(_: Option<Value>) -> Result<(), Error> {
     Ok(())
 }
 
-/// The methods that lead to the domains.
+/// Defines the methods that return the handles of the domains.
 macro_rules! handles {
     ($($(#[$doc:meta])* $method:ident -> $module:ident::$handle:ident;)+) => {
         impl Client {

@@ -1,5 +1,5 @@
-//! Persons. SUMO 1.15 refuses most of the calls that change what a person has in common with a vehicle; it
-//! knows length, width, height, gap, speed factor and colour.
+//! Persons. SUMO 1.15 refuses most of the calls that change attributes that persons have in common
+//! with vehicles; it accepts those for length, width, height, minimum gap, speed factor and colour.
 
 use super::{Color, FromValue, Scope, simulation::Stage};
 use crate::sumo::{
@@ -20,23 +20,23 @@ record! {
     Reservation {
         /// Reservation identifier.
         id: String,
-        /// Persons that travel together.
+        /// Persons who travel together.
         persons: Vec<String>,
-        /// Group.
+        /// Identifier of the group.
         group: String,
-        /// Edge where they wait.
+        /// Edge where the persons wait.
         from_edge: String,
-        /// Edge where they want to go.
+        /// Destination edge.
         to_edge: String,
         /// Distance from the start of the first edge \[m\].
         depart_pos: f64,
         /// Distance from the start of the last edge \[m\].
         arrival_pos: f64,
-        /// When they are ready \[s\].
+        /// Time at which the persons are ready \[s\].
         depart: f64,
-        /// When they asked \[s\].
+        /// Time of the request \[s\].
         reservation_time: f64,
-        /// 1: new, 2: known, 4: assigned, 8: picked up.
+        /// State. 1: new, 2: known, 4: assigned, 8: picked up.
         state: i32,
     }
 }
@@ -53,9 +53,9 @@ getters! { Person, "person", PERSON;
     get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
     /// Slope of the road \[deg\].
     get_slope "getSlope" VAR_SLOPE 0x36 -> f64;
-    /// Edge.
+    /// Edge where the person is.
     get_road_id "getRoadID" VAR_ROAD_ID 0x50 -> String;
-    /// Lane; empty if the person is on none.
+    /// Lane where the person is; empty for none.
     get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
     /// Person type.
     get_type_id "getTypeID" VAR_TYPE 0x4f -> String;
@@ -63,51 +63,52 @@ getters! { Person, "person", PERSON;
     get_lane_position "getLanePosition" VAR_LANEPOSITION 0x56 -> f64;
     /// Time since the person last moved \[s\].
     get_waiting_time "getWaitingTime" VAR_WAITING_TIME 0x7a -> f64;
-    /// The edge after the one of the moment, of a walk; empty for the last.
+    /// The next edge of the current walk; empty on the last edge.
     get_next_edge "getNextEdge" VAR_NEXT_EDGE 0xc1 -> String;
-    /// Edges of a stage; 0 is the one of the moment.
+    /// Edges of a stage; stage 0 is the current one.
     get_edges "getEdges" 0x54 (stage: i32) -> Vec<String>;
-    /// A stage; 0 is the one of the moment, negative ones are past.
+    /// A stage; 0 is the current one, negative numbers are past stages.
     get_stage "getStage" 0xc0 (stage: i32) -> Stage;
-    /// Number of stages that are left, with the one of the moment.
+    /// Number of remaining stages, including the current one.
     get_remaining_stages "getRemainingStages" VAR_STAGES_REMAINING 0xc2 -> i32;
-    /// The vehicle that the person rides in; empty for none.
+    /// The vehicle in which the person rides; empty for none.
     get_vehicle "getVehicle" VAR_VEHICLE 0xc3 -> String;
-    /// Makes a reservation of its own for some of the persons of a reservation, whose identifier comes first;
-    /// returns the new identifier. SUMO 1.15 ends if they are all of them.
+    /// Moves some persons of a reservation to a new reservation and returns its identifier. The
+    /// identifier of the old reservation is that of the call's object. SUMO 1.15 terminates if the
+    /// persons are all persons of the reservation.
     split_taxi_reservation "splitTaxiReservation" 0xc7 (persons: &[impl AsRef<str>]) -> String;
 }
 
 setters! { Person, "person", PERSON;
-    /// Makes a person who waits for stages: person type, edge, departure (seconds, -3: now), distance from
-    /// the start of the edge \[m\].
+    /// Adds a person without a plan: person type, edge, departure \[s\] (-3: now), distance from
+    /// the start of the edge \[m\]. The person waits for stages.
     add "add" 0x80 [kind: &str, edge: &str, depart: f64, pos: f64];
-    /// Removes a stage; 0 is the one of the moment, which ends.
+    /// Removes a stage; removing stage 0, the current one, ends it.
     remove_stage "removeStage" 0xc5 (stage: i32);
-    /// Removes the person; `reason` as for vehicles.
+    /// Removes the person; `reason` is as for vehicles.
     remove "remove" 0x81 (reason: i8);
-    /// Puts the person at a distance from the start of a lane \[m\], which is part of the walk, and beside
-    /// its middle \[m\] ([`c::INVALID_DOUBLE_VALUE`]: as before).
+    /// Moves the person to a distance from the start of a lane of its walk \[m\] and to a lateral
+    /// offset from the lane's centre line \[m\] ([`c::INVALID_DOUBLE_VALUE`]: unchanged).
     move_to "moveTo" 0x5c [lane: &str, pos: f64, pos_lat: f64];
     /// Sets the walking speed \[m/s\].
     set_speed "setSpeed" 0x40 (speed: f64);
     /// Sets the person type.
     set_type "setType" 0x4f (kind: &str);
-    /// Finds the fastest walk anew.
+    /// Computes the fastest walk again.
     reroute_traveltime "rerouteTraveltime" 0x90 [];
 }
 
 const APPEND_STAGE: Call = Call::set("person.appendStage", Domain::PERSON, 0xc4);
 
 impl<S: Scope> Person<'_, S> {
-    /// Requests for a taxi: all of them, or those that are `only_new`.
+    /// Returns the reservations of taxis: all of them, or, with `only_new`, the new ones.
     pub fn get_taxi_reservations(&mut self, only_new: bool) -> S::Output<Vec<Reservation>> {
         super::get(self.0, Call::get("person.getTaxiReservations", Domain::PERSON, 0xc6), "", |w| {
             w.integer(only_new.into());
         })
     }
 
-    /// Adds a wait of a duration \[s\] at the end of the plan; `stop`: where, or empty.
+    /// Appends a wait of a duration \[s\] to the plan; `stop` is the place, or empty.
     pub fn append_waiting_stage(
         &mut self,
         id: &str,
@@ -121,7 +122,7 @@ impl<S: Scope> Person<'_, S> {
         })
     }
 
-    /// Adds a walk at the end of the plan.
+    /// Appends a walk to the plan.
     pub fn append_walking_stage(
         &mut self,
         id: &str,
@@ -135,8 +136,8 @@ impl<S: Scope> Person<'_, S> {
         })
     }
 
-    /// Adds a ride to an edge at the end of the plan: with any of the `lines`, joined by blanks; `stop`: where
-    /// it ends, or empty.
+    /// Appends a ride to an edge to the plan, with a vehicle of any of the `lines`, which are
+    /// separated by spaces; `stop` is the destination stop, or empty.
     pub fn append_driving_stage(
         &mut self,
         id: &str,
@@ -150,12 +151,12 @@ impl<S: Scope> Person<'_, S> {
         })
     }
 
-    /// Adds a stage at the end of the plan.
+    /// Appends a stage to the plan.
     pub fn append_stage(&mut self, id: &str, stage: &Stage) -> S::Output<()> {
         super::set(self.0, APPEND_STAGE, id, |w| stage.write(w))
     }
 
-    /// Replaces a stage; 0 is the one of the moment.
+    /// Replaces a stage; 0 is the current one.
     pub fn replace_stage(&mut self, id: &str, index: i32, stage: &Stage) -> S::Output<()> {
         super::set(self.0, Call::set("person.replaceStage", Domain::PERSON, 0xcd), id, |w| {
             w.compound(2).integer(index);
@@ -163,7 +164,7 @@ impl<S: Scope> Person<'_, S> {
         })
     }
 
-    /// Puts the person at a position \[m\], see [`Place`].
+    /// Moves the person to a position \[m\], see [`Place`].
     pub fn move_to_xy(&mut self, id: &str, position: [f64; 2], place: &Place<'_>) -> S::Output<()> {
         super::set(self.0, Call::set("person.moveToXY", Domain::PERSON, 0xb4), id, |w| {
             w.compound(6)
@@ -177,11 +178,11 @@ impl<S: Scope> Person<'_, S> {
 }
 
 impl Person<'_, Client> {
-    /// Removes all stages, so that the person leaves the simulation if none is added before the next step: two
-    /// exchanges.
+    /// Removes all stages. The person leaves the simulation if no stage is added before the next
+    /// step. Takes two exchanges.
     ///
     /// # Errors
-    /// As all calls.
+    /// As for all calls.
     pub fn remove_stages(&mut self, id: &str) -> Result<(), Error> {
         let count = self.get_remaining_stages(id)?;
         let mut batch = self.0.batch();
@@ -193,37 +194,38 @@ impl Person<'_, Client> {
     }
 }
 
-/// What [`Person::append_walking_stage`] needs besides the edges.
+/// Options of [`Person::append_walking_stage`] besides the edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Walk<'a> {
     /// Distance from the start of the last edge \[m\].
     pub arrival_pos: f64,
-    /// Duration \[s\]; negative: as the speed has it.
+    /// Duration \[s\]; negative: the duration follows from the speed.
     pub duration: f64,
-    /// Speed \[m/s\]; negative: that of the person type.
+    /// Speed \[m/s\]; negative: the speed of the person type.
     pub speed: f64,
-    /// Stop where it ends; empty: none.
+    /// Stop where the walk ends; empty: none.
     pub stop: &'a str,
 }
 
 impl Walk<'_> {
-    /// A walk to a distance from the start of the last edge \[m\].
+    /// Returns a walk to a distance from the start of the last edge \[m\].
     pub const fn to(arrival_pos: f64) -> Self {
         Walk { arrival_pos, duration: -1.0, speed: -1.0, stop: "" }
     }
 }
 
-/// How [`Person::move_to_xy`] finds the place.
+/// Options for how [`Person::move_to_xy`] matches a position to the net.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place<'a> {
-    /// The edge to prefer; empty: none.
+    /// The preferred edge; empty: none.
     pub edge: &'a str,
-    /// Navigational angle \[deg\]; [`c::INVALID_DOUBLE_VALUE`]: that of the edge.
+    /// Navigational angle \[deg\]; [`c::INVALID_DOUBLE_VALUE`]: the angle of the edge.
     pub angle: f64,
-    /// Bits, 1: the closest place of the walk, else of the net; 2: exactly there, on an edge or not; 4: also
-    /// where it is not allowed.
+    /// Bits. 1: the closest position on the walk; without this bit, the closest position in the
+    /// net. 2: exactly the given position, on an edge or not. 4: also lanes that the person may not
+    /// use.
     pub keep_route: u8,
-    /// How far away a place may be \[m\].
+    /// Greatest distance between the given and the matched position \[m\].
     pub match_threshold: f64,
 }
 

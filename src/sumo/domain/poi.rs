@@ -22,14 +22,14 @@ getters! { Poi, "poi", POI;
     get_height "getHeight" VAR_HEIGHT 0xbc -> f64;
     /// Angle of the image \[deg\].
     get_angle "getAngle" VAR_ANGLE 0x43 -> f64;
-    /// File of the image.
+    /// Path of the image file.
     get_image_file "getImageFile" VAR_IMAGEFILE 0x93 -> String;
 }
 
 setters! { Poi, "poi", POI;
     /// Sets the type.
     set_type "setType" 0x4f (kind: &str);
-    /// Moves it \[m\].
+    /// Sets the position \[m\].
     set_position "setPosition" 0x42 (position: [f64; 2]);
     /// Sets the colour.
     set_color "setColor" 0x45 (color: Color);
@@ -39,22 +39,22 @@ setters! { Poi, "poi", POI;
     set_height "setHeight" 0xbc (height: f64);
     /// Sets the angle of the image \[deg\].
     set_angle "setAngle" 0x43 (angle: f64);
-    /// Sets the file of the image.
+    /// Sets the path of the image file.
     set_image_file "setImageFile" 0x93 (file: &str);
-    /// Removes it from a layer.
+    /// Removes the point from a layer.
     remove "remove" 0x81 (layer: i32);
 }
 
-/// What a new point of interest looks like.
+/// Appearance of a new point of interest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance<'a> {
     /// Colour.
     pub color: Color,
     /// Type.
     pub kind: &'a str,
-    /// Layer; the higher covers the lower.
+    /// Layer; higher layers cover lower ones.
     pub layer: i32,
-    /// File of the image; empty for none.
+    /// Path of the image file; empty for none.
     pub image_file: &'a str,
     /// Width of the image \[m\].
     pub width: f64,
@@ -65,7 +65,7 @@ pub struct Appearance<'a> {
 }
 
 impl Default for Appearance<'_> {
-    /// A red point.
+    /// Returns the appearance of a red point.
     fn default() -> Self {
         let color = Color::rgb(255, 0, 0);
         Appearance {
@@ -81,7 +81,7 @@ impl Default for Appearance<'_> {
 }
 
 impl<S: Scope> Poi<'_, S> {
-    /// Makes a new point at a position \[m\].
+    /// Adds a point of interest at a position \[m\].
     pub fn add(
         &mut self,
         id: &str,
@@ -98,7 +98,7 @@ impl<S: Scope> Poi<'_, S> {
         })
     }
 
-    /// Draws a circle around it in the graphical interface.
+    /// Draws a circle around the point in the graphical interface.
     pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
         super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| {
             highlight.write(w)

@@ -16,9 +16,9 @@ getters! { Polygon, "polygon", POLYGON;
     get_shape "getShape" VAR_SHAPE 0x4e -> Vec<[f64; 2]>;
     /// Colour.
     get_color "getColor" VAR_COLOR 0x45 -> Color;
-    /// Whether its inside is coloured.
+    /// Whether the polygon is filled.
     get_filled "getFilled" VAR_FILL 0x55 -> bool;
-    /// Width of its outline \[m\].
+    /// Width of the outline \[m\].
     get_line_width "getLineWidth" VAR_WIDTH 0x4d -> f64;
 }
 
@@ -27,29 +27,29 @@ setters! { Polygon, "polygon", POLYGON;
     set_type "setType" 0x4f (kind: &str);
     /// Sets the colour.
     set_color "setColor" 0x45 (color: Color);
-    /// Sets the width of its outline \[m\].
+    /// Sets the width of the outline \[m\].
     set_line_width "setLineWidth" 0x4d (width: f64);
-    /// Removes it from a layer.
+    /// Removes the polygon from a layer.
     remove "remove" 0x81 (layer: i32);
 }
 
-/// What a new polygon looks like.
+/// Appearance of a new polygon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Appearance<'a> {
     /// Colour.
     pub color: Color,
-    /// Whether its inside is coloured.
+    /// Whether the polygon is filled.
     pub fill: bool,
     /// Type.
     pub kind: &'a str,
-    /// Layer; the higher covers the lower.
+    /// Layer; higher layers cover lower ones.
     pub layer: i32,
-    /// Width of its outline \[m\].
+    /// Width of the outline \[m\].
     pub line_width: f64,
 }
 
 impl Default for Appearance<'_> {
-    /// A red outline.
+    /// Returns the appearance of a red outline.
     fn default() -> Self {
         Appearance {
             color: Color::rgb(255, 0, 0),
@@ -61,18 +61,18 @@ impl Default for Appearance<'_> {
     }
 }
 
-/// How a polygon moves and fades.
+/// Movement and fading of a polygon.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Dynamics<'a> {
-    /// The vehicle, person or other object that it follows; empty for none.
+    /// The vehicle, person or other object that the polygon follows; empty for none.
     pub tracked: &'a str,
-    /// Times of the changes, the first 0, ascending \[s\].
+    /// Times of the changes \[s\], ascending; the first is 0.
     pub time_span: &'a [f64],
-    /// Opacity at each of the times, 0 to 255; empty: it does not fade.
+    /// Opacity at each of the times, 0 to 255; empty: the polygon does not fade.
     pub alpha_span: &'a [f64],
-    /// Whether it starts again when the last time is reached; else it is removed.
+    /// Whether the dynamics start again after the last time; otherwise the polygon is removed then.
     pub looped: bool,
-    /// Whether it turns with what it follows.
+    /// Whether the polygon rotates with the object that it follows.
     pub rotate: bool,
 }
 
@@ -89,7 +89,7 @@ impl<S: Scope> Polygon<'_, S> {
         )
     }
 
-    /// Sets whether its inside is coloured.
+    /// Sets whether the polygon is filled.
     pub fn set_filled(&mut self, id: &str, filled: bool) -> S::Output<()> {
         super::set(
             self.0,
@@ -101,7 +101,7 @@ impl<S: Scope> Polygon<'_, S> {
         )
     }
 
-    /// Makes a new polygon of points \[m\].
+    /// Adds a polygon with these points \[m\].
     pub fn add(
         &mut self,
         id: &str,
@@ -117,7 +117,7 @@ impl<S: Scope> Polygon<'_, S> {
         })
     }
 
-    /// Lets it move or fade from now on.
+    /// Starts movement or fading of the polygon.
     pub fn add_dynamics(&mut self, id: &str, dynamics: &Dynamics<'_>) -> S::Output<()> {
         super::set(self.0, Call::set("polygon.addDynamics", Domain::POLYGON, 0x5c), id, |w| {
             let Dynamics { tracked, time_span, alpha_span, looped, rotate } = *dynamics;

@@ -15,6 +15,6 @@ getters! { Route, "route", ROUTE;
 }
 
 setters! { Route, "route", ROUTE;
-    /// Makes a new route of edges in driving order.
+    /// Adds a route of these edges in driving order.
     add "add" 0x80 (edges: &[impl AsRef<str>]);
 }

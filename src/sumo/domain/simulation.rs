@@ -9,24 +9,24 @@ use crate::sumo::{
 };
 
 domain! {
-    /// Calls for the simulation as a whole. Where the calls of all domains take an object, it is the empty string;
-    /// but `get_parameter` takes the identifier of a stop for keys of stops, such as `parkingArea.capacity` and
-    /// those that begin with `chargingStation.`.
+    /// Calls for the simulation as a whole. The object that the calls of all domains take is the
+    /// empty string here. Exception: for keys of stops, such as `parkingArea.capacity` and keys
+    /// that begin with `chargingStation.`, `get_parameter` takes the identifier of the stop.
     Simulation, "simulation", SIMULATION
 }
 
 /// A part of a journey: a vehicle's route, or a walk, a ride or a wait of a person.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stage {
-    /// 1: waits, 2: walks, 3: drives or rides, 4: access, 5: trip, 6: tranship.
+    /// Kind of stage. 1: waits, 2: walks, 3: drives or rides, 4: access, 5: trip, 6: tranship.
     pub kind: i32,
     /// Vehicle type.
     pub vehicle_type: String,
-    /// Line of the vehicle that is ridden.
+    /// Line of the vehicle in which the person rides.
     pub line: String,
-    /// Where it ends: stop identifier, or empty.
+    /// Identifier of the stop where the stage ends, or empty.
     pub destination_stop: String,
-    /// Edges.
+    /// Edges in driving or walking order.
     pub edges: Vec<String>,
     /// Expected duration \[s\].
     pub travel_time: f64,
@@ -34,20 +34,20 @@ pub struct Stage {
     pub cost: f64,
     /// Length \[m\].
     pub length: f64,
-    /// The vehicle that is meant to be ridden.
+    /// The vehicle in which the person is meant to ride.
     pub intended: String,
-    /// When it is meant to begin \[s\].
+    /// Planned start \[s\].
     pub depart: f64,
     /// Distance from the start of the first edge \[m\].
     pub depart_pos: f64,
     /// Distance from the start of the last edge \[m\].
     pub arrival_pos: f64,
-    /// What it is for.
+    /// Purpose of the stage.
     pub description: String,
 }
 
 impl Stage {
-    /// A wait of a `duration` \[s\].
+    /// Returns a wait of `duration` \[s\].
     pub fn waiting(duration: f64, description: impl Into<String>) -> Self {
         Stage {
             kind: 1,
@@ -57,12 +57,13 @@ impl Stage {
         }
     }
 
-    /// A walk along edges to a place on the last one \[m\].
+    /// Returns a walk along `edges` to a position on the last edge \[m\].
     pub fn walking(edges: Vec<String>, arrival_pos: f64) -> Self {
         Stage { kind: 2, edges, travel_time: -1.0, arrival_pos, ..Stage::default() }
     }
 
-    /// A ride to an edge with any vehicle of a line, or with the vehicle of that identifier.
+    /// Returns a ride to an edge with any vehicle of a line, or with the vehicle of that
+    /// identifier.
     pub fn driving(to: impl Into<String>, line: impl Into<String>) -> Self {
         Stage { kind: 3, edges: vec![to.into()], line: line.into(), ..Stage::default() }
     }
@@ -79,7 +80,7 @@ impl Stage {
 }
 
 impl Default for Stage {
-    /// Of no kind; what is unknown is [`c::INVALID_DOUBLE_VALUE`] or empty.
+    /// Returns a stage of no kind; unknown values are [`c::INVALID_DOUBLE_VALUE`] or empty.
     fn default() -> Self {
         let unknown = c::INVALID_DOUBLE_VALUE;
         Stage {
@@ -124,34 +125,34 @@ nested_list! { Stage }
 record! {
     /// A collision of two vehicles, or of a vehicle and a person.
     Collision {
-        /// The one that runs into the other.
+        /// The vehicle that runs into the victim.
         collider: String,
-        /// The other.
+        /// The vehicle or person that the collider runs into.
         victim: String,
-        /// Type of the first.
+        /// Type of the collider.
         collider_type: String,
-        /// Type of the other.
+        /// Type of the victim.
         victim_type: String,
-        /// Speed of the first \[m/s\].
+        /// Speed of the collider \[m/s\].
         collider_speed: f64,
-        /// Speed of the other \[m/s\].
+        /// Speed of the victim \[m/s\].
         victim_speed: f64,
-        /// Sort, such as `collision` or `junction`.
+        /// Kind of collision, such as `collision` or `junction`.
         kind: String,
-        /// The lane.
+        /// Lane of the collision.
         lane: String,
-        /// Distance from the start of the lane \[m\].
+        /// Distance of the collision from the start of the lane \[m\].
         pos: f64,
     }
 }
 flat_list! { Collision }
 
 global_getters! { Simulation, "simulation", SIMULATION;
-    /// Time \[s\].
+    /// Simulation time \[s\].
     get_time "getTime" VAR_TIME 0x66 -> f64;
-    /// Time \[ms\].
+    /// Simulation time \[ms\].
     get_current_time "getCurrentTime" VAR_TIME_STEP 0x70 -> i32;
-    /// When it will end \[s\]; -1: not known.
+    /// End of the simulation \[s\]; -1: not known.
     get_end_time "getEndTime" VAR_END 0x1d -> f64;
     /// Number of vehicles loaded within the last step.
     get_loaded_number "getLoadedNumber" VAR_LOADED_VEHICLES_NUMBER 0x71 -> i32;
@@ -179,9 +180,9 @@ global_getters! { Simulation, "simulation", SIMULATION;
     /// Vehicles that began to park within the last step.
     get_parking_starting_vehicles_id_list "getParkingStartingVehiclesIDList" VAR_PARKING_STARTING_VEHICLES_IDS 0x6d
         -> Vec<String>;
-    /// Number of vehicles that ended to park within the last step.
+    /// Number of vehicles that stopped parking within the last step.
     get_parking_ending_vehicles_number "getParkingEndingVehiclesNumber" VAR_PARKING_ENDING_VEHICLES_NUMBER 0x6e -> i32;
-    /// Vehicles that ended to park within the last step.
+    /// Vehicles that stopped parking within the last step.
     get_parking_ending_vehicles_id_list "getParkingEndingVehiclesIDList" VAR_PARKING_ENDING_VEHICLES_IDS 0x6f
         -> Vec<String>;
     /// Number of vehicles that reached a stop within the last step.
@@ -197,15 +198,15 @@ global_getters! { Simulation, "simulation", SIMULATION;
     get_colliding_vehicles_number "getCollidingVehiclesNumber" VAR_COLLIDING_VEHICLES_NUMBER 0x80 -> i32;
     /// Vehicles that began to collide within the last step.
     get_colliding_vehicles_id_list "getCollidingVehiclesIDList" VAR_COLLIDING_VEHICLES_IDS 0x81 -> Vec<String>;
-    /// Number of vehicles that braked harder than they can within the last step.
+    /// Number of vehicles that braked harder within the last step than their deceleration allows.
     get_emergency_stopping_vehicles_number "getEmergencyStoppingVehiclesNumber"
         VAR_EMERGENCYSTOPPING_VEHICLES_NUMBER 0x89 -> i32;
-    /// Vehicles that braked harder than they can within the last step.
+    /// Vehicles that braked harder within the last step than their deceleration allows.
     get_emergency_stopping_vehicles_id_list "getEmergencyStoppingVehiclesIDList"
         VAR_EMERGENCYSTOPPING_VEHICLES_IDS 0x8a -> Vec<String>;
-    /// Number of vehicles and persons on the way or yet to depart.
+    /// Number of vehicles and persons in the net or yet to depart.
     get_min_expected_number "getMinExpectedNumber" VAR_MIN_EXPECTED_VEHICLES 0x7d -> i32;
-    /// Bus stops.
+    /// Identifiers of the bus stops.
     get_bus_stop_id_list "getBusStopIDList" VAR_BUS_STOP_ID_LIST 0x9f -> Vec<String>;
     /// Number of vehicles that SUMO began to teleport within the last step.
     get_starting_teleport_number "getStartingTeleportNumber" VAR_TELEPORT_STARTING_VEHICLES_NUMBER 0x75 -> i32;
@@ -215,7 +216,7 @@ global_getters! { Simulation, "simulation", SIMULATION;
     get_ending_teleport_number "getEndingTeleportNumber" VAR_TELEPORT_ENDING_VEHICLES_NUMBER 0x77 -> i32;
     /// Vehicles that SUMO put back on the road within the last step.
     get_ending_teleport_id_list "getEndingTeleportIDList" VAR_TELEPORT_ENDING_VEHICLES_IDS 0x78 -> Vec<String>;
-    /// Collisions within the last step; they are repeated while they last.
+    /// Collisions within the last step; SUMO reports a collision again in each step while it lasts.
     get_collisions "getCollisions" VAR_COLLISIONS 0x23 -> Vec<Collision>;
     /// Vehicles that wait to depart.
     get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
@@ -236,14 +237,14 @@ getters! { Simulation, "simulation", SIMULATION;
     get_option "getOption" VAR_OPTION 0x32 -> String;
 }
 
-/// What [`Simulation::find_route`] needs besides the two ends.
+/// Options of [`Simulation::find_route`] besides the first and the last edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RouteQuery<'a> {
     /// Vehicle type; empty: the default one.
     pub vehicle_type: &'a str,
-    /// Departure \[s\]; negative: now.
+    /// Departure \[s\]; negative: the current time.
     pub depart: f64,
-    /// 0: default, 1: aggregated travel times.
+    /// Routing mode. 0: default, 1: aggregated travel times.
     pub routing_mode: i32,
 }
 
@@ -253,16 +254,16 @@ impl Default for RouteQuery<'_> {
     }
 }
 
-/// What [`Simulation::find_intermodal_route`] needs besides the two ends.
+/// Options of [`Simulation::find_intermodal_route`] besides the first and the last edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IntermodalQuery<'a> {
-    /// Ways to travel besides walking, joined by blanks: `car`, `bicycle`, `public`, `taxi`.
+    /// Modes of travel besides walking, separated by spaces: `car`, `bicycle`, `public`, `taxi`.
     pub modes: &'a str,
-    /// Departure \[s\]; negative: now.
+    /// Departure \[s\]; negative: the current time.
     pub depart: f64,
-    /// 0: default, 1: aggregated travel times.
+    /// Routing mode. 0: default, 1: aggregated travel times.
     pub routing_mode: i32,
-    /// Walking speed \[m/s\]; negative: that of the person type.
+    /// Walking speed \[m/s\]; negative: the speed of the person type.
     pub speed: f64,
     /// Factor on the walking speed for routing; negative: the default.
     pub walk_factor: f64,
@@ -270,7 +271,7 @@ pub struct IntermodalQuery<'a> {
     pub depart_pos: f64,
     /// Distance from the start of the last edge \[m\]; [`c::INVALID_DOUBLE_VALUE`]: its middle.
     pub arrival_pos: f64,
-    /// Lateral place on the first edge \[m\].
+    /// Lateral position on the first edge \[m\].
     pub depart_pos_lat: f64,
     /// Person type; empty: the default one.
     pub person_type: &'a str,
@@ -312,7 +313,8 @@ const fn change(name: &'static str, variable: u8) -> Call {
 pub(in crate::sumo) const LOAD_STATE: Call = change("simulation.loadState", 0x96);
 
 impl<S: Scope> Simulation<'_, S> {
-    /// Where a place on a lane lies: x and y \[m\], or longitude and latitude \[deg\] if `to_geo`.
+    /// Returns the coordinates of a position on a lane: x and y \[m\], or longitude and latitude
+    /// \[deg\] if `to_geo`.
     pub fn convert2d(
         &mut self,
         edge: &str,
@@ -326,7 +328,7 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// As `convert2d`, with the height \[m\].
+    /// Like `convert2d`, with the height \[m\].
     pub fn convert3d(
         &mut self,
         edge: &str,
@@ -340,8 +342,9 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// The place on a lane, of those that a vehicle class may use (`ignoring`: all), that is closest to
-    /// x and y \[m\], or to longitude and latitude \[deg\] if `is_geo`.
+    /// Returns the position on a lane that is closest to x and y \[m\], or to longitude and
+    /// latitude \[deg\] if `is_geo`. Only lanes that the vehicle class may use count; with the
+    /// class `ignoring`, all lanes count.
     pub fn convert_road(
         &mut self,
         position: [f64; 2],
@@ -357,7 +360,7 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// Longitude and latitude \[deg\] of x and y \[m\]; the other way round if `from_geo`.
+    /// Converts x and y \[m\] to longitude and latitude \[deg\]; the reverse if `from_geo`.
     pub fn convert_geo(&mut self, position: [f64; 2], from_geo: bool) -> S::Output<[f64; 2]> {
         super::get(self.0, call("simulation.convertGeo", CONVERT), "", |w| {
             let kind = if from_geo { c::POSITION_2D } else { c::POSITION_LON_LAT };
@@ -365,8 +368,8 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// Distance \[m\] in the air, or along the roads if `is_driving`, between two positions: x and y \[m\], or
-    /// longitude and latitude \[deg\] if `is_geo`.
+    /// Returns the distance \[m\] between two positions, straight or, if `is_driving`, along the
+    /// roads. A position is x and y \[m\], or longitude and latitude \[deg\] if `is_geo`.
     pub fn get_distance2d(
         &mut self,
         from: [f64; 2],
@@ -379,8 +382,8 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// Distance \[m\] in the air, or along the roads if `is_driving`, between two places: edge and distance
-    /// from its start \[m\].
+    /// Returns the distance \[m\] between two positions, straight or, if `is_driving`, along the
+    /// roads. A position is an edge and the distance from its start \[m\].
     pub fn get_distance_road(
         &mut self,
         from: (&str, f64),
@@ -395,7 +398,7 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// The fastest route of a vehicle from one edge to another.
+    /// Returns the fastest route of a vehicle from one edge to another.
     pub fn find_route(&mut self, from: &str, to: &str, query: &RouteQuery<'_>) -> S::Output<Stage> {
         super::get(self.0, call("simulation.findRoute", 0x86), "", |w| {
             w.compound(5).string(from).string(to).string(query.vehicle_type);
@@ -403,7 +406,7 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// The fastest journey of a person from one edge to another.
+    /// Returns the fastest journey of a person from one edge to another.
     pub fn find_intermodal_route(
         &mut self,
         from: &str,
@@ -428,24 +431,25 @@ impl<S: Scope> Simulation<'_, S> {
         })
     }
 
-    /// Forgets the vehicles of a route that wait to depart; of all routes if that is empty.
+    /// Removes the vehicles of a route that wait to depart; of all routes if `route` is empty.
     pub fn clear_pending(&mut self, route: &str) -> S::Output<()> {
         self.text(change("simulation.clearPending", 0x94), route)
     }
 
-    /// Writes the state of the simulation to a file. Its precision and whether it holds the state of the
-    /// random numbers are options of SUMO: `--save-state.precision`, `--save-state.rng`.
+    /// Writes the state of the simulation to a file. SUMO's options `--save-state.precision` and
+    /// `--save-state.rng` set the precision and whether the file holds the state of the random
+    /// number generators.
     pub fn save_state(&mut self, file: &str) -> S::Output<()> {
         self.text(change("simulation.saveState", 0x95), file)
     }
 
-    /// Goes back to the state that a file holds. All subscriptions are lost. SUMO 1.15 needs `SUMO_HOME`, or
-    /// `--xml-validation never` among its arguments.
+    /// Restores the state that a file holds. All subscriptions are lost. SUMO 1.15 needs
+    /// `SUMO_HOME`, or `--xml-validation never` among its arguments.
     pub fn load_state(&mut self, file: &str) -> S::Output<()> {
         self.text(LOAD_STATE, file)
     }
 
-    /// Writes a line to SUMO's messages.
+    /// Writes a line to SUMO's message output.
     pub fn write_message(&mut self, message: &str) -> S::Output<()> {
         self.text(change("simulation.writeMessage", 0x65), message)
     }

@@ -19,20 +19,21 @@ identifiers! { TrafficLight, "trafficlight", TRAFFIC_LIGHT }
 pub struct Phase {
     /// Duration \[s\].
     pub duration: f64,
-    /// One letter for each signal, such as `GrGr`.
+    /// State of the signals, one letter for each, such as `GrGr`.
     pub state: String,
     /// Shortest duration of an adaptive program \[s\]; negative: none.
     pub min_dur: f64,
     /// Longest duration of an adaptive program \[s\]; negative: none.
     pub max_dur: f64,
-    /// Indices of the phases that may follow; empty: the next one.
+    /// Indices of the phases that may follow; empty: the phase at the next index.
     pub next: Vec<i32>,
     /// Name.
     pub name: String,
 }
 
 impl Phase {
-    /// A phase without limits and name: duration \[s\], and one letter for each signal.
+    /// Returns a phase without limits and name, of a duration \[s\] and with one letter for each
+    /// signal.
     pub fn new(duration: f64, state: impl Into<String>) -> Self {
         Phase {
             duration,
@@ -50,45 +51,46 @@ impl Phase {
 pub struct Logic {
     /// Program identifier.
     pub program_id: String,
-    /// 0: fixed times, 3: actuated, 4: by delay.
+    /// Kind of program. 0: fixed times, 3: actuated, 4: based on delay.
     pub kind: i32,
-    /// Index of the phase of the moment.
+    /// Index of the current phase.
     pub current_phase_index: i32,
     /// Phases.
     pub phases: Vec<Phase>,
-    /// Parameters: name and value.
+    /// Parameters as pairs of name and value.
     pub parameters: Vec<(String, String)>,
 }
 
-/// A way across the junction that a signal controls.
+/// A link, that is, a connection across the junction that a signal controls.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Link {
-    /// The lane that it comes from.
+    /// The lane where the link begins.
     pub from: String,
-    /// The lane that it leads to.
+    /// The lane where the link ends.
     pub to: String,
     /// The lane inside the junction.
     pub via: String,
 }
 
 record! {
-    /// A rail signal's duty to let another train go first.
+    /// A constraint of a rail signal: a train waits at the signal until another train has passed.
     Constraint {
-        /// The signal that waits.
+        /// The signal where the train waits.
         signal_id: String,
         /// The trip that waits.
         trip_id: String,
-        /// The trip that goes first.
+        /// The trip that has priority (the foe).
         foe_id: String,
-        /// The signal that the first trip passes.
+        /// The signal that the foe passes.
         foe_signal: String,
-        /// How many trips back it is looked for.
+        /// Number of latest trips at the foe's signal among which SUMO looks for the foe.
         limit: i32,
-        /// 0: predecessor, 1: insertion predecessor; more in SUMO's manual.
+        /// Kind of constraint. 0: predecessor, 1: insertion predecessor; further kinds are in
+        /// SUMO's manual.
         kind: i32,
-        /// Whether it holds the train up now.
+        /// Whether the constraint holds the train up now.
         must_wait: bool,
-        /// Whether it is in force.
+        /// Whether the constraint is in force.
         active: bool,
         /// Parameters: name, value, name, value…
         parameters: Vec<String>,
@@ -168,79 +170,80 @@ getters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
     get_red_yellow_green_state "getRedYellowGreenState" TL_RED_YELLOW_GREEN_STATE 0x20 -> String;
     /// All programs.
     get_all_program_logics "getAllProgramLogics" TL_COMPLETE_DEFINITION_RYG 0x2b -> Vec<Logic>;
-    /// Lanes that each signal controls.
+    /// The lane that each signal controls.
     get_controlled_lanes "getControlledLanes" TL_CONTROLLED_LANES 0x26 -> Vec<String>;
-    /// For each signal, the ways that it controls.
+    /// The links that each signal controls.
     get_controlled_links "getControlledLinks" TL_CONTROLLED_LINKS 0x27 -> Vec<Vec<Link>>;
-    /// The program of the moment.
+    /// Identifier of the current program.
     get_program "getProgram" TL_CURRENT_PROGRAM 0x29 -> String;
-    /// Index of the phase of the moment.
+    /// Index of the current phase.
     get_phase "getPhase" TL_CURRENT_PHASE 0x28 -> i32;
-    /// Name of the phase of the moment.
+    /// Name of the current phase.
     get_phase_name "getPhaseName" VAR_NAME 0x1b -> String;
-    /// When the phase will end \[s\].
+    /// Simulation time at which the phase ends \[s\].
     get_next_switch "getNextSwitch" TL_NEXT_SWITCH 0x2d -> f64;
-    /// Duration of the phase of the moment \[s\].
+    /// Duration of the current phase \[s\].
     get_phase_duration "getPhaseDuration" TL_PHASE_DURATION 0x24 -> f64;
-    /// Number of persons that the phase of that index would serve.
+    /// Number of persons that the phase at the index would serve.
     get_served_person_count "getServedPersonCount" 0x67 (phase: i32) -> i32;
-    /// Vehicles that keep a rail signal from opening the way of a link.
+    /// Vehicles that block the track section behind a link of a rail signal.
     get_blocking_vehicles "getBlockingVehicles" 0x25 (link: i32) -> Vec<String>;
-    /// Vehicles that want to pass where a link of a rail signal leads.
+    /// Vehicles that also want to enter the track section behind a link of a rail signal.
     get_rival_vehicles "getRivalVehicles" 0x30 (link: i32) -> Vec<String>;
-    /// Vehicles that go before those of a link of a rail signal.
+    /// Vehicles that have priority over the vehicles of a link of a rail signal.
     get_priority_vehicles "getPriorityVehicles" 0x31 (link: i32) -> Vec<String>;
-    /// Constraints of a rail signal for a trip; of all trips if that is empty.
+    /// Constraints of a rail signal for a trip; for all trips if `trip` is empty.
     get_constraints "getConstraints" 0x2f (trip: &str) -> Vec<Constraint>;
-    /// Constraints of other signals that wait for a trip at this one, which is the foe's signal; for any trip if
-    /// `foe` is empty.
+    /// Constraints of other signals whose foe is a trip at this signal; for any trip if `foe` is
+    /// empty.
     get_constraints_by_foe "getConstraintsByFoe" 0x34 (foe: &str) -> Vec<Constraint>;
-    /// Lets the foe wait instead of the trip; returns the constraints that came of it.
+    /// Exchanges the order of a trip and its foe, so that the foe waits; returns the resulting
+    /// constraints.
     swap_constraints "swapConstraints" 0x32 [trip: &str, foe_signal: &str, foe: &str]
         -> Vec<Constraint>;
 }
 
 setters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
-    /// Sets the signals, one letter for each; the light no longer follows a program then.
+    /// Sets the signals, one letter for each; afterwards the traffic light follows no program.
     set_red_yellow_green_state "setRedYellowGreenState" 0x20 (state: &str);
     /// Switches to a phase of the program.
     set_phase "setPhase" 0x22 (index: i32);
-    /// Sets the name of the phase of the moment.
+    /// Sets the name of the current phase.
     set_phase_name "setPhaseName" 0x1b (name: &str);
     /// Switches to a program.
     set_program "setProgram" 0x23 (program: &str);
-    /// Sets how long the phase of the moment will last from now on \[s\].
+    /// Sets the remaining duration of the current phase \[s\].
     set_phase_duration "setPhaseDuration" 0x24 (duration: f64);
-    /// Drops the constraints of a trip for a foe at a signal; empty: any.
+    /// Removes the constraints of a trip for a foe at a signal; an empty argument matches any.
     remove_constraints "removeConstraints" 0x35 [trip: &str, foe_signal: &str, foe: &str];
-    /// Drops the constraints that no longer fit a vehicle's route. The vehicle is named by its identifier, not by
-    /// its trip.
+    /// Removes the constraints that no longer match a vehicle's route. The argument is the
+    /// identifier of the vehicle, not of its trip.
     update_constraints "updateConstraints" 0x36 (vehicle: &str);
 }
 
 impl<S: Scope> TrafficLight<'_, S> {
-    /// Makes a new program, or replaces that of the same identifier, and switches to it.
+    /// Adds a program, or replaces the program of the same identifier, and switches to it.
     pub fn set_program_logic(&mut self, id: &str, logic: &Logic) -> S::Output<()> {
         let call = Call::set("trafficlight.setProgramLogic", Domain::TRAFFIC_LIGHT, 0x2c);
         super::set(self.0, call, id, |w| write_logic(w, logic))
     }
 
-    /// Phases that vehicles call for at a NEMA controller, joined by commas.
+    /// Returns the phases that vehicles request at a NEMA controller, separated by commas.
     pub fn get_nema_phase_calls(&mut self, id: &str) -> S::Output<String> {
         self.get_parameter(id, "NEMA.phaseCall")
     }
 
-    /// Sets the splits of a NEMA controller \[s\], joined by blanks.
+    /// Sets the splits of a NEMA controller \[s\], separated by spaces.
     pub fn set_nema_splits(&mut self, id: &str, splits: &str) -> S::Output<()> {
         self.set_parameter(id, "NEMA.splits", splits)
     }
 
-    /// Sets the longest greens of a NEMA controller \[s\], joined by blanks.
+    /// Sets the longest green times of a NEMA controller \[s\], separated by spaces.
     pub fn set_nema_max_greens(&mut self, id: &str, greens: &str) -> S::Output<()> {
         self.set_parameter(id, "NEMA.maxGreens", greens)
     }
 
-    /// Sets the cycle of a NEMA controller \[s\].
+    /// Sets the cycle length of a NEMA controller \[s\].
     pub fn set_nema_cycle_length(&mut self, id: &str, length: f64) -> S::Output<()> {
         self.set_parameter(id, "NEMA.cycleLength", &length.to_string())
     }
@@ -252,10 +255,10 @@ impl<S: Scope> TrafficLight<'_, S> {
 }
 
 impl TrafficLight<'_, Client> {
-    /// Sets one signal, by its index, and leaves the others: two exchanges.
+    /// Sets one signal, by its index, and leaves the others unchanged. Takes two exchanges.
     ///
     /// # Errors
-    /// As all calls; [`Error::Invalid`] if there is no such signal.
+    /// As for all calls; [`Error::Invalid`] if no signal has this index.
     pub fn set_link_state(&mut self, id: &str, index: usize, state: char) -> Result<(), Error> {
         let mut states: Vec<char> = self.get_red_yellow_green_state(id)?.chars().collect();
         let count = states.len();

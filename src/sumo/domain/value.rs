@@ -1,4 +1,4 @@
-//! From SUMO's typed values to Rust's types, and back.
+//! Conversions from SUMO's typed values to Rust's types and back.
 
 use std::vec;
 
@@ -8,12 +8,12 @@ use crate::sumo::{
     constants as c,
 };
 
-/// A result of a call.
+/// A type that the result of a call can have.
 pub trait FromValue: Sized {
-    /// Takes the value apart.
+    /// Converts SUMO's typed value.
     ///
     /// # Errors
-    /// [`Error::Type`] if it is of another type.
+    /// [`Error::Type`] if the value has another type.
     fn from_value(value: Value) -> Result<Self, Error>;
 }
 
@@ -38,7 +38,7 @@ from_value! {
     f64: "a double", Value::Double(v) => v;
     i32: "an integer", Value::Integer(v) => v, Value::UByte(v) => v.into(), Value::Byte(v) => v.into();
     bool: "a truth value", Value::Integer(v) => v != 0, Value::UByte(v) => v != 0, Value::Byte(v) => v != 0;
-    // SUMO sends a letter as its number.
+    // SUMO sends a letter as its character code.
     char: "a letter", Value::UByte(v) => v.into(), Value::Byte(v) => v.cast_unsigned().into();
     String: "a string", Value::String(v) => v;
     Vec<String>: "a list of strings", Value::StringList(v) => v;
@@ -72,18 +72,18 @@ pub struct Color {
     pub g: u8,
     /// Blue.
     pub b: u8,
-    /// 255: opaque.
+    /// Opacity; 255 is opaque.
     pub a: u8,
 }
 
 impl Color {
-    /// An opaque colour.
+    /// Returns an opaque colour.
     pub const fn rgb(r: u8, g: u8, b: u8) -> Self {
         Color { r, g, b, a: 255 }
     }
 }
 
-/// A place on a lane.
+/// A position on a lane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RoadPosition {
     /// Edge identifier.
@@ -101,9 +101,10 @@ pub struct Highlight {
     pub color: Color,
     /// Size \[m\]; negative: the length of the object.
     pub size: f64,
-    /// Greatest opacity and duration \[s\] of a circle that fades in and out; `None`: it stays.
+    /// Greatest opacity and duration \[s\] of a circle that fades in and out; `None`: the circle
+    /// stays.
     pub fade: Option<(u8, f64)>,
-    /// Number of the highlight; a new one replaces that of the same number.
+    /// Number of the highlight; a new highlight replaces the one with the same number.
     pub kind: u8,
 }
 
@@ -115,7 +116,7 @@ impl Default for Highlight {
 
 impl Highlight {
     pub(super) fn write(&self, w: &mut Writer) {
-        // No opacity and no duration: it does not fade.
+        // SUMO does not fade a circle whose opacity is 0 and whose duration is negative.
         let (alpha, duration) = self.fade.unwrap_or((0, -1.0));
         w.compound(5);
         Argument::write(self.color, w);
@@ -126,11 +127,11 @@ impl Highlight {
     }
 }
 
-/// The items of a compound, from first to last.
+/// The items of a compound, read from first to last.
 pub(super) struct Fields(vec::IntoIter<Value>);
 
 impl Fields {
-    /// The next item.
+    /// Takes the next item.
     pub(super) fn take<T: FromValue>(&mut self) -> Result<T, Error> {
         match self.0.next() {
             Some(value) => T::from_value(value),
@@ -138,24 +139,24 @@ impl Fields {
         }
     }
 
-    /// All items that are left.
+    /// Takes all remaining items.
     pub(super) fn rest<T: FromValue>(&mut self) -> Result<Vec<T>, Error> {
         self.0.by_ref().map(T::from_value).collect()
     }
 
-    /// A number, and that many records.
+    /// Takes a number, and then that many records.
     pub(super) fn records<T: FromFields>(&mut self) -> Result<Vec<T>, Error> {
         let count: i32 = self.take()?;
         (0..count).map(|_| T::from_fields(self)).collect()
     }
 }
 
-/// Values that stand one after the other in a compound.
+/// A type that SUMO sends as consecutive values in a compound.
 pub(super) trait FromFields: Sized {
     fn from_fields(fields: &mut Fields) -> Result<Self, Error>;
 }
 
-/// Reads a compound to its end.
+/// Reads a compound to its end with `read`; items that `read` leaves are an error.
 pub(super) fn compound<T>(
     value: Value,
     read: impl FnOnce(&mut Fields) -> Result<T, Error>,
@@ -172,9 +173,9 @@ pub(super) fn compound<T>(
     }
 }
 
-/// Something that calls can be given.
+/// A type that can be an argument of a call.
 pub trait Argument {
-    /// Writes the typed value.
+    /// Writes `self` as a typed value.
     fn write(self, w: &mut Writer);
 }
 

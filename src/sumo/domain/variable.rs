@@ -1,4 +1,4 @@
-//! What can be subscribed to.
+//! Variables that subscriptions can report.
 
 use std::{fmt, marker::PhantomData};
 
@@ -11,9 +11,9 @@ pub struct Variable<T> {
     value: PhantomData<fn() -> T>,
 }
 
-/// A variable that can be subscribed to with an argument of type `A` only, see
-/// [`Vehicle::subscribe_with`](super::vehicle::Vehicle::subscribe_with). SUMO 1.15 takes arguments for no others
-/// than those that are constants of this type.
+/// A variable that can be subscribed to only with an argument of type `A`, see
+/// [`Vehicle::subscribe_with`](super::vehicle::Vehicle::subscribe_with). SUMO 1.15 accepts
+/// arguments only for the variables that are constants of this type.
 pub struct VariableWith<A, T> {
     variable: Variable<T>,
     argument: PhantomData<fn(A)>,
@@ -27,30 +27,30 @@ pub struct VariableId {
 }
 
 impl VariableId {
-    /// The kind of object that has the variable.
+    /// Returns the kind of object that has the variable.
     pub const fn domain(self) -> Domain {
         self.domain
     }
 
-    /// The number, unique among the variables of the domain.
+    /// Returns the number of the variable, unique within its domain.
     pub const fn number(self) -> u8 {
         self.number
     }
 }
 
 impl<T> Variable<T> {
-    /// A variable of a domain, by its number. SUMO 1.15 dies of a subscription to a variable that needs an
-    /// argument: take the constants of the domains where there are any.
+    /// Returns the variable of a domain that has this number. SUMO 1.15 crashes on a subscription
+    /// to a variable that needs an argument: use the constants of the domains where they exist.
     pub const fn new(domain: Domain, number: u8) -> Self {
         Variable { id: VariableId { domain, number }, value: PhantomData }
     }
 
-    /// What subscriptions are made of.
+    /// Returns the identifier that subscriptions take.
     pub const fn id(self) -> VariableId {
         self.id
     }
 
-    /// As [`VariableId::number`].
+    /// Like [`VariableId::number`].
     pub const fn number(self) -> u8 {
         self.id.number
     }
@@ -61,12 +61,12 @@ impl<A, T> VariableWith<A, T> {
         VariableWith { variable: Variable::new(domain, number), argument: PhantomData }
     }
 
-    /// As [`VariableId::domain`].
+    /// Like [`VariableId::domain`].
     pub const fn domain(self) -> Domain {
         self.variable.id.domain
     }
 
-    /// As [`VariableId::number`].
+    /// Like [`VariableId::number`].
     pub const fn number(self) -> u8 {
         self.variable.id.number
     }
@@ -74,11 +74,12 @@ impl<A, T> VariableWith<A, T> {
 
 /// A variable whose value a subscription can report: a [`Variable`] or a [`VariableWith`].
 pub trait Reported: Identified {
-    /// The type of its value.
+    /// The type of the variable's value.
     type Value: FromValue;
 }
 
-/// Nobody can name it outside this crate: the identifier of a [`VariableWith`] is not for subscriptions.
+/// Gives the identifier of a variable. Code outside this crate cannot name this trait, because the
+/// identifier of a [`VariableWith`] must not be used in subscriptions.
 pub trait Identified {
     fn identify(self) -> VariableId;
 }
@@ -103,9 +104,10 @@ impl<A, T> Identified for VariableWith<A, T> {
     }
 }
 
-/// A type of arguments of subscriptions.
+/// A type that the argument of a subscription can have.
 pub trait SubscriptionArgument {
-    /// What is given; a text may live as short as the call.
+    /// The type of the value that the caller passes; a string only needs to live as long as the
+    /// call.
     type Given<'a>: Argument;
 }
 

@@ -20,6 +20,6 @@ setters! { VehicleType, "vehicletype", VEHICLE_TYPE;
     set_speed_deviation "setSpeedDeviation" 0x5f (deviation: f64);
     /// Sets the factor on the number of vehicles of the type.
     set_scale "setScale" 0x8e (scale: f64);
-    /// Makes a new type that is a copy of this one (`DEFAULT_VEHTYPE` always exists).
+    /// Creates a copy of this type under a new identifier (`DEFAULT_VEHTYPE` always exists).
     copy "copy" 0x88 (new: &str);
 }

@@ -1,10 +1,10 @@
-//! What can be wrong with a net or a route through it, and how messages name things.
+//! Errors of nets and of routes through them, and how their messages show names.
 
 use std::{io, path::PathBuf};
 
 use super::XmlError;
 
-/// Why a net cannot be read or a route cannot be laid through it.
+/// A reason why a net cannot be read or a route cannot be built on it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NetError {
@@ -13,7 +13,7 @@ pub enum NetError {
     Read {
         /// The net file.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's reason.
         source: io::Error,
     },
     /// The file is larger than this program reads.
@@ -24,7 +24,7 @@ pub enum NetError {
         /// Largest size \[bytes\].
         limit: u64,
     },
-    /// The file is not XML, or not XML that is read.
+    /// The file is not XML, or uses XML that this program does not read.
     #[error("{}:{line}:{column}: cannot be read as XML", path.display())]
     Xml {
         /// The net file.
@@ -33,10 +33,10 @@ pub enum NetError {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// What is wrong with it.
+        /// The parser's reason.
         source: XmlError,
     },
-    /// The file is XML, but no net.
+    /// The file is XML, but not a net.
     #[error("{}:{line}:{column}: expected the element <net>, found <{found}>", path.display())]
     NotNet {
         /// The net file.
@@ -48,7 +48,7 @@ pub enum NetError {
         /// Name of the root element.
         found: String,
     },
-    /// An element or attribute that a net needs is not there.
+    /// A required element or attribute is missing.
     #[error("{}:{line}:{column}: <{element}> lacks {what}", path.display())]
     Missing {
         /// The net file.
@@ -57,12 +57,12 @@ pub enum NetError {
         line: u32,
         /// Column, from 1.
         column: u32,
-        /// Element that lacks something.
+        /// Element in which something is missing.
         element: String,
-        /// What it lacks.
+        /// The missing element or attribute.
         what: String,
     },
-    /// An attribute has a value that it cannot have.
+    /// An attribute has a value that is not allowed.
     #[error("{}:{line}:{column}: `{value}` is not a valid {key} of <{element}>, allowed: {allowed}", path.display())]
     Value {
         /// The net file.
@@ -77,7 +77,7 @@ pub enum NetError {
         key: String,
         /// The value, shortened if long.
         value: String,
-        /// What it may be.
+        /// Allowed values.
         allowed: &'static str,
     },
     /// A connection names an edge or lane that the net does not have.
@@ -93,7 +93,7 @@ pub enum NetError {
         key: String,
         /// The id or lane number.
         value: String,
-        /// An id that the net has and that looks like it.
+        /// A similar id that the net has.
         nearest: Option<String>,
     },
     /// An id occurs twice.
@@ -110,7 +110,7 @@ pub enum NetError {
         /// The id.
         id: String,
     },
-    /// A route has no edge, or no extent.
+    /// A route has no edge or no length.
     #[error("{}: a route needs at least one edge of some length", path.display())]
     EmptyRoute {
         /// The net file.
@@ -121,12 +121,12 @@ pub enum NetError {
     NoEdge {
         /// The net file.
         path: PathBuf,
-        /// The id.
+        /// The unknown id.
         edge: String,
-        /// An edge that the net has and that looks like it.
+        /// A similar edge that the net has.
         nearest: Option<String>,
     },
-    /// A route names an edge that is a part of a junction or for others than vehicles.
+    /// A route names an edge that is part of a junction or that cars cannot use.
     #[error("{}: the edge `{edge}` is no road that a route can name", path.display())]
     NotRoad {
         /// The net file.
@@ -144,7 +144,7 @@ pub enum NetError {
         /// The route's next edge.
         to: String,
     },
-    /// No way leads from one edge of a trip to another without changing lanes.
+    /// No route connects the edges of a trip without lane changes.
     #[error("{}: no way leads from the edge `{from}` to `{to}` that can be driven without changing lanes", path.display())]
     NoTrip {
         /// The net file.
@@ -169,12 +169,13 @@ pub enum NetError {
         path: PathBuf,
         /// The id.
         edge: String,
-        /// From the edge's beginning \[m\].
+        /// Position from the start of the edge \[m\].
         position: f64,
-        /// \[m\]
+        /// Length of the edge \[m\].
         length: f64,
     },
-    /// No walking areas and crossings lead from an edge of a walk to the next, other than by turning round.
+    /// Two consecutive edges of a walk are not connected by walking areas and crossings, except by
+    /// turning round.
     #[error("{}: no way on foot leads from the edge `{from}` straight to `{to}`: build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections), or name the edges between them", path.display())]
     NotWalkable {
         /// The net file.
@@ -184,7 +185,8 @@ pub enum NetError {
         /// The walk's next edge.
         to: String,
     },
-    /// Consecutive edges are connected, but only by changing lanes on the way, which a centre line cannot show.
+    /// Consecutive edges are connected, but only with lane changes between them, which a centre
+    /// line cannot represent.
     #[error("{}: the route `{route}` needs a lane change", path.display())]
     LaneChange {
         /// The net file.
@@ -192,20 +194,20 @@ pub enum NetError {
         /// The route's edges, shortened if many.
         route: String,
     },
-    /// The lanes of a route have more points than this program keeps.
+    /// The lanes of a route have more points than this program allows.
     #[error("{}: a route of {points} points is longer than the {limit} that are allowed", path.display())]
     LongRoute {
         /// The net file.
         path: PathBuf,
-        /// Points of its lanes.
+        /// Number of points of the route's lanes.
         points: usize,
-        /// Most.
+        /// Greatest number of points.
         limit: usize,
     },
 }
 
 impl NetError {
-    /// What the user may do about it, where that is not plain from the message.
+    /// Returns advice for the user, where the message alone does not suggest what to do.
     #[must_use]
     pub fn hint(&self) -> Option<String> {
         match self {
@@ -232,7 +234,8 @@ impl NetError {
     }
 }
 
-/// The one of `valid` that `name` was most likely meant to be, if any is close; ties go to the first in order of letters.
+/// Returns the name in `valid` that `name` was most likely meant to be, if one is similar; among
+/// equally similar names, the first in alphabetical order.
 pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> Option<&'v str> {
     let letters = name.chars().count();
     if letters > 100 {
@@ -245,7 +248,7 @@ pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> O
     similar.filter(|&(distance, _)| distance <= within).min().map(|(_, v)| v)
 }
 
-/// A value for a message: at most 80 characters, control characters escaped.
+/// Formats a value for a message: at most 80 characters, with control characters escaped.
 pub(crate) fn shorten(value: &str) -> String {
     let mut short: String = value.chars().take(80).flat_map(char::escape_debug).collect();
     if value.chars().nth(80).is_some() {
@@ -254,7 +257,7 @@ pub(crate) fn shorten(value: &str) -> String {
     short
 }
 
-/// The end of a message: the name that was probably meant.
+/// Returns the end of a message that suggests a name.
 pub(crate) fn did_you_mean(nearest: Option<&str>) -> String {
     nearest.map_or_else(String::new, |name| format!("; did you mean `{}`?", shorten(name)))
 }

@@ -1,63 +1,68 @@
 //! The centre line of a route as a polyline, with arc length along it.
 //!
-//! `s` is the arc length \[m\] from the start of the route's first edge; the lateral offset is the distance from the
-//! centre line \[m\], positive to the LEFT. Beyond both ends the first and last segment go on straight, so that
-//! positions and projections stay inverse to each other there.
+//! `s` is the arc length \[m\] from the start of the route's first edge. The lateral offset is the
+//! distance from the centre line \[m\], positive to the LEFT. Beyond both ends, the first and the
+//! last segment continue straight, so that positions and projections are inverse to each other
+//! there too.
 
 use std::ops::Range;
 
 use super::Net;
 
-/// Points closer to each other than this are one point \[m\].
+/// Points closer to each other than this count as one point \[m\].
 const SAME_POINT: f64 = 1e-6;
 
-/// The centre line of a route. Made by [`Net::route_path`] or [`Path::from_points`].
+/// The centre line of a route, built by [`Net::route_path`] or [`Path::from_points`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
-    /// Points in driving order, two or more, no two consecutive ones equal \[m\].
+    /// Points in driving order \[m\]: at least two, with no two consecutive points equal.
     pub points: Vec<[f64; 2]>,
-    /// `s` of each point \[m\]; ascending from 0, as many as points.
+    /// `s` of each point \[m\], ascending from 0.
     pub cumulative: Vec<f64>,
-    /// Width of the lane at each segment \[m\]; one fewer than points.
+    /// Width of the lane at each segment \[m\]; one value fewer than points.
     pub widths: Vec<f64>,
-    /// Ids of the route's edges; empty if made from points.
+    /// Ids of the route's edges; empty if the path was built from points.
     pub edges: Vec<String>,
-    /// `s` at which each of [`Path::edges`] begins \[m\].
+    /// `s` at the start of each of [`Path::edges`] \[m\].
     pub edge_start: Vec<f64>,
     /// Length of each of [`Path::edges`] along the centre line \[m\].
     pub edge_length: Vec<f64>,
-    /// All lanes passed, internal ones too: indices into [`Net::lanes`]; empty if made from points.
+    /// All lanes of the route, including internal ones, as indices into [`Net::lanes`]; empty if
+    /// the path was built from points.
     pub lanes: Vec<usize>,
-    /// Metres of centre line per metre of SUMO's lane position, for each of [`Path::edges`]; 1 in most nets.
+    /// Metres of centre line per metre of SUMO's lane position, for each of [`Path::edges`]; 1 in
+    /// most nets.
     scale: Vec<f64>,
     /// Heading of each segment \[rad\].
     headings: Vec<f64>,
     /// Unit vector of each segment.
     directions: Vec<[f64; 2]>,
-    /// Where each of [`Path::lanes`] begins in SUMO's count of the distance along the route \[m\].
+    /// Start of each of [`Path::lanes`] in SUMO's distance along the route \[m\].
     lane_position: Vec<f64>,
-    /// `s` at which each of [`Path::lanes`] begins \[m\].
+    /// `s` at the start of each of [`Path::lanes`] \[m\].
     lane_start: Vec<f64>,
-    /// As `scale`, for each of [`Path::lanes`].
+    /// Like `scale`, for each of [`Path::lanes`].
     lane_scale: Vec<f64>,
 }
 
 impl Path {
-    /// A path along the given points \[m\] on a lane of the given width \[m\]; `None` if all points are one.
+    /// Returns the path along points \[m\] on a lane of the given width \[m\]; `None` if all points
+    /// coincide.
     pub fn from_points(points: impl IntoIterator<Item = [f64; 2]>, width: f64) -> Option<Self> {
         let mut path = Self::empty();
         points.into_iter().for_each(|point| path.push(point, width));
         (path.points.len() >= 2).then_some(path)
     }
 
-    /// The path along lanes of a net; `None` if it has no extent.
+    /// Returns the path along lanes of a net; `None` if the path has no extent.
     pub(super) fn through(net: &Net, lanes: &[usize]) -> Option<Self> {
         let mut path = Self::empty();
         let mut position = 0.0;
         for &index in lanes {
             let lane = &net.lanes[index];
             let edge = &net.edges[lane.edge];
-            // Without internal lanes there is a gap at the junction: the way over it belongs to neither edge.
+            // Without internal lanes, the junction leaves a gap between the edges; the segment
+            // across it belongs to neither edge.
             if let Some(&first) = lane.shape.first() {
                 path.push(first, lane.width);
             }
@@ -78,7 +83,8 @@ impl Path {
         (path.points.len() >= 2).then_some(path)
     }
 
-    /// The path of a walk: lanes, and whether each is walked against its shape; `None` if it has no extent.
+    /// Returns the path of a walk along lanes, each with a flag for walking against its shape;
+    /// `None` if the path has no extent.
     pub(super) fn on_foot(net: &Net, steps: &[(usize, bool)]) -> Option<Self> {
         let mut path = Self::empty();
         for &(index, backwards) in steps {
@@ -92,8 +98,9 @@ impl Path {
         (path.points.len() >= 2).then_some(path)
     }
 
-    /// The same with what lies between two of its points, by their indices, replaced by `points`. The lanes there are as much longer in
-    /// metres of this path per metre of SUMO's.
+    /// Returns the path with the part between the points at the indices `from` and `to` replaced by
+    /// `points`. The lanes there keep their lengths in SUMO, so that their metres of path per metre
+    /// of SUMO's distance change in proportion.
     #[must_use]
     pub fn detoured(
         &self,
@@ -174,7 +181,8 @@ impl Path {
                 let [dx, dy] = [point[0] - x, point[1] - y];
                 let distance = dx.hypot(dy);
                 let s = self.length() + distance;
-                // At the far end of a very long path, short ways are lost in rounding.
+                // The rounded sum counts: at the end of a very long path, short distances vanish in
+                // rounding.
                 if s - self.length() < SAME_POINT {
                     return;
                 }
@@ -187,20 +195,21 @@ impl Path {
         self.points.push(point);
     }
 
-    /// Length of the whole path \[m\].
+    /// Returns the length of the whole path \[m\].
     pub fn length(&self) -> f64 {
         self.cumulative.last().copied().unwrap_or(0.0)
     }
 
-    /// `s` of a SUMO lane position \[m\] on one of [`Path::edges`]; a negative position counts from the edge's end.
-    /// `None` if there is no such edge.
+    /// Returns the `s` of a SUMO lane position \[m\] on one of [`Path::edges`]; a negative position
+    /// counts from the edge's end. `None` if no such edge exists.
     pub fn arc(&self, edge: usize, pos: f64) -> Option<f64> {
         let (start, length, scale) =
             (self.edge_start.get(edge)?, self.edge_length.get(edge)?, self.scale.get(edge)?);
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
-    /// The lanes passed, as indices into [`Net::lanes`], and the `s` at which each begins and ends.
+    /// Returns the lanes of the route, as indices into [`Net::lanes`], with the `s` where each
+    /// begins and ends.
     pub fn lane_stretches(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let ends = self.lane_start.iter().skip(1).copied().chain([self.length()]);
         self.lanes
@@ -210,8 +219,9 @@ impl Path {
             .map(|((lane, start), end)| (*lane, *start, end))
     }
 
-    /// `s` of a place that lies `distance` metres from the start of the route in SUMO's count, which adds up lengths of
-    /// lanes. The same as `distance` where lanes are as long as their shapes.
+    /// Returns the `s` at `distance` metres from the start of the route in SUMO's distance, which
+    /// adds up lengths of lanes. The result equals `distance` where lanes are as long as their
+    /// shapes.
     pub fn arc_of_distance(&self, distance: f64) -> f64 {
         let lane = self.lane_position.partition_point(|&p| p <= distance).saturating_sub(1);
         match (self.lane_position.get(lane), self.lane_start.get(lane), self.lane_scale.get(lane)) {
@@ -220,7 +230,8 @@ impl Path {
         }
     }
 
-    /// SUMO's count of the way from the start to `s` \[m\]: what [`Path::arc_of_distance`] takes.
+    /// Returns SUMO's distance from the start of the route to `s` \[m\], the inverse of
+    /// [`Path::arc_of_distance`].
     pub fn distance_of_arc(&self, s: f64) -> f64 {
         let lane = self.lane_start.partition_point(|&start| start <= s).saturating_sub(1);
         match (self.lane_position.get(lane), self.lane_start.get(lane), self.lane_scale.get(lane)) {
@@ -229,14 +240,15 @@ impl Path {
         }
     }
 
-    /// Point \[m\] and segment at `s`.
+    /// Returns the point \[m\] and the segment at `s`.
     pub fn locate(&self, s: f64) -> ([f64; 2], usize) {
         let after = self.cumulative.partition_point(|&c| c <= s);
         let segment = after.saturating_sub(1).min(self.last_segment());
         (self.point_on(segment, s), segment)
     }
 
-    /// As [`Path::locate`], looked for from the segment `hint` on: for places that follow upon one another.
+    /// Like [`Path::locate`], with a search that starts at the segment `hint`: for successive
+    /// positions that lie close together.
     pub fn locate_from(&self, s: f64, hint: usize) -> ([f64; 2], usize) {
         let mut segment = hint.min(self.last_segment());
         while segment < self.last_segment() && self.cumulative[segment + 1] <= s {
@@ -254,8 +266,9 @@ impl Path {
         [x + along * dx, y + along * dy]
     }
 
-    /// Pose of a body of `length` metres whose front is at `s` and whose back follows on the path: the front point
-    /// \[m\], the heading \[rad\], and the segment of the front. SUMO lays vehicles on lanes in this way.
+    /// Returns the pose of a body of `length` metres whose front is at `s` and whose rear follows
+    /// on the path: the front point \[m\], the heading \[rad\], and the segment of the front. SUMO
+    /// computes the poses of vehicles on lanes in the same way.
     pub fn body(&self, s: f64, length: f64) -> ([f64; 2], f64, usize) {
         let (front, segment) = self.locate(s);
         let (back, last) = self.locate(s - length);
@@ -267,14 +280,14 @@ impl Path {
         (front, heading, segment)
     }
 
-    /// Point \[m\] and heading \[rad, counter-clockwise from +x\] at `s`.
+    /// Returns the point \[m\] and the heading \[rad, counter-clockwise from +x\] at `s`.
     pub fn at(&self, s: f64) -> ([f64; 2], f64) {
         let (point, segment) = self.locate(s);
         (point, self.headings[segment])
     }
 
-    /// Heading at `s` as of a curve through the points: that of a segment in its middle, and in between by how far it is from one middle to
-    /// the next \[rad\].
+    /// Returns the heading at `s` of a smooth curve through the points \[rad\]: in the middle of a
+    /// segment the heading of the segment, and between two middles a linear interpolation.
     pub fn smooth_heading(&self, s: f64) -> f64 {
         let (_, segment) = self.locate(s);
         let middle = |i: usize| f64::midpoint(self.cumulative[i], self.cumulative[i + 1]);
@@ -291,10 +304,12 @@ impl Path {
         self.headings[segment] + turn.sin().atan2(turn.cos()) * share
     }
 
-    /// `s`, lateral offset (positive to the left) and segment of the place on the path next to a point.
+    /// Projects a point onto the path: returns `s`, lateral offset (positive to the left) and
+    /// segment of the closest position.
     ///
-    /// The search starts at the segment `hint` and goes on to neighbouring segments as long as they are nearer: give
-    /// the segment of the last call for a vehicle that has moved on a little, or see [`Path::nearest`].
+    /// The search starts at the segment `hint` and moves to neighbouring segments as long as they
+    /// are closer. For a vehicle that has moved a little, pass the segment of the last call;
+    /// otherwise see [`Path::nearest`].
     pub fn project(&self, point: [f64; 2], hint: usize) -> (f64, f64, usize) {
         let mut segment = hint.min(self.last_segment());
         let mut best = self.project_on(point, segment);
@@ -312,12 +327,12 @@ impl Path {
         }
     }
 
-    /// As [`Path::project`], over all segments.
+    /// Like [`Path::project`], with a search over all segments.
     pub fn nearest(&self, point: [f64; 2]) -> (f64, f64, usize) {
         self.nearest_of(point, 0..self.last_segment() + 1)
     }
 
-    /// As [`Path::nearest`], over some segments.
+    /// Like [`Path::nearest`], with a search over the given segments.
     pub fn nearest_of(&self, point: [f64; 2], segments: Range<usize>) -> (f64, f64, usize) {
         let all = segments.map(|i| {
             let (s, lateral) = self.project_on(point, i);
@@ -330,12 +345,12 @@ impl Path {
         self.points.len().saturating_sub(2)
     }
 
-    /// Unit vector of a segment.
+    /// Returns the unit vector of a segment.
     pub fn direction(&self, segment: usize) -> [f64; 2] {
         self.directions[segment]
     }
 
-    /// `s` and signed distance of the point of one segment next to `point`.
+    /// Projects a point onto one segment: returns `s` and the signed distance.
     fn project_on(&self, point: [f64; 2], segment: usize) -> (f64, f64) {
         let ([x, y], [dx, dy]) = (self.points[segment], self.directions[segment]);
         let length = self.cumulative[segment + 1] - self.cumulative[segment];

@@ -6,7 +6,8 @@ use proptest::prelude::*;
 
 use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, XmlError, nearest};
 
-/// Two lanes into a bend; only lane 1 of `a` leads to `c`, through two chained internal lanes.
+/// A net with two lanes before a bend: only lane 1 of `a` leads to `c`, over two chained internal
+/// lanes.
 const NET: &str = r#"<net version="1.9">
     <location convBoundary="0,0,30,30"/>
     <edge id=":j_0" function="internal"><lane id=":j_0_0" index="0" speed="5" length="5" shape="10,0 15,0"/></edge>
@@ -34,7 +35,7 @@ fn route(edges: &[&str]) -> Result<Path, NetError> {
     parse(NET).unwrap().route_path(&edges)
 }
 
-/// The message of the error that the net gives when `from` is replaced by `to`.
+/// Returns the message of the error that the net causes when `from` is replaced by `to`.
 fn broken(from: &str, to: &str) -> String {
     assert!(NET.contains(from));
     parse(&NET.replacen(from, to, 1)).unwrap_err().to_string()
@@ -77,7 +78,7 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
     assert_eq!(path.at(5.0), ([5.0, 0.0], 0.0));
     assert_eq!(path.at(40.0), ([20.0, 20.0], FRAC_PI_2));
     assert_eq!(path.arc(0, 4.0), Some(4.0));
-    // `c` is 40 m long for SUMO and 20 m in its shape.
+    // `c` is 40 m long in SUMO, and its shape is 20 m long.
     assert_eq!(
         (path.arc(1, 10.0), path.arc(1, -10.0), path.arc(2, 0.0)),
         (Some(35.0), Some(45.0), None)
@@ -86,7 +87,8 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
 
 #[test]
 fn sumos_count_of_a_way_can_be_taken_back() {
-    // Lane c_0 is 40 m long in SUMO's count, its shape 20 m; the second lane over the junction 5 m and 15 m.
+    // Lane c_0 is 40 m long in SUMO, and its shape 20 m; the second internal lane is 5 m long in
+    // SUMO, and its shape 15 m.
     let path = route(&["a", "c"]).unwrap();
     assert!(
         (path.distance_of_arc(path.length()) - path.length()).abs() > 5.0,
@@ -101,7 +103,7 @@ fn sumos_count_of_a_way_can_be_taken_back() {
 #[test]
 fn a_detour_is_on_the_same_lanes() {
     let path = route(&["a", "c"]).unwrap();
-    // Over the junction 40 m instead of 20 m.
+    // The detour across the junction is 40 m long instead of 20 m.
     let around = path.detoured(1, 4, [[10.0, 20.0], [20.0, 20.0]]);
     assert_eq!(
         around.points,
@@ -121,7 +123,7 @@ fn a_detour_is_on_the_same_lanes() {
         let distance = path.distance_of_arc(path.length()) * f64::from(k) / 100.0;
         let s = around.arc_of_distance(distance);
         assert!((around.distance_of_arc(s) - distance).abs() < 1e-9, "at {distance}");
-        // Where it leads along the lanes it is where they are.
+        // Outside the detour, both paths have the same points.
         if !(10.0..50.0).contains(&s) {
             let ([x, y], [u, v]) = (around.at(s).0, path.at(path.arc_of_distance(distance)).0);
             assert!((x - u).hypot(y - v) < 1e-9, "at {distance}");
@@ -197,7 +199,7 @@ fn more_than_the_parser_bears_is_refused_at_once() {
     };
     assert_eq!(place(&attributes), (2, 2, 256));
     assert_eq!(place(&format!("<!-- don't -->\n{namespaces}")).0, 2);
-    // Quotes in texts, values and comments are no attributes.
+    // Quotes in texts, values and comments do not count as attributes.
     let text = NET.replace(
         "<location",
         &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)),
@@ -229,7 +231,7 @@ fn positions_on_a_lane_of_next_to_no_length_are_numbers() {
 
 #[test]
 fn points_that_rounding_makes_one_are_one() {
-    // After 2e12 m, positions are told apart to 0.24 mm.
+    // At 2e12 m, the resolution of an `f64` is 0.24 mm.
     let far = (0..1000).map(|i| [if i % 2 == 0 { -1e9 } else { 1e9 }, 0.0]);
     let path = Path::from_points(far.chain([[1e9, 1e-5], [1e9, 2.0]]), 1.0).unwrap();
     assert!(path.cumulative.windows(2).all(|pair| pair[0] < pair[1]));
@@ -277,7 +279,7 @@ fn nearest_is_near() {
     assert_eq!(nearest(&"x".repeat(1000), valid.into_iter()), None);
 }
 
-/// Polylines of segments 5 to 40 m long with bends of up to 60 degrees.
+/// Generates polylines of segments 5 to 40 m long with bends of up to 60 degrees.
 fn polyline() -> impl Strategy<Value = Path> {
     prop::collection::vec((5.0..40.0, -1.04..1.04), 1..8).prop_map(|segments| {
         let (mut x, mut y, mut heading) = (3.0, -7.0, 0.5_f64);
@@ -319,7 +321,7 @@ proptest! {
 
     #[test]
     fn a_place_is_the_same_wherever_the_search_for_it_begins(path in polyline(), at in -0.2..1.2_f64, hint in 0_usize..12) {
-        // A point of the path itself now and then: it belongs to the segment that begins there.
+        // A point of the path belongs to the segment that begins there.
         let s = at * path.length();
         let corner = path.cumulative[hint % path.cumulative.len()];
         for s in [s, corner] {
@@ -340,7 +342,7 @@ proptest! {
             let [first, last] = [pair[0], pair[1]].map(|s| path.at(s).1);
             let [there, then] = [pair[0], pair[1]].map(|s| path.smooth_heading(s));
             prop_assert!(turned(there, first) < 1e-9 && turned(then, last) < 1e-9);
-            // It turns the short way round, and evenly.
+            // The heading turns through the smaller angle, and evenly.
             let between = path.smooth_heading(pair[0] + at * (pair[1] - pair[0]));
             prop_assert!((turned(first, between) - at * turned(first, last)).abs() < 1e-6);
         }
@@ -356,7 +358,7 @@ proptest! {
         let end = (at + length).min(NET.len());
         let text = format!("{}{filler}{}", &NET[..at], &NET[end..]);
         if let Ok(net) = parse(&text) {
-            // Whatever is accepted can be driven or is refused.
+            // A net that is accepted gives a route or an error, and never panics.
             let _ = net.route_path(&["a".into(), "c".into()]).map(|path| path.at(1.0));
         }
     }

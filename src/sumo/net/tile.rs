@@ -1,8 +1,8 @@
 //! Copies of one net side by side in one file, so that one SUMO process can host many worlds.
 //!
-//! Copy `w` carries the prefix `w<w>.` before each id (after the colon of internal ones) and lies far from the others.
-//! Lane lengths are written in the file and stay as they are, so that positions along a route, unlike coordinates, are
-//! the same numbers in every copy.
+//! Copy `w` has the prefix `w<w>.` before each id (after the colon of internal ids) and lies far
+//! from the other copies. The file states lane lengths, and all copies keep them, so that positions
+//! along a route, unlike coordinates, are the same numbers in every copy.
 
 use std::{fmt::Write as _, path::Path as FilePath};
 
@@ -10,19 +10,19 @@ use roxmltree::Node;
 
 use super::{NetError, xml};
 
-/// Free space between two copies, beyond the diagonal of one \[m\].
+/// Free space between two copies, in addition to the diagonal of one copy \[m\].
 const GAP: f64 = 100.0;
 
-/// One net file with all copies.
+/// A net file that holds all copies.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tiled {
-    /// The `.net.xml`.
+    /// Content of the `.net.xml` file.
     pub text: String,
-    /// What was added to the coordinates of each copy \[m\].
+    /// Offset of each copy's coordinates from the original ones \[m\].
     pub offsets: Vec<[f64; 2]>,
 }
 
-/// The id that an edge, lane or junction has in copy `world`.
+/// Returns the id that an edge, lane or junction has in the copy `world`.
 pub fn tiled_id(world: u32, id: &str) -> String {
     match id.strip_prefix(':') {
         Some(internal) => format!(":w{world}.{internal}"),
@@ -30,13 +30,13 @@ pub fn tiled_id(world: u32, id: &str) -> String {
     }
 }
 
-/// Writes `worlds` copies of a net; `path` is for messages only.
+/// Writes `worlds` copies of a net into one file; `path` is used only in messages.
 ///
 /// # Errors
-/// As [`super::Net::parse`].
+/// As for [`super::Net::parse`].
 pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError> {
     let net = super::Net::parse(text, path)?;
-    // `Net::parse` has read the same text.
+    // `Net::parse` has already read the same text, so this cannot fail.
     let document = xml::parse(text).map_err(|(source, at)| NetError::Xml {
         path: path.into(),
         line: at.row,
@@ -45,7 +45,7 @@ pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError>
     })?;
     let [low, high] = net.extent();
     let gap = GAP + (high[0] - low[0]).hypot(high[1] - low[1]);
-    // Whole metres, which leave the decimals of a coordinate as they are.
+    // Offsets are whole metres, so that the decimals of the coordinates stay the same.
     let pitch = [0, 1].map(|axis| (high[axis] - low[axis] + gap).ceil());
     let columns = f64::from(worlds).sqrt().ceil().max(1.0) as u32;
     let place = |w: u32| [pitch[0] * f64::from(w % columns), pitch[1] * f64::from(w / columns)];
@@ -66,11 +66,12 @@ pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError>
         high[1] + pitch[1] * f64::from(worlds.saturating_sub(1) / columns)
     );
     let children: Vec<Node> = root.children().filter(Node::is_element).collect();
-    // SUMO wants the elements of a kind together: all edges before all junctions before all connections.
+    // SUMO expects the elements of a kind together: all edges before all junctions before all
+    // connections.
     for kind in children.chunk_by(|a, b| a.tag_name() == b.tag_name()) {
         match kind[0].tag_name().name() {
             "location" => {}
-            // Not of a place.
+            // Edge types belong to no copy: the file holds them once.
             "type" => kind.iter().for_each(|node| write_element(&mut out, *node, None)),
             _ => {
                 for (world, offset) in offsets.iter().enumerate() {
@@ -117,7 +118,7 @@ fn write_attribute(out: &mut String, name: &str, value: &str) {
     out.push('"');
 }
 
-/// The value of an attribute in a copy.
+/// Returns the value of an attribute in a copy.
 fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 2]) -> String {
     let ids =
         || value.split_whitespace().map(|id| tiled_id(world, id)).collect::<Vec<_>>().join(" ");
@@ -151,7 +152,7 @@ fn moved(element: &str, attribute: &str, value: &str, world: u32, offset: [f64; 
     }
 }
 
-/// A coordinate moved by whole metres, with as many decimals as before.
+/// Returns a coordinate moved by whole metres, with as many decimals as before.
 fn shifted(text: &str, by: f64) -> String {
     let decimals = text.split_once('.').map_or(0, |(_, decimals)| decimals.len()).min(9);
     match text.parse::<f64>() {

@@ -1,19 +1,20 @@
-//! The fastest way of a car from edge to edge.
+//! Fastest routes of cars between edges.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
 use super::{EdgeFunction, Net, NetError, shorten};
 
-/// A lane, and how many of a trip's edges have been reached there.
+/// A lane, and the number of the trip's edges that have been reached there.
 type Node = (usize, usize);
 
 impl Net {
-    /// The edges of the fastest way at the speed limits that passes `stages` in their order, beginning on the first and ending on the
-    /// last, and can be driven without changing lanes.
+    /// Returns the edges of the fastest route at the speed limits that begins on the first of
+    /// `stages`, passes all of them in order and ends on the last, without lane changes.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or [`NetError::NoTrip`] where none leads there.
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or
+    /// [`NetError::NoTrip`] if no such route exists.
     pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
         let mut edges: Vec<usize> =
             stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
@@ -38,7 +39,7 @@ impl Net {
             for connection in self.connections_from(lane).filter(|c| self.lanes[c.to].cars) {
                 let to = &self.lanes[connection.to];
                 let reached = reached + usize::from(to.edge == edges[reached]);
-                // Whole milliseconds, which have an order.
+                // Whole milliseconds are integers, which the heap can order.
                 let later = time + (1e3 * to.length / to.speed.max(0.1)) as u64 + 1;
                 let next = (connection.to, reached);
                 if before.get(&next).is_none_or(|known| later < known.0) {
@@ -56,7 +57,7 @@ impl Net {
         self.edge_index(id).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
     }
 
-    /// The edges on the way to a lane, in driving order.
+    /// Returns the edges of the route to a node, in driving order.
     fn edges_of(&self, last: Node, before: &HashMap<Node, (u64, Node)>) -> Vec<String> {
         let back = |node: &Node| Some(before[node].1).filter(|earlier| earlier != node);
         let way = std::iter::successors(Some(last), back)
@@ -94,7 +95,7 @@ mod tests {
         assert!(longest >= 2);
         assert_eq!(trip(&[ids[0], ids[0]]).expect("there already"), [ids[0].to_owned()]);
         assert!(matches!(trip(&[ids[0], "nowhere"]), Err(NetError::NoEdge { .. })));
-        // Without turns, nothing leads round a corner.
+        // This net has no turns, so no route leads round a corner.
         let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml"))
             .expect("the net");
         let stages = |to: &str| ["west_in".to_owned(), to.to_owned()];

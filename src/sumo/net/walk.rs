@@ -1,4 +1,5 @@
-//! Ways of pedestrians: along sidewalks, in both directions, and over the walking areas and crossings of junctions.
+//! Paths of pedestrians along sidewalks, in both directions, and over the walking areas and
+//! crossings of junctions.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -8,33 +9,38 @@ use super::{EdgeFunction, MAX_POINTS, Net, NetError, Path, nearest, shorten};
 /// A walk through a net.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Walk {
-    /// The middle of the sidewalks and crossings, in walking direction; straight on over walking areas.
+    /// Centre line of the sidewalks and crossings, in walking direction; straight across walking
+    /// areas.
     pub path: Path,
-    /// SUMO's position on the last edge where it ends: at its far end, as one comes to it \[m\].
+    /// SUMO's position on the last edge where the walk ends \[m\]; by default the far end of the
+    /// edge in walking direction.
     pub end: f64,
 }
 
-/// A lane as it is walked: its index, and whether against the direction of its shape.
+/// A lane of a walk: its index, and whether the pedestrian walks against the direction of its
+/// shape.
 type Step = (usize, bool);
 
-/// The shortest way that ends with an edge in this direction.
+/// The shortest path whose last edge is walked in this direction.
 struct Way {
-    /// Its length \[m\].
+    /// Length of the path \[m\].
     metres: f64,
     backwards: bool,
-    /// Which of the ways to the edge before it goes on from, and what lies between.
+    /// Index of the path to the previous edge that this path continues, and the lanes in between.
     before: Option<(usize, Vec<usize>)>,
 }
 
 impl Net {
-    /// The shortest way on foot along `edges`, whose sidewalks may be walked in both directions, from each to the next over walking
-    /// areas and crossings; from a position on the first edge to one on the last (its far end where there is none), both counted
-    /// from the edge's beginning \[m\]. SUMO's pedestrians take the same one. A walk along a single edge without a position to arrive
-    /// at goes in the edge's direction.
+    /// Returns the shortest walk along `edges`, the one that SUMO's pedestrians take. Pedestrians
+    /// use sidewalks in both directions and go from edge to edge over walking areas and crossings.
+    ///
+    /// The walk begins at `depart` on the first edge and ends at `arrival` on the last edge; both
+    /// count from the start of the edge \[m\]. Without `arrival`, the walk ends at the far end of
+    /// the last edge, and a walk along a single edge goes in the edge's direction.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`], [`NetError::OffEdge`], [`NetError::NotWalkable`] or
-    /// [`NetError::LongRoute`].
+    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`],
+    /// [`NetError::OffEdge`], [`NetError::NotWalkable`] or [`NetError::LongRoute`].
     pub fn walk(
         &self,
         edges: &[String],
@@ -111,7 +117,8 @@ impl Net {
             steps.push((lane, backwards));
             for pair in between.get(i).map_or(&[][..], Vec::as_slice).windows(2) {
                 if self.edges[self.lanes[pair[1]].edge].function == EdgeFunction::Crossing {
-                    // Connections lead from a walking area to where the crossing begins, and from its end to another.
+                    // In a net, one connection leads from a walking area to the start of a
+                    // crossing, and another from the end of the crossing to a walking area.
                     steps.push((pair[1], self.connections_from(pair[1]).any(|c| c.to == pair[0])));
                 }
             }
@@ -126,7 +133,7 @@ impl Net {
         Ok(Walk { path, end: arrival.unwrap_or(far) })
     }
 
-    /// The lane of an edge that pedestrians walk on: one without cars, if there is one.
+    /// Returns the lane of an edge for pedestrians: if possible, one that cars may not use.
     fn sidewalk(&self, id: &str) -> Result<usize, NetError> {
         let walkable = |edge: &&super::Edge| {
             edge.function == EdgeFunction::Normal
@@ -143,8 +150,8 @@ impl Net {
         lane.ok_or_else(|| NetError::NoSidewalk { path: self.path.clone(), edge: shorten(id) })
     }
 
-    /// Which lanes are next to each other for pedestrians, who go both ways: those that a connection joins, one of which is a
-    /// walking area.
+    /// Returns the adjacent lanes of each lane for pedestrians, who walk in both directions: lanes
+    /// are adjacent if a connection joins them and one of them is a walking area.
     fn links_on_foot(&self) -> HashMap<usize, Vec<usize>> {
         let area =
             |lane: usize| self.edges[self.lanes[lane].edge].function == EdgeFunction::WalkingArea;
@@ -156,8 +163,9 @@ impl Net {
         links
     }
 
-    /// The shortest way from the end of one sidewalk to the beginning of another, as they are walked, over the walking areas and
-    /// crossings of the junction where they meet: its length \[m\], and these lanes.
+    /// Returns the shortest path from the end of one sidewalk to the start of another, in walking
+    /// direction, over the walking areas and crossings of the junction between them: its length
+    /// \[m\] and its lanes.
     fn over_junction(
         &self,
         from: Step,
@@ -172,7 +180,7 @@ impl Net {
         if end(to, false)? != junction {
             return None;
         }
-        // Whole millimetres, which have an order.
+        // Whole millimetres are integers, which the heap can order.
         let millimetres = |lane: usize| (self.lanes[lane].length * 1e3) as u64;
         let mut before: HashMap<usize, (u64, usize)> = HashMap::from([(from.0, (0, from.0))]);
         let mut open = BinaryHeap::from([Reverse((0, from.0))]);
@@ -200,7 +208,8 @@ impl Net {
         None
     }
 
-    /// Whether a walking area or crossing belongs to a junction: `:centre_w0` to `centre`.
+    /// Returns whether a walking area or crossing belongs to a junction, as `:centre_w0` to
+    /// `centre`.
     fn joins(&self, lane: usize, junction: &str) -> bool {
         let edge = &self.edges[self.lanes[lane].edge];
         let of_pedestrians =
@@ -235,7 +244,7 @@ mod tests {
         assert_eq!(straight.end, length("north_out"));
         let way = straight.path.length();
         assert!((90.0..110.0).contains(&way), "two sidewalks and a crossing: {way} m");
-        // On the eastern arm x is 5.5 where it is crossed.
+        // The crossing of the eastern arm lies at x = 5.5.
         assert!(
             straight.path.points.contains(&[5.5, -3.5])
                 && straight.path.points.contains(&[5.5, 3.5])
@@ -251,7 +260,8 @@ mod tests {
 
     #[test]
     fn the_way_depends_on_where_one_begins() {
-        // From the end of the arm round its end, from the junction over its crossing.
+        // From the far end of the arm, the walk goes round that end; from near the junction, over
+        // the crossing.
         let [far, near] =
             [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a way").path);
         assert!(

@@ -1,36 +1,39 @@
-//! Files of XML that are not trusted, nets and scenarios alike: read within bounds of size, memory and time.
+//! Reader of untrusted XML files, that is, nets and scenarios, with limits on size, memory and
+//! time.
 
 use std::{fs::File, io, io::Read as _, path::Path};
 
 use roxmltree::{Document, TextPos};
 
-/// Most attributes of an element: the parser compares each with each.
+/// Greatest number of attributes of an element: the parser compares every attribute with every
+/// other.
 const MAX_ATTRIBUTES: usize = 256;
 
-/// Most declarations of namespaces in a file: the parser copies all that hold to each element with one of its own.
+/// Greatest number of namespace declarations in a file: the parser copies all declarations in scope
+/// to each element that declares a namespace.
 const MAX_NAMESPACES: usize = 64;
 
-/// Why a text is not read as XML.
+/// A reason why a text cannot be read as XML.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum XmlError {
-    /// It is not well-formed, or has entities.
+    /// The text is not well-formed, or has entities.
     #[error(transparent)]
     Syntax(#[from] roxmltree::Error),
-    /// It has more of something than any file that is meant to be read.
+    /// The text exceeds a limit that no regular file reaches.
     #[error("more than {limit} {what}")]
     Excess {
-        /// Of what.
+        /// Name of the counted items.
         what: &'static str,
-        /// Most.
+        /// Greatest number of items.
         limit: usize,
     },
 }
 
-/// The text of a file; `None` if it is longer than `limit` bytes.
+/// Returns the text of a file; `None` if the file is longer than `limit` bytes.
 ///
 /// # Errors
-/// What the system says; where the text is not UTF-8, with line and column.
+/// The operating system's error, or the line and column of the first byte that is not UTF-8.
 pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Option<String>> {
     let mut bytes = Vec::new();
     if File::open(path)?.take(limit + 1).read_to_end(&mut bytes)? as u64 > limit {
@@ -46,7 +49,7 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Option<String>> {
 /// Parses a text.
 ///
 /// # Errors
-/// What is wrong with the XML, and where.
+/// The reason why the text cannot be read, and the position.
 pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     let excess = |what, limit, at| Err((XmlError::Excess { what, limit }, position(text, at)));
     let mut tags =
@@ -63,7 +66,8 @@ pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     })
 }
 
-/// Number of attributes, one more than [`MAX_ATTRIBUTES`] at most, in the tag that the text begins in, after its `<`.
+/// Returns the number of attributes, at most [`MAX_ATTRIBUTES`] + 1, of the tag at the start of
+/// `text`, whose `<` has been removed.
 fn attributes(text: &str) -> usize {
     let mut bytes = text.bytes();
     let mut count = 0;
@@ -71,7 +75,7 @@ fn attributes(text: &str) -> usize {
         match bytes.next() {
             Some(quote @ (b'"' | b'\'')) => {
                 count += 1;
-                // To the other quote.
+                // Skips to the closing quote.
                 if !bytes.any(|byte| byte == quote) {
                     break;
                 }

@@ -1,4 +1,4 @@
-//! Finding SUMO, ports that are lost, strangers, and last words.
+//! Tests of finding SUMO, of ports that another program has taken, and of the kept standard error.
 
 use super::*;
 
@@ -70,7 +70,7 @@ fn a_stranger_that_answers_like_sumo_is_not_mistaken_for_it() {
         let answer =
             [0, 0, 0, 24, 7, 0, 0, 0, 0, 0, 0, 13, 0, 0, 0, 0, 20, 0, 0, 0, 3, b'a', b'b', b'c'];
         stream.write_all(&answer).unwrap();
-        // Holds the connection until the other end closes it.
+        // Keeps the connection open until the other end closes it.
         let _ = stream.read(&mut [0; 64]);
     });
     let sleeper = Process::spawn(Path::new("/bin/sh"), &["-c".into(), "sleep 60".into()], port);

@@ -8,41 +8,43 @@ use crate::sumo::{
     domain::{Highlight, Scope, set},
 };
 
-/// A new vehicle, see [`Vehicle::add`]. Departure and arrival are texts because most of them can be words.
+/// A new vehicle, see [`Vehicle::add`]. Departure and arrival are strings because SUMO accepts
+/// words as well as numbers for most of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Addition<'a> {
-    /// Route identifier; empty: somewhere in the net.
+    /// Route identifier; empty: a random place in the net.
     pub route: &'a str,
     /// Vehicle type identifier.
     pub vehicle_type: &'a str,
-    /// Time \[s\], `now` or `triggered`.
+    /// Departure time \[s\], `now` or `triggered`.
     pub depart: &'a str,
-    /// Index of the lane, `first`, `free`, `allowed`, `best` or `random`.
+    /// Index of the departure lane, `first`, `free`, `allowed`, `best` or `random`.
     pub depart_lane: &'a str,
-    /// Distance of the front bumper from the start of the first edge \[m\], `base`, `free`, `random`, `last`…
+    /// Departure position: distance of the front bumper from the start of the first edge \[m\],
+    /// `base`, `free`, `random`, `last`…
     pub depart_pos: &'a str,
-    /// Speed \[m/s\], `max`, `desired`, `random`…
+    /// Departure speed \[m/s\], `max`, `desired`, `random`…
     pub depart_speed: &'a str,
-    /// Index of the lane, or `current`.
+    /// Index of the arrival lane, or `current`.
     pub arrival_lane: &'a str,
-    /// Distance from the start of the last edge \[m\], `max` or `random`.
+    /// Arrival position: distance from the start of the last edge \[m\], `max` or `random`.
     pub arrival_pos: &'a str,
-    /// Speed \[m/s\], or `current`.
+    /// Arrival speed \[m/s\], or `current`.
     pub arrival_speed: &'a str,
-    /// Traffic assignment zone where it departs; empty: none.
+    /// Traffic assignment zone of the departure; empty: none.
     pub from_taz: &'a str,
-    /// Traffic assignment zone where it arrives; empty: none.
+    /// Traffic assignment zone of the arrival; empty: none.
     pub to_taz: &'a str,
     /// Line of public transport; empty: none.
     pub line: &'a str,
-    /// Number of persons that find room, besides the driver.
+    /// Number of persons that the vehicle can carry, besides the driver.
     pub person_capacity: i32,
     /// Number of persons on board.
     pub person_number: i32,
 }
 
 impl<'a> Addition<'a> {
-    /// A vehicle of the default type that departs now from the start of a route, standing.
+    /// Returns a vehicle of the default type that departs now, at rest, from the start of a route.
     pub const fn on_route(route: &'a str) -> Self {
         Addition {
             route,
@@ -66,20 +68,22 @@ impl<'a> Addition<'a> {
 /// A stop, see [`Vehicle::set_stop`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop<'a> {
-    /// Edge, or the bus stop, container stop, charging station or parking area that the flags tell of.
+    /// Edge, or the bus stop, container stop, charging station or parking area that the flags
+    /// select.
     pub place: &'a str,
-    /// Distance of its end from the start of the lane \[m\].
+    /// Distance of the stop's end from the start of the lane \[m\].
     pub pos: f64,
     /// Index of the lane, 0 is the rightmost.
     pub lane: i8,
-    /// Duration \[s\]; [`c::INVALID_DOUBLE_VALUE`]: until told to go on.
+    /// Duration \[s\]; [`c::INVALID_DOUBLE_VALUE`]: until [`Vehicle::resume`].
     pub duration: f64,
-    /// Bits: 1: beside the road, 2: until a person boards, 4: until a container is loaded, 8: bus stop,
-    /// 16: container stop, 32: charging station, 64: parking area, 128: overhead wire.
+    /// Bits. 1: beside the road, 2: until a person boards, 4: until a container is loaded, 8: bus
+    /// stop, 16: container stop, 32: charging station, 64: parking area, 128: overhead wire.
     pub flags: u8,
-    /// Distance of its start from the start of the lane \[m\]; [`c::INVALID_DOUBLE_VALUE`]: close to its end.
+    /// Distance of the stop's start from the start of the lane \[m\]; [`c::INVALID_DOUBLE_VALUE`]:
+    /// close to its end.
     pub start_pos: f64,
-    /// Not before this time \[s\]; [`c::INVALID_DOUBLE_VALUE`]: no such limit.
+    /// Earliest departure \[s\]; [`c::INVALID_DOUBLE_VALUE`]: no limit.
     pub until: f64,
 }
 
@@ -90,7 +94,8 @@ impl<'a> Stop<'a> {
     const PARKING_AREA: u8 = 64;
     const PARKING: u8 = 1;
 
-    /// A stop without end on the rightmost lane of an edge, at a distance from its start \[m\].
+    /// Returns an unlimited stop on the rightmost lane of an edge, at a distance from its start
+    /// \[m\].
     pub const fn on_edge(edge: &'a str, pos: f64) -> Self {
         let unknown = c::INVALID_DOUBLE_VALUE;
         Stop {
@@ -104,7 +109,7 @@ impl<'a> Stop<'a> {
         }
     }
 
-    /// The same for so long \[s\].
+    /// Returns the same stop with a duration \[s\].
     #[must_use]
     pub const fn lasting(self, duration: f64) -> Self {
         Stop { duration, ..self }
@@ -115,14 +120,14 @@ impl<'a> Stop<'a> {
     }
 }
 
-/// How a stop changes the plan, see [`Vehicle::replace_stop`].
+/// A change of the planned stops, see [`Vehicle::replace_stop`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StopChange<'a> {
-    /// Index of the stop on the way.
+    /// Index among the stops ahead.
     pub index: i32,
-    /// The stop; with an empty place, the one of the index is removed.
+    /// The new stop; if its place is empty, the stop at the index is removed.
     pub stop: Stop<'a>,
-    /// Bits: 1: the vehicle jumps over the part of the route that the change cuts off…
+    /// Bits. 1: the vehicle teleports over the part of the route that the change cuts off…
     pub teleport: i8,
 }
 
@@ -140,36 +145,37 @@ impl StopChange<'_> {
     }
 }
 
-/// A greater gap to the leader, see [`Vehicle::open_gap`].
+/// A larger gap to the leader, see [`Vehicle::open_gap`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gap<'a> {
-    /// Time headway to reach \[s\]; negative: as before.
+    /// Time headway to reach \[s\]; negative: unchanged.
     pub time_headway: f64,
-    /// Space headway to reach \[m\]; negative: as before.
+    /// Space headway to reach \[m\]; negative: unchanged.
     pub space_headway: f64,
-    /// How long to keep it \[s\].
+    /// Time for which the vehicle keeps the gap \[s\].
     pub duration: f64,
-    /// How fast to reach it \[1/s\].
+    /// Rate at which the vehicle opens the gap \[1/s\].
     pub change_rate: f64,
-    /// Greatest deceleration for it \[m/s²\]; negative: that of the vehicle.
+    /// Greatest deceleration for opening the gap \[m/s²\]; negative: the vehicle's own.
     pub max_decel: f64,
-    /// The vehicle to keep the gap to; empty: the leader.
+    /// The vehicle to which the gap is kept; empty: the leader.
     pub reference: &'a str,
 }
 
-/// How [`Vehicle::move_to_xy`] finds the place.
+/// Options for how [`Vehicle::move_to_xy`] matches a position to the net.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement<'a> {
-    /// The edge to prefer; empty: none.
+    /// The preferred edge; empty: none.
     pub edge: &'a str,
-    /// Index of the lane to prefer; -1: none.
+    /// Index of the preferred lane; -1: none.
     pub lane: i32,
-    /// Navigational angle \[deg\]; [`c::INVALID_DOUBLE_VALUE`]: that of the lane.
+    /// Navigational angle \[deg\]; [`c::INVALID_DOUBLE_VALUE`]: the angle of the lane.
     pub angle: f64,
-    /// Bits: 1: the closest place of the route, else of the net, and the route is that one edge then;
-    /// 2: exactly there, on a road or not; 4: also where the vehicle is not allowed.
+    /// Bits. 1: the closest position on the route; without this bit, the closest position in the
+    /// net, and the route becomes that one edge. 2: exactly the given position, on a road or not.
+    /// 4: also lanes that the vehicle may not use.
     pub keep_route: u8,
-    /// How far away a place may be \[m\].
+    /// Greatest distance between the given and the matched position \[m\].
     pub match_threshold: f64,
 }
 
@@ -190,75 +196,78 @@ const fn call(name: &'static str, variable: u8) -> Call {
 }
 
 setters! { Vehicle, "vehicle", VEHICLE;
-    /// Sends the vehicle to another parking area on its way.
+    /// Sends the vehicle to another parking area on its route.
     reroute_parking_area "rerouteParkingArea" 0xc2 [parking_area: &str];
-    /// Sets a parameter of a stop on the way, by its index.
+    /// Sets a parameter of a stop ahead, by the index of the stop.
     set_stop_parameter "setStopParameter" 0x55 [stop: i32, key: &str, value: &str];
-    /// Ends the stop.
+    /// Ends the current stop.
     resume "resume" 0x19 [];
-    /// Changes to a lane, by its index, and stays there for a duration \[s\].
+    /// Changes to a lane, by its index, and keeps the vehicle there for a duration \[s\].
     change_lane "changeLane" 0x13 [lane: i8, duration: f64];
-    /// Moves so far to the left \[m\], in the sublane model.
+    /// Moves the vehicle to the left by a distance \[m\], in the sublane model.
     change_sublane "changeSublane" 0x15 (distance: f64);
-    /// Reaches a speed \[m/s\] within a duration \[s\].
+    /// Changes the speed to a value \[m/s\] within a duration \[s\].
     slow_down "slowDown" 0x14 [speed: f64, duration: f64];
-    /// Drives to another edge, by a new route.
+    /// Sets the destination edge and computes a new route to it.
     change_target "changeTarget" 0x31 (edge: &str);
     /// Sets the vehicle type.
     set_type "setType" 0x4f (kind: &str);
     /// Sets the route, by its identifier.
     set_route_id "setRouteID" 0x53 (route: &str);
-    /// Sets the edges of the route; the first is the edge where the vehicle is.
+    /// Sets the edges of the route; the first one must be the current edge.
     set_route "setRoute" 0x57 (edges: &[impl AsRef<str>]);
-    /// Looks anew which lanes suit the route.
+    /// Computes again which lanes suit the route.
     update_best_lanes "updateBestLanes" 0x6a;
-    /// Forgets the travel time of an edge that was set for the vehicle's routing.
+    /// Removes the travel time of an edge that was set for the vehicle's routing.
     reset_adapted_traveltime "setAdaptedTraveltime" 0x58 [edge: &str];
     /// Sets the travel time of an edge \[s\] for the vehicle's routing.
     set_adapted_traveltime "setAdaptedTraveltime" 0x58 [edge: &str, time: f64];
-    /// As `set_adapted_traveltime`, from the simulation time `begin` to `end` \[s\].
+    /// Like `set_adapted_traveltime`, from the simulation time `begin` to `end` \[s\].
     set_adapted_traveltime_during "setAdaptedTraveltime" 0x58 [begin: f64, end: f64, edge: &str, time: f64];
-    /// Forgets the effort of an edge that was set for the vehicle's routing.
+    /// Removes the effort of an edge that was set for the vehicle's routing.
     reset_effort "setEffort" 0x59 [edge: &str];
     /// Sets the effort of an edge for the vehicle's routing.
     set_effort "setEffort" 0x59 [edge: &str, effort: f64];
-    /// As `set_effort`, from the simulation time `begin` to `end` \[s\].
+    /// Like `set_effort`, from the simulation time `begin` to `end` \[s\].
     set_effort_during "setEffort" 0x59 [begin: f64, end: f64, edge: &str, effort: f64];
-    /// Sets how the vehicle finds routes, see `get_routing_mode`.
+    /// Sets the routing mode, see `get_routing_mode`.
     set_routing_mode "setRoutingMode" 0x89 (mode: i32);
-    /// Finds the fastest route anew, by the vehicle's routing mode. (Python's client switches to mode 4 for
-    /// the call if the mode is 0; here that is left to the caller.)
+    /// Computes the fastest route again, in the vehicle's routing mode. (Python's client switches
+    /// to mode 4 for the call if the mode is 0; this client does not.)
     reroute_traveltime "rerouteTraveltime" 0x90 [];
-    /// Finds the route of least effort anew.
+    /// Computes the route of least effort again.
     reroute_effort "rerouteEffort" 0x91 [];
     /// Sets the bits of the lights and indicators.
     set_signals "setSignals" 0x5b (signals: i32);
-    /// Puts the vehicle at a distance from the start of a lane \[m\] on its route; `reason`: 0: automatic,
-    /// 1: teleport, 2: as if it had driven there.
+    /// Moves the vehicle to a distance from the start of a lane \[m\] on its route. `reason`: 0:
+    /// automatic, 1: teleport, 2: as if the vehicle had driven there.
     move_to "moveTo" 0x5c [lane: &str, pos: f64, reason: i32];
-    /// Sets the speed to keep \[m/s\]; a negative value gives the speed back to SUMO's driver.
+    /// Sets the speed to keep \[m/s\]; a negative value returns control of the speed to SUMO.
     set_speed "setSpeed" 0x40 (speed: f64);
     /// Sets the acceleration \[m/s²\] for a duration \[s\].
     set_acceleration "setAcceleration" 0x72 [acceleration: f64, duration: f64];
-    /// Pretends that the last step ended with a speed \[m/s\] and an acceleration \[m/s²\]
-    /// ([`c::INVALID_DOUBLE_VALUE`]: what follows from the speeds).
+    /// Overrides the speed \[m/s\] and the acceleration \[m/s²\] at the end of the last step (with
+    /// the acceleration [`c::INVALID_DOUBLE_VALUE`], SUMO derives it from the speeds).
     set_previous_speed "setPreviousSpeed" 0x3c [speed: f64, acceleration: f64];
     /// Sets the line of public transport.
     set_line "setLine" 0xbd (line: &str);
-    /// Sets the edges that rerouting must keep.
+    /// Sets the edges that the route must pass after rerouting.
     set_via "setVia" 0xbe (edges: &[impl AsRef<str>]);
-    /// Sets the bits of the lane change mode (1621: as SUMO's driver, 512: none of its own).
+    /// Sets the bits of the lane change mode (1621: SUMO's lane change model, 512: no lane changes
+    /// by itself).
     set_lane_change_mode "setLaneChangeMode" 0xb6 (mode: i32);
-    /// Sets which checks SUMO's driver applies to the set speed (31: all, 32: none).
+    /// Sets which checks SUMO applies to a speed that was set (31: all, 32: none).
     set_speed_mode "setSpeedMode" 0xb3 (mode: i32);
-    /// Sends a taxi to reservations; with several of them, each stands in the order twice: pick-up, drop-off.
+    /// Sends a taxi to reservations. With several reservations, the list holds each of them twice:
+    /// first for the pick-up, then for the drop-off.
     dispatch_taxi "dispatchTaxi" 0x21 (reservations: &[impl AsRef<str>]);
-    /// Removes the vehicle; `reason`: 0: teleport, 1: parking, 2: arrived, 3: vaporized, 4: arrived by teleport.
+    /// Removes the vehicle. `reason`: 0: teleport, 1: parking, 2: arrived, 3: vaporized, 4: arrived
+    /// by teleport.
     remove "remove" 0x81 (reason: i8);
 }
 
 impl<S: Scope> Vehicle<'_, S> {
-    /// Makes a new vehicle.
+    /// Adds a vehicle.
     pub fn add(&mut self, id: &str, addition: &Addition<'_>) -> S::Output<()> {
         set(self.0, call("vehicle.add", 0x85), id, |w| {
             w.compound(14);
@@ -282,13 +291,13 @@ impl<S: Scope> Vehicle<'_, S> {
         })
     }
 
-    /// Adds a stop to the plan, or changes that on the same place.
+    /// Adds a stop to the plan, or changes the stop that the plan has at the same place.
     pub fn set_stop(&mut self, id: &str, stop: &Stop<'_>) -> S::Output<()> {
         self.stop("vehicle.setStop", id, stop)
     }
 
-    /// As `set_stop`, at a bus stop, for a duration \[s\] and not before the time `until` \[s\]
-    /// ([`c::INVALID_DOUBLE_VALUE`]: no such limit).
+    /// Like `set_stop`, at a bus stop, for a duration \[s\]; the vehicle departs at the time
+    /// `until` \[s\] at the earliest ([`c::INVALID_DOUBLE_VALUE`]: no limit).
     pub fn set_bus_stop(
         &mut self,
         id: &str,
@@ -299,7 +308,7 @@ impl<S: Scope> Vehicle<'_, S> {
         self.stop("vehicle.setBusStop", id, &Stop::at(stop, duration, until, Stop::BUS_STOP))
     }
 
-    /// As `set_bus_stop`, at a container stop.
+    /// Like `set_bus_stop`, at a container stop.
     pub fn set_container_stop(
         &mut self,
         id: &str,
@@ -314,7 +323,7 @@ impl<S: Scope> Vehicle<'_, S> {
         )
     }
 
-    /// As `set_bus_stop`, at a charging station.
+    /// Like `set_bus_stop`, at a charging station.
     pub fn set_charging_station_stop(
         &mut self,
         id: &str,
@@ -326,7 +335,7 @@ impl<S: Scope> Vehicle<'_, S> {
         self.stop("vehicle.setChargingStationStop", id, &stop)
     }
 
-    /// As `set_bus_stop`, at a parking area.
+    /// Like `set_bus_stop`, at a parking area.
     pub fn set_parking_area_stop(
         &mut self,
         id: &str,
@@ -351,18 +360,19 @@ impl<S: Scope> Vehicle<'_, S> {
         })
     }
 
-    /// Replaces a stop on the way; the route between the stops before and after it changes with it.
+    /// Replaces a stop ahead and adapts the route between the stops before and after it.
     pub fn replace_stop(&mut self, id: &str, change: &StopChange<'_>) -> S::Output<()> {
         set(self.0, call("vehicle.replaceStop", 0x17), id, |w| change.write(w))
     }
 
-    /// Puts a stop before the one of that index; the route changes with it. SUMO 1.15 may die of a second call
-    /// of this or of [`Vehicle::replace_stop`] for the same vehicle.
+    /// Inserts a stop before the stop at the index and adapts the route. SUMO 1.15 may crash if
+    /// this call or [`Vehicle::replace_stop`] follows for the same vehicle.
     pub fn insert_stop(&mut self, id: &str, change: &StopChange<'_>) -> S::Output<()> {
         set(self.0, call("vehicle.insertStop", 0x18), id, |w| change.write(w))
     }
 
-    /// Changes so many lanes to the left (negative: to the right), and stays there for a duration \[s\].
+    /// Changes lanes to the left by `offset` (negative: to the right), and keeps the vehicle there
+    /// for a duration \[s\].
     pub fn change_lane_relative(&mut self, id: &str, offset: i8, duration: f64) -> S::Output<()> {
         set(self.0, call("vehicle.changeLaneRelative", 0x13), id, |w| {
             w.compound(3).u8(c::TYPE_BYTE).u8(offset.cast_unsigned()).double(duration);
@@ -375,7 +385,7 @@ impl<S: Scope> Vehicle<'_, S> {
         self.gap("vehicle.openGap", id, gap)
     }
 
-    /// No longer keeps a gap that was opened.
+    /// Ends the control of a gap that was opened.
     pub fn deactivate_gap_control(&mut self, id: &str) -> S::Output<()> {
         let off = -1.0;
         let gap = Gap {
@@ -400,7 +410,7 @@ impl<S: Scope> Vehicle<'_, S> {
         })
     }
 
-    /// Asks the driver to take over from the automation within a time \[s\].
+    /// Requests that the driver take over from the automation within a time \[s\].
     pub fn request_toc(&mut self, id: &str, lead_time: f64) -> S::Output<()> {
         self.set_parameter(id, "device.toc.requestToC", &lead_time.to_string())
     }
@@ -410,7 +420,8 @@ impl<S: Scope> Vehicle<'_, S> {
         set(self.0, call("vehicle.highlight", 0x6c), id, |w| highlight.write(w))
     }
 
-    /// Puts the centre of the front bumper at a position \[m\], after the next step's movement.
+    /// Moves the centre of the front bumper to a position \[m\], after the movement of the next
+    /// step.
     pub fn move_to_xy(
         &mut self,
         id: &str,

@@ -1,5 +1,6 @@
-//! Filters: they restrict the context subscription of a vehicle that was made last, so the calls come right
-//! after it. Which of them can be combined is in SUMO's manual.
+//! Filters of context subscriptions. A filter restricts the context subscription of a vehicle that
+//! was made last, so call it right after the subscription. SUMO's manual lists the combinations of
+//! filters that are possible.
 
 use super::{Side, Vehicle};
 use crate::sumo::{
@@ -30,7 +31,8 @@ fn push(batch: &mut Batch, name: &'static str, filter: u8, content: impl FnOnce(
 fn push_lanes(batch: &mut Batch, name: &'static str, lanes: &[i8]) {
     push(batch, name, LANES, |w| {
         let once = || lanes.iter().enumerate().filter(|(i, lane)| !lanes[..*i].contains(lane));
-        // A vehicle has fewer than 256 lanes beside it: there are no more numbers.
+        // The number of lanes fits into a byte: there are only 256 different `i8` values, and an
+        // edge has fewer lanes than that.
         w.u8(once().count() as u8);
         for (_, lane) in once() {
             w.u8(lane.cast_unsigned());
@@ -39,17 +41,18 @@ fn push_lanes(batch: &mut Batch, name: &'static str, lanes: &[i8]) {
 }
 
 impl<S: Scope> Vehicle<'_, S> {
-    /// Only vehicles on lanes beside: 0 is the vehicle's own lane, -1 that to the right, 1 that to the left…
+    /// Restricts the subscription to vehicles on given lanes: 0 is the vehicle's own lane, -1 the
+    /// next lane to the right, 1 the next lane to the left…
     pub fn add_subscription_filter_lanes(&mut self, lanes: &[i8]) -> S::Output<()> {
         self.0.request(|batch| push_lanes(batch, "vehicle.addSubscriptionFilterLanes", lanes), done)
     }
 
-    /// No vehicles on the lanes of the opposite direction.
+    /// Excludes vehicles on the lanes of the opposite direction.
     pub fn add_subscription_filter_no_opposite(&mut self) -> S::Output<()> {
         self.filter("vehicle.addSubscriptionFilterNoOpposite", NO_OPPOSITE, |_| {})
     }
 
-    /// How far ahead along the roads vehicles are looked for \[m\].
+    /// Sets how far ahead along the roads SUMO looks for vehicles \[m\].
     pub fn add_subscription_filter_downstream_distance(&mut self, distance: f64) -> S::Output<()> {
         self.distance(
             "vehicle.addSubscriptionFilterDownstreamDistance",
@@ -58,18 +61,19 @@ impl<S: Scope> Vehicle<'_, S> {
         )
     }
 
-    /// How far behind along the roads vehicles are looked for \[m\].
+    /// Sets how far behind along the roads SUMO looks for vehicles \[m\].
     pub fn add_subscription_filter_upstream_distance(&mut self, distance: f64) -> S::Output<()> {
         self.distance("vehicle.addSubscriptionFilterUpstreamDistance", UPSTREAM_DISTANCE, distance)
     }
 
-    /// Only the leader and the follower on the vehicle's own lane: what car following looks at.
+    /// Restricts the subscription to the leader and the follower on the vehicle's own lane, which
+    /// matter for car following.
     pub fn add_subscription_filter_cf_maneuver(&mut self) -> S::Output<()> {
         self.lead_follow("vehicle.addSubscriptionFilterCFManeuver", &[0])
     }
 
-    /// Only leaders and followers on the vehicle's own lane and on that to one side, or to both (`None`): what a
-    /// change of lanes looks at.
+    /// Restricts the subscription to leaders and followers on the vehicle's own lane and on the
+    /// neighbouring lane on one side, or on both sides (`None`), which matter for a lane change.
     pub fn add_subscription_filter_lc_maneuver(&mut self, side: Option<Side>) -> S::Output<()> {
         let lanes: &[i8] = match side {
             None => &[-1, 0, 1],
@@ -78,37 +82,39 @@ impl<S: Scope> Vehicle<'_, S> {
         self.lead_follow("vehicle.addSubscriptionFilterLCManeuver", lanes)
     }
 
-    /// Only leaders and followers on lanes beside, numbered as for the filter of lanes.
+    /// Restricts the subscription to leaders and followers on given lanes, numbered as in
+    /// [`Vehicle::add_subscription_filter_lanes`].
     pub fn add_subscription_filter_lead_follow(&mut self, lanes: &[i8]) -> S::Output<()> {
         self.lead_follow("vehicle.addSubscriptionFilterLeadFollow", lanes)
     }
 
-    /// Only vehicles that come to the same junctions on ways that cross; they are looked for up to a distance
-    /// before the junction \[m\].
+    /// Restricts the subscription to vehicles that approach the same junctions on conflicting
+    /// links, up to a distance before the junction \[m\].
     pub fn add_subscription_filter_turn(&mut self, foe_distance_to_junction: f64) -> S::Output<()> {
         self.distance("vehicle.addSubscriptionFilterTurn", TURN, foe_distance_to_junction)
     }
 
-    /// Only vehicles of these classes.
+    /// Restricts the subscription to vehicles of these classes.
     pub fn add_subscription_filter_vclass(&mut self, classes: &[impl AsRef<str>]) -> S::Output<()> {
         self.filter("vehicle.addSubscriptionFilterVClass", VEHICLE_CLASS, |w| {
             w.string_list(classes);
         })
     }
 
-    /// Only vehicles of these types.
+    /// Restricts the subscription to vehicles of these types.
     pub fn add_subscription_filter_vtype(&mut self, types: &[impl AsRef<str>]) -> S::Output<()> {
         self.filter("vehicle.addSubscriptionFilterVType", VEHICLE_TYPE, |w| {
             w.string_list(types);
         })
     }
 
-    /// Only vehicles within an angle that opens ahead \[deg\].
+    /// Restricts the subscription to vehicles within an angle that opens ahead \[deg\].
     pub fn add_subscription_filter_field_of_vision(&mut self, opening_angle: f64) -> S::Output<()> {
         self.distance("vehicle.addSubscriptionFilterFieldOfVision", FIELD_OF_VISION, opening_angle)
     }
 
-    /// Only vehicles up to a distance beside the vehicle's route \[m\].
+    /// Restricts the subscription to vehicles up to a lateral distance from the vehicle's route
+    /// \[m\].
     pub fn add_subscription_filter_lateral_distance(&mut self, distance: f64) -> S::Output<()> {
         self.distance("vehicle.addSubscriptionFilterLateralDistance", LATERAL_DISTANCE, distance)
     }
