@@ -100,12 +100,6 @@ pub struct Train {
     /// A world remembers the last 16 episodes that failed when last played, so that rare failures
     /// are trained on more often. 0: never.
     pub replay_failed: f64,
-    /// Environment steps of kickstarting (Schmitt et al., 2018): over these steps, the weight of
-    /// imitating pure pursuit of the route (with [`Train::imitate_speed`]), on the policy's own
-    /// episodes, falls from 1 to 0, and that of learning from rewards rises. 0: no imitation.
-    pub imitate_steps: u64,
-    /// Speed of the imitated pure pursuit \[m/s\].
-    pub imitate_speed: f64,
     /// Whether the value of the last observation stands for the rewards after the horizon, as if
     /// episodes went on. Otherwise the horizon is a deadline: an agent that has not arrived by then
     /// earns nothing more.
@@ -138,8 +132,6 @@ impl Default for Train {
             growth: 1,
             fewest_agents: 0,
             replay_failed: 0.5,
-            imitate_steps: 0,
-            imitate_speed: 6.0,
             bootstrap_horizon: false,
             validate_every: 16_384,
             validation_episodes: 64,

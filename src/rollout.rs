@@ -50,15 +50,12 @@ pub struct Rollout {
     pub graph_noise: Vec<f32>,
     /// Actions as sampled, not clipped, `[T, E, N, A]`.
     pub action: Vec<f32>,
-    /// Actions of a teacher that drives by pure pursuit of the route, `[T, E, N, A]`; empty where
-    /// the policy does not imitate it.
-    pub pursuit: Vec<f32>,
     /// Log density of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
     /// Shift of each action's mean by the noise of earlier steps, in units of the scheduled
     /// standard deviation, `[T, E, N, A]`; empty where the noise is independent from step to step.
     pub carried: Vec<f32>,
-    /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T, A]`;
+    /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T]`;
     /// empty where the noise is independent from step to step.
     pub log_fresh: Vec<f32>,
     /// Each agent's own reward, `[T, E, N]`.
@@ -94,7 +91,6 @@ impl Rollout {
             memory: vec![0.0; closed * sizes.memory],
             graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],
-            pursuit: Vec::new(),
             log_prob: vec![0.0; rows * sizes.actions],
             carried: Vec::new(),
             log_fresh: Vec::new(),

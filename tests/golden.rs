@@ -326,7 +326,7 @@ fn maddpg() {
     for (place, there) in numbers("there").into_iter().enumerate() {
         rollout.comm[place * agents + place % agents] = there;
     }
-    let pace = Pace { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, imitation: 0.0, growth: 1 };
+    let pace = Pace { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, growth: 1 };
     let losses = learner.update(&rollout, &pace, Seed::new(2)).expect("finite");
     let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
     let found =

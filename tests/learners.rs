@@ -10,10 +10,8 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: Pace =
-    Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, imitation: 0.0, growth: 1 };
-const STILL: Pace =
-    Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, imitation: 0.0, growth: 1 };
+const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, growth: 1 };
+const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, growth: 1 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
@@ -88,8 +86,7 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
     let open = Tensor::full([e, n, n * learner.graphs() as i64], 1e4, (Kind::Float, Device::Cpu));
     let input = observation(learner, x.copy(), comm.copy());
-    let (carried, offset) = (nothing(), Tensor::zeros([e, 1, 1], (Kind::Float, Device::Cpu)));
-    let (action, graph, carried, log_fresh) = (&zero, &open, &carried, &offset);
+    let (action, graph, carried, log_fresh) = (&zero, &open, &nothing(), 0.0);
     let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
@@ -322,21 +319,17 @@ fn a_policy_that_moves_too_far_ends_its_update() {
     const PASSES: usize = 4;
     for name in algo::NAMES.iter().filter(|name| algo::capabilities(name).expect("known").on_policy)
     {
-        let update_at = |epochs: usize, target_kl: f64, imitation: f64| {
+        let update = |epochs: usize, target_kl: f64| {
             let mut settings = small(EncoderKind::Mlp);
             (settings.ppo.epochs, settings.ppo.target_kl) = (epochs, target_kl);
             let mut learner = loud(name, &spec(4), &settings);
-            let mut rollout = random_rollout(&*learner, 4, 3);
-            rollout.pursuit = vec![0.5; rollout.action.len()];
-            let losses = learner
-                .update(&rollout, &Pace { imitation, ..PACE }, Seed::new(4))
-                .expect("finite");
+            let rollout = random_rollout(&*learner, 4, 3);
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
             let of = |what: &str| {
                 losses.iter().find(|(found, _)| *found == what).expect("is reported").1
             };
             (of("ppo/passes"), of("ppo/approx_kl"), bits(&*learner))
         };
-        let update = |epochs, target_kl| update_at(epochs, target_kl, 0.0);
         // By default all passes are made. The divergence of each one follows from the means over
         // all passes.
         let whole: Vec<_> = (1..=PASSES).map(|passes| update(passes, 0.0)).collect();
@@ -354,8 +347,6 @@ fn a_policy_that_moves_too_far_ends_its_update() {
             assert_eq!(whole[passes - 1].0, passes as f64, "{name}");
             assert_eq!(update(PASSES, target), whole[passes - 1], "{name}: {moved:?}, {target}");
         }
-        // Early stopping is off while the imitation loss is active.
-        assert_eq!(update_at(PASSES, 1e-9, 0.1), update_at(PASSES, 0.0, 0.1), "{name}");
     }
 }
 
@@ -493,8 +484,7 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let correlated = !rollout.carried.is_empty();
         let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
         let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
-        let (action, graph, carried, log_fresh) =
-            (&eps, &graph, &carried, &Tensor::from(fresh).to_kind(Kind::Float).view([1]));
+        let (action, graph, carried, log_fresh) = (&eps, &graph, &carried, fresh);
         let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
@@ -620,41 +610,6 @@ fn symbols_tell_of_actions_within_their_bounds() {
             "{name} {encoder:?}: it tells of actions"
         );
     });
-}
-
-/// With all weight on imitation, policies learn the actions of pure pursuit, and rewards have no
-/// effect.
-#[test]
-fn pursuit_is_imitated() {
-    for name in algo::NAMES {
-        if !algo::capabilities(name).expect("known").on_policy {
-            continue;
-        }
-        let taught = |reward: f32| {
-            let mut learner =
-                algo::build(name, &spec(4), &small(EncoderKind::Mlp), Seed::new(1), Device::Cpu)
-                    .unwrap();
-            let mut rollout = random_rollout(&*learner, 4, 3);
-            rollout.pursuit = vec![-0.4; rollout.action.len()];
-            rollout.reward.iter_mut().for_each(|earned| *earned *= reward);
-            let pace =
-                Pace { learning_rate: 1e-2, log_std: 0.0, gamma: 0.99, imitation: 1.0, growth: 1 };
-            for update in 0..12 {
-                learner.update(&rollout, &pace, Seed::new(update)).expect("finite");
-            }
-            act(
-                &*learner,
-                &noise(1, &[1, 4, 4]),
-                &Tensor::ones([1, 4, 4], (Kind::Float, Device::Cpu)),
-            )
-        };
-        let actions = taught(1.0);
-        assert!(actions.iter().all(|action| (action[0] + 0.4).abs() < 0.15), "{name}: {actions:?}");
-        let far = |a: &[Vec<f32>], b: &[Vec<f32>]| {
-            a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).abs()).fold(0.0, f32::max)
-        };
-        assert!(far(&actions, &taught(-3.0)) < 0.1, "{name}: rewards matter");
-    }
 }
 
 /// A perfect channel changes nothing, a channel that loses every message leaves each agent with its
@@ -941,9 +896,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
-            let offset = Tensor::zeros([e as i64, 1, 1], (Kind::Float, Device::Cpu));
-            let (action, carried, graph, log_fresh) =
-                (&shaped(&eps, 1), &nothing(), &graph, &offset);
+            let (action, carried, graph, log_fresh) = (&shaped(&eps, 1), &nothing(), &graph, 0.0);
             let decision =
                 learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
             let numbers =
@@ -965,7 +918,6 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
             log_std: -0.5 - share,
             gamma: 0.99,
-            imitation: 0.0,
             growth: 1,
         };
         learner.update(&rollout, &pace, Seed::new(3).index(update)).expect("finite");
@@ -1092,8 +1044,7 @@ fn values_do_not_feed_on_their_own_normalisation() {
         rollout.active.fill(1.0);
         rollout.comm.fill(1.0);
         rollout.terminated.fill(0.0);
-        let pace =
-            Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, imitation: 0.0, growth: 1 };
+        let pace = Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, growth: 1 };
         let input = observation(
             &*learner,
             noise(4, &[1, 2, 4]),

@@ -31,17 +31,12 @@ pub(super) struct Batch {
     pub(super) value_graph: Tensor,
     /// Actions as sampled, not clipped, `[T · E, N, A]`.
     pub(super) action: Tensor,
-    /// Actions of the teacher, pure pursuit of the route, `[T · E, N, A]`; empty where the policy
-    /// does not imitate it.
-    pub(super) pursuit: Tensor,
-    /// Weight of imitating `pursuit` in the policy's loss, 0 to 1.
-    pub(super) imitation: f64,
     /// Log-probability of each dimension of the action, `[T · E, N, A]`.
     pub(super) log_prob: Tensor,
     /// Shift of the means by noise of earlier steps, in units of the scheduled standard deviation,
     /// `[T · E, N, A]`; empty where noise is independent from step to step.
     pub(super) carried: Tensor,
-    /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, A]`.
+    /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, 1]`.
     pub(super) log_fresh: Tensor,
     /// Advantages, normalised over the active samples, `[T · E, N]`.
     pub(super) advantage: Tensor,
@@ -63,7 +58,7 @@ impl Batch {
         let start = tensor(&rollout.start, &[closed, 1]);
         let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
-        let per_step = [s.steps as i64, 1, s.actions as i64];
+        let per_step = [s.steps as i64, 1, 1];
         let fresh = if rollout.log_fresh.is_empty() {
             Tensor::zeros(per_step, (Kind::Float, device))
         } else {
@@ -81,14 +76,11 @@ impl Batch {
             policy_graph: tensor(&rollout.graph_noise, &policy_graph),
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
-            pursuit: tensor(&rollout.pursuit, &[-1, n, s.actions as i64]),
-            imitation: 0.0,
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
             carried: tensor(&rollout.carried, &[-1, n, s.actions as i64]),
             log_fresh: fresh
-                .expand([s.steps as i64, s.envs as i64, s.actions as i64], false)
-                .reshape([rows, 1, s.actions as i64])
-                .expand([rows, n, s.actions as i64], false),
+                .expand([s.steps as i64, s.envs as i64, n], false)
+                .reshape([rows, n, 1]),
             advantage: empty(),
             returns: empty(),
             value: empty(),
@@ -164,8 +156,6 @@ impl Batch {
             policy_graph: change(&self.policy_graph),
             value_graph: change(&self.value_graph),
             action: change(&self.action),
-            pursuit: change(&self.pursuit),
-            imitation: self.imitation,
             log_prob: change(&self.log_prob),
             carried: change(&self.carried),
             log_fresh: change(&self.log_fresh),

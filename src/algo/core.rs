@@ -353,7 +353,6 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
-        batch.imitation = pace.imitation;
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
@@ -395,9 +394,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             passes += 1;
             let moved = pass.mean(APPROX_KL);
             means.merge(pass);
-            // Early stopping is off while the imitation loss is active: its updates exceed
-            // `target_kl` by design.
-            if ppo.target_kl > 0.0 && moved > ppo.target_kl && pace.imitation == 0.0 {
+            if ppo.target_kl > 0.0 && moved > ppo.target_kl {
                 break;
             }
         }
@@ -465,10 +462,9 @@ pub(super) fn act_on(
         let decision = match mode {
             ActMode::Deterministic => act(&input, mode),
             ActMode::Sample { action, carried, graph, log_fresh } => {
-                let [action, carried, graph, log_fresh] =
-                    [action, carried, graph, log_fresh].map(|t| there(t));
-                let (action, carried, graph, log_fresh) = (&action, &carried, &graph, &log_fresh);
-                act(&input, &ActMode::Sample { action, carried, graph, log_fresh })
+                let [action, carried, graph] = [action, carried, graph].map(|t| there(t));
+                let (action, carried, graph) = (&action, &carried, &graph);
+                act(&input, &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh })
             }
         };
         decision.map(|tensor| tensor.to_device(Device::Cpu))

@@ -152,10 +152,6 @@ impl PolicyTerms {
         let advantage = shard.active(&batch.advantage);
         let policy =
             ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip);
-        let imitation = (batch.imitation > 0.0).then(|| {
-            let error = (&mean - shard.active(&batch.pursuit)) / head.log_std.detach().exp();
-            error.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
-        });
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
@@ -163,14 +159,8 @@ impl PolicyTerms {
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
             ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
         });
-        let earned =
+        let loss =
             &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
-        // The imitation loss is the negative log-probability of the teacher's action, up to a
-        // constant.
-        let loss = match imitation {
-            Some(imitation) => earned * (1.0 - batch.imitation) + imitation * batch.imitation,
-            None => earned,
-        };
         Self { loss, policy, entropy, approx_kl, clip_fraction }
     }
 

@@ -210,9 +210,9 @@ pub enum ActMode<'a> {
         /// Noise of G graphs side by side, standard logistic times the noise scale,
         /// `[E, N, G · N]`; empty for policies without a graph.
         graph: &'a Tensor,
-        /// Logarithm of the share of the standard deviation that is drawn anew, `[A]` or `[1]`; 0
-        /// where noise is independent from step to step.
-        log_fresh: &'a Tensor,
+        /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
+        /// independent from step to step.
+        log_fresh: f64,
     },
 }
 
@@ -280,9 +280,6 @@ pub struct Pace {
     pub log_std: f64,
     /// Discount per step.
     pub gamma: f64,
-    /// Weight of imitating the rollout's teacher in the policy's loss, 0 to 1. The loss of proximal
-    /// policy optimisation has the rest of the weight.
-    pub imitation: f64,
     /// Factor on the number of samples per minibatch.
     pub growth: usize,
 }

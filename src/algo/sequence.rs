@@ -160,7 +160,10 @@ impl Sequence {
                     let carried =
                         if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
                     let (action, carried) = (&of(action), &carried);
-                    self.head.sample(&read, &ActMode::Sample { action, carried, graph, log_fresh })
+                    self.head.sample(
+                        &read,
+                        &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh },
+                    )
                 }
             };
             last = action.where_self(&of(&order.present).unsqueeze(-1), &last);

@@ -119,9 +119,8 @@ pub struct Ppo {
     /// Largest number of passes over a rollout.
     pub epochs: usize,
     /// Limit of a pass's mean approximate KL divergence from the policy that acted: a pass above
-    /// the limit is the last one over its rollout; 0: no limit. Early stopping is off while the
-    /// imitation loss is active. It serves policies whose steps are too large at the common
-    /// learning rate.
+    /// the limit is the last one over its rollout; 0: no limit. It serves policies whose steps are
+    /// too large at the common learning rate.
     pub target_kl: f64,
     /// Samples (agent × step) per minibatch; by default half as many for off-policy methods.
     /// Smaller minibatches give more gradient steps.

@@ -35,14 +35,11 @@ impl Config {
         let scaled = |length: u64| length * 8 / u64::from(agents.clamp(4, 48));
         let at_least_half = |length: u64| scaled(length).max(length / 2);
         let envs = train.envs as u64;
-        // Imitation teaches a vehicle to stay on the road; when to wait, it must learn from
-        // rewards.
         let steers = scenario.control.steering.is_some();
         // A few vehicles that do not steer can start in many ways: with rollouts of half the size,
         // policies converged too early to careful driving.
         let few = agents < 8 && !steers;
         let on_policy = algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
-        let imitates = steers && !trained && on_policy;
         let train = Train {
             growth: if steers && on_policy { 4 } else { train.growth },
             envs: if few {
@@ -55,15 +52,14 @@ impl Config {
             // Throughput rises as long as annealing lasts, so annealing is not shortened further
             // (docs/lab/decision-process.md).
             anneal_steps: at_least_half(if steers { 300_000 } else { train.anneal_steps }),
-            imitate_steps: if imitates { 60_000 } else { train.imitate_steps },
             // Vehicles that steer exceed this success only once there is less noise.
             anneal_success: if steers { 0.9 } else { train.anneal_success },
             ..train
         };
         let exploration = settings::Exploration {
-            // On many routes, each conflict is rare. Correlated noise makes one vehicle wait for
-            // another more often, and exploration takes longer (docs/lab/0.1.0.md).
-            correlation: if steers { 0.8 } else { exploration.correlation },
+            // A turn takes a second or two of steering to one side, which noise that is independent
+            // from step to step never does (docs/lab/decision-process.md).
+            correlation: if steers { 0.95 } else { exploration.correlation },
             // The correlation fades because agents must learn to do without it. Off-policy methods
             // get worse as it fades (docs/lab/0.1.0.md).
             correlation_steps: if steers && on_policy {

@@ -67,12 +67,11 @@ impl Config {
     ///   and `train.validation_episodes` × 8/N, but at least a quarter; `steps` and
     ///   `exploration.explore_steps` × 8/N below 8 agents; `train.envs` 256/N, but at least 8, and
     ///   16 from 8 to 16 agents.
-    /// - Vehicles that steer: imitation (`train.imitate_steps`, not with `init_from`); correlated
-    ///   noise (`exploration.correlation`); twice the `exploration.explore_steps`, and then larger
+    /// - Vehicles that steer: correlated noise (`exploration.correlation`); twice the `exploration.explore_steps`, and then larger
     ///   batches (`train.growth`) and a higher discount (`ppo.gamma_explored`); four times the
     ///   `steps`; more `train.anneal_steps`; `train.anneal_success` 0.9; `train.envs` 128/N below 8
     ///   agents.
-    /// - Off-policy methods: half the `ppo.minibatch`; no `train.imitate_steps` and `train.growth`;
+    /// - Off-policy methods: half the `ppo.minibatch`; no `train.growth`;
     ///   correlation until annealing begins.
     /// - Methods with a team's return: no `env.cooperation`.
     /// - `init_from`: exploration begins at `exploration.log_std_explore`.
@@ -457,18 +456,9 @@ mod tests {
     }
 
     #[test]
-    fn vehicles_that_steer_begin_by_imitating() {
-        let teaches =
-            |sets: &[&str]| resolve_on("parking_lot", "", sets).unwrap().train.imitate_steps;
-        assert_eq!(resolve("", &[]).unwrap().train.imitate_steps, 0);
-        assert!(teaches(&[]) > 0);
-        assert_eq!(teaches(&["init_from=runs/any"]), 0, "a trained policy can drive");
-        assert_eq!(teaches(&["algorithm=maddpg"]), 0);
-        let refused = resolve_on("parking_lot", "", &["algorithm=maddpg", "train.imitate_steps=5"])
-            .expect_err("replays");
-        assert!(refused.to_string().contains("train.imitate_steps"), "{refused}");
+    fn vehicles_that_steer_have_defaults_of_their_own() {
         let five = resolve_on("parking_lot", "", &[]).unwrap();
-        assert_eq!((five.exploration.correlation, five.train.envs), (0.8, 25));
+        assert_eq!((five.exploration.correlation, five.train.envs), (0.95, 25));
         let lasts = |sets: &[&str]| {
             resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps
         };

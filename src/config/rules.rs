@@ -48,17 +48,6 @@ impl Config {
                 "1 to 100000",
             ),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
-            (&["train.imitate_steps"], t.imitate_steps <= 1 << 50, "0 to 2^50"),
-            (
-                &["train.imitate_speed"],
-                (0.1..=100.0).contains(&t.imitate_speed),
-                "0.1 to 100 (m/s)",
-            ),
-            (
-                &["train.imitate_steps", "algorithm"],
-                t.imitate_steps == 0 || able.is_none_or(|able| able.on_policy),
-                "0 with MADDPG, which learns from replayed steps",
-            ),
             (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),

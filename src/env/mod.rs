@@ -72,15 +72,12 @@ pub struct ActionDimension {
     pub initial_mean: f32,
     /// Factor on the scheduled standard deviation of the exploration noise.
     pub noise_scale: f32,
-    /// Whether the noise may be correlated from step to step.
-    pub correlated: bool,
 }
 
 impl ActionDimension {
-    /// Returns a dimension with an initial mean of 0 and the scheduled noise, which may be
-    /// correlated.
+    /// Returns a dimension with an initial mean of 0 and the scheduled noise.
     pub const fn named(name: &'static str) -> Self {
-        Self { name, initial_mean: 0.0, noise_scale: 1.0, correlated: true }
+        Self { name, initial_mean: 0.0, noise_scale: 1.0 }
     }
 }
 

@@ -358,12 +358,9 @@ impl Task {
 /// brake.
 ///
 /// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
-/// with a mean throttle of 0 hardly moves under noise. Steering has less noise than the throttle,
-/// since staying on the road needs more precise actions than choosing a speed. Its noise is
-/// independent from step to step, because a wheel that is held wrong for long leads off the road.
+/// with a mean throttle of 0 hardly moves under noise.
 fn actions(control: &Control) -> Vec<ActionDimension> {
-    let steer =
-        ActionDimension { noise_scale: 0.37, correlated: false, ..ActionDimension::named("steer") };
+    let steer = ActionDimension::named("steer");
     let throttle = ActionDimension {
         initial_mean: control.initial_throttle as f32,
         ..ActionDimension::named("throttle")

@@ -334,10 +334,7 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
         let program: Program = serde_json::from_value(found["program"].clone()).unwrap_or_default();
         add(&mut programs, format!("iwol {} with SUMO {}", program.describe(), program.sumo));
     }
-    document.text(format!(
-        "Restarts: how often training began again with new weights. Evaluated by {}.",
-        programs.join("; ")
-    ));
+    document.text(format!("Evaluated by {}.", programs.join("; ")));
 }
 
 /// Returns the results of the cell with this id, or of all cells if the id is empty.

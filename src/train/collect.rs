@@ -6,7 +6,7 @@ use super::noise::CorrelatedNoise;
 use super::{Error, Trainer, schedule, timed};
 use crate::algo::settings::NoiseMode;
 use crate::algo::{ActMode, Observation};
-use crate::env::{Pursuit, VecEnv};
+use crate::env::VecEnv;
 use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
 
@@ -22,42 +22,29 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // The noise starts anew in each iteration: it depends on the iteration's number alone.
         let correlation = schedule::correlation(&self.config, &self.progress);
-        let mut noise =
-            CorrelatedNoise::new(s.envs * s.agents, &self.task.spec.actions, correlation);
+        let mut noise = CorrelatedNoise::new(s.envs * s.agents * s.actions, correlation);
         let correlated = noise.is_correlated();
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
-        self.rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
+        self.rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
         let schedule =
             if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
-        let imitates = schedule::pace(&self.config, &self.progress).imitation > 0.0;
-        self.rollout.pursuit.resize(if imitates { self.rollout.action.len() } else { 0 }, 0.0);
-        let pursuit = Pursuit { speed: self.config.train.imitate_speed, gives_way: false };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
                 store_frames(&self.env, &self.memory, &mut self.rollout, t)
             });
-            if imitates {
-                let shown = &mut self.rollout.pursuit[self.rollout.action.len() / s.steps * t..];
-                let worlds = self.env.worlds().zip(shown.chunks_mut(s.agents * s.actions));
-                timed(&mut self.timers.act, || {
-                    worlds.for_each(|(world, shown)| world.pursue(pursuit, shown))
-                });
-            }
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 noise.advance(&mut rng);
-                let (mut carried, mut log_fresh) =
-                    (Tensor::zeros([0], FLOAT), Tensor::zeros([1], FLOAT));
+                let mut carried = Tensor::zeros([0], FLOAT);
                 if correlated {
                     let actions = self.rollout.at(t, s.actions);
                     self.rollout.carried[actions].copy_from_slice(noise.carried());
-                    self.rollout.log_fresh[t * s.actions..(t + 1) * s.actions]
-                        .copy_from_slice(noise.log_fresh());
+                    self.rollout.log_fresh[t] = noise.log_fresh();
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
-                    log_fresh = Tensor::from_slice(noise.log_fresh());
                 }
+                let log_fresh = f64::from(noise.log_fresh());
                 let graph = if s.graphs > 0 {
                     if self.learner.graph_lasts() {
                         rng = seed.child("graph").rng();
@@ -79,7 +66,7 @@ impl Trainer {
                     start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
                     memory: self.memory.shallow_clone(),
                 };
-                let (action, carried, graph, log_fresh) = (&action, &carried, &graph, &log_fresh);
+                let (action, carried, graph) = (&action, &carried, &graph);
                 self.learner
                     .act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
             });
@@ -196,15 +183,10 @@ mod tests {
             ]
             .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
             for (k, found) in log_prob.iter().enumerate() {
-                let steers = k % 2 == 0;
-                let scheduled = log_std + if steers { f64::from(0.37_f32.ln()) } else { 0.0 };
-                let kept = if steers || t == 0 { 0.0 } else { correlation };
-                let deviation = scheduled.exp() * (1.0 - kept * kept).sqrt();
-                let expected = f64::from(mean[k]) + scheduled.exp() * f64::from(carried[k]);
-                assert!(
-                    !(steers || t == 0) || carried[k] == 0.0,
-                    "only throttle and brake have lasting noise"
-                );
+                let kept = if t == 0 { 0.0 } else { correlation };
+                let deviation = log_std.exp() * (1.0 - kept * kept).sqrt();
+                let expected = f64::from(mean[k]) + log_std.exp() * f64::from(carried[k]);
+                assert_eq!(carried[k] == 0.0, t == 0, "noise lasts in every dimension");
                 let z = (f64::from(action[k]) - expected) / deviation;
                 let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
                 assert!(

@@ -1,77 +1,65 @@
 //! Exploration noise that is correlated in time.
 
-use crate::env::ActionDimension;
 use crate::rng::{self, Rng};
 
 /// The noise of a rollout's actions: a first-order autoregressive process with variance 1 in every
-/// dimension that may be correlated, and independent from step to step in the others.
+/// dimension of every agent's action.
 ///
 /// Given the noise of the step before, the noise of a step is Gaussian. Its mean is the part that
 /// is [`carried`](Self::carried) over, its standard deviation the share that is drawn anew.
 /// Probabilities of actions are those of this distribution, so that the policy gradient is that of
 /// the policy that acts.
 pub(super) struct CorrelatedNoise {
-    /// Correlation of each dimension of the action, from 0 to below 1.
-    correlation: Vec<f32>,
-    /// Noise of the last step, `[agents, A]`.
+    /// Correlation with the step before, from 0 to below 1.
+    correlation: f32,
+    /// Noise of the last step.
     values: Vec<f32>,
     drawn: Vec<f32>,
     carried: Vec<f32>,
-    log_fresh: Vec<f32>,
+    log_fresh: f32,
     begun: bool,
 }
 
 impl CorrelatedNoise {
-    /// Creates the noise of `agents` agents with actions of the given dimensions; `correlation` is
-    /// from 0 to below 1.
-    pub(super) fn new(agents: usize, actions: &[ActionDimension], correlation: f32) -> Self {
-        let count = agents * actions.len();
-        let of = |action: &ActionDimension| if action.correlated { correlation } else { 0.0 };
-        Self {
-            correlation: actions.iter().map(of).collect(),
-            values: vec![0.0; count],
-            drawn: vec![0.0; count],
-            carried: vec![0.0; count],
-            log_fresh: vec![0.0; actions.len()],
-            begun: false,
-        }
+    /// Creates the noise of `count` numbers; `correlation` is from 0 to below 1.
+    pub(super) fn new(count: usize, correlation: f32) -> Self {
+        let zeros = || vec![0.0; count];
+        let (values, drawn, carried) = (zeros(), zeros(), zeros());
+        Self { correlation, values, drawn, carried, log_fresh: 0.0, begun: false }
     }
 
-    /// Returns whether any dimension is correlated.
+    /// Returns whether the noise is correlated from step to step.
     pub(super) fn is_correlated(&self) -> bool {
-        self.correlation.iter().any(|&correlation| correlation > 0.0)
+        self.correlation > 0.0
     }
 
     /// Draws the next step's noise. The result depends only on `rng` and on the earlier steps.
     pub(super) fn advance(&mut self, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.drawn);
-        let a = self.correlation.len();
-        for (k, &correlation) in self.correlation.iter().enumerate() {
-            // The first step has no step before it, but its noise has the same variance.
-            let kept = if self.begun { correlation } else { 0.0 };
-            let fresh = (1.0 - kept * kept).sqrt();
-            self.log_fresh[k] = fresh.ln();
-            for i in (k..self.values.len()).step_by(a) {
-                self.carried[i] = kept * self.values[i];
-                self.values[i] = self.carried[i] + fresh * self.drawn[i];
-            }
+        // The first step has no step before it, but its noise has the same variance.
+        let kept = if self.begun { self.correlation } else { 0.0 };
+        let fresh = (1.0 - kept * kept).sqrt();
+        self.log_fresh = fresh.ln();
+        for (i, drawn) in self.drawn.iter().enumerate() {
+            self.carried[i] = kept * self.values[i];
+            self.values[i] = self.carried[i] + fresh * drawn;
         }
         self.begun = true;
     }
 
-    /// Returns the standard normal numbers that were drawn for the current step, `[agents, A]`.
+    /// Returns the standard normal numbers that were drawn for the current step.
     pub(super) fn drawn(&self) -> &[f32] {
         &self.drawn
     }
 
-    /// Returns the mean of the current step's noise given the step before, `[agents, A]`.
+    /// Returns the mean of the current step's noise given the step before.
     pub(super) fn carried(&self) -> &[f32] {
         &self.carried
     }
 
-    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers, `[A]`.
-    pub(super) fn log_fresh(&self) -> &[f32] {
-        &self.log_fresh
+    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers.
+    pub(super) fn log_fresh(&self) -> f32 {
+        self.log_fresh
     }
 }
 
@@ -82,38 +70,34 @@ mod tests {
     use super::*;
     use crate::rng::Seed;
 
-    fn dimensions() -> [ActionDimension; 2] {
-        let steer = ActionDimension { correlated: false, ..ActionDimension::named("steer") };
-        [steer, ActionDimension::named("throttle")]
-    }
-
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
         #[test]
-        fn as_strong_at_every_step_and_correlated_as_asked(correlation in 0.0..0.95_f32, seed in 0..u64::MAX) {
+        fn as_strong_at_every_step_and_correlated_as_asked(
+            correlation in 0.0..0.95_f32,
+            seed in 0..u64::MAX,
+        ) {
             const COUNT: usize = 20_000;
             let mut rng = Seed::new(seed).rng();
-            let mut noise = CorrelatedNoise::new(COUNT, &dimensions(), correlation);
+            let mut noise = CorrelatedNoise::new(COUNT, correlation);
             let whole = |noise: &CorrelatedNoise| {
-                let fresh = |i: usize| noise.log_fresh()[i % 2].exp();
-                (0..2 * COUNT).map(|i| noise.carried()[i] + fresh(i) * noise.drawn()[i]).collect::<Vec<_>>()
+                let fresh = noise.log_fresh().exp();
+                let parts = noise.carried().iter().zip(noise.drawn());
+                parts.map(|(carried, drawn)| carried + fresh * drawn).collect::<Vec<_>>()
             };
             noise.advance(&mut rng);
             let mut before = whole(&noise);
             for _ in 0..4 {
                 noise.advance(&mut rng);
                 let now = whole(&noise);
-                // Dimension 0 is steering, dimension 1 is throttle.
-                for (action, correlation) in [0.0, correlation].into_iter().enumerate() {
-                    let mean = |of: &dyn Fn(usize) -> f32| {
-                        (0..COUNT).map(|i| f64::from(of(2 * i + action))).sum::<f64>() / COUNT as f64
-                    };
-                    let (first, square) = (mean(&|i| now[i]), mean(&|i| now[i] * now[i]));
-                    let product = mean(&|i| now[i] * before[i]);
-                    // The bounds are at least six standard errors.
-                    prop_assert!(first.abs() < 0.05 && (square - 1.0).abs() < 0.07, "{first} {square}");
-                    prop_assert!((product - f64::from(correlation)).abs() < 0.07, "{product}");
-                }
+                let mean = |of: &dyn Fn(usize) -> f32| {
+                    (0..COUNT).map(|i| f64::from(of(i))).sum::<f64>() / COUNT as f64
+                };
+                let (first, square) = (mean(&|i| now[i]), mean(&|i| now[i] * now[i]));
+                let product = mean(&|i| now[i] * before[i]);
+                // The bounds are at least six standard errors.
+                prop_assert!(first.abs() < 0.05 && (square - 1.0).abs() < 0.07, "{first} {square}");
+                prop_assert!((product - f64::from(correlation)).abs() < 0.07, "{product}");
                 before = now;
             }
         }
@@ -123,13 +107,13 @@ mod tests {
     fn without_correlation_it_is_what_is_drawn() {
         let mut drawn = vec![0.0; 7];
         let (mut rng, mut same) = (Seed::new(3).rng(), Seed::new(3).rng());
-        let mut noise = CorrelatedNoise::new(7, &[ActionDimension::named("throttle")], 0.0);
+        let mut noise = CorrelatedNoise::new(7, 0.0);
         assert!(!noise.is_correlated());
         for _ in 0..3 {
             rng::fill_normal(&mut same, &mut drawn);
             noise.advance(&mut rng);
             assert_eq!(noise.drawn(), drawn);
-            assert!(noise.carried().iter().chain(noise.log_fresh()).all(|&x| x == 0.0));
+            assert!(noise.carried().iter().all(|&x| x == 0.0) && noise.log_fresh() == 0.0);
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::algo::settings::NoiseMode;
 use crate::checkpoint::Progress;
 use crate::config::Config;
 
-/// Returns the parameters of the next update: learning rate, noise, imitation weight, discount and
+/// Returns the parameters of the next update: learning rate, noise, discount and
 /// batch growth.
 pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     let (noise, ppo) = (&config.exploration, &config.ppo);
@@ -30,7 +30,6 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     Pace {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
         log_std,
-        imitation: fading(config.train.imitate_steps, progress),
         gamma: if explored && ppo.gamma_explored > 0.0 { ppo.gamma_explored } else { ppo.gamma },
         growth: if explored { config.train.growth } else { 1 },
     }
@@ -143,17 +142,6 @@ mod tests {
             (0.9, 200, 50);
         (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
         config
-    }
-
-    #[test]
-    fn imitation_fades() {
-        let mut config = config();
-        let at = |config: &Config, step| {
-            pace(config, &Progress { step, ..Progress::default() }).imitation
-        };
-        assert_eq!(at(&config, 0), 0.0, "by default nobody is imitated");
-        config.train.imitate_steps = 200;
-        assert_eq!([0, 50, 200, 800].map(|step| at(&config, step)), [1.0, 0.75, 0.0, 0.0]);
     }
 
     #[test]

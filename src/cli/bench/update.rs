@@ -120,7 +120,6 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
         learning_rate: config.ppo.learning_rate,
         log_std: 0.0,
         gamma: config.ppo.gamma,
-        imitation: 0.0,
         growth: 1,
     };
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
