@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use iwol_sumo::algo::{self, ActMode, Observation, Pace, Settings};
+use iwol_sumo::algo::{self, ActMode, Observation, Settings, UpdateParameters};
 use iwol_sumo::env::{Driver, Pose, Task, VecEnv, VecOptions, World, boxes_overlap, physical_mask};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -178,7 +178,8 @@ fn update(c: &mut Criterion) {
     let task = task(8);
     let mut group = c.benchmark_group("update");
     group.sample_size(10);
-    let pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, growth: 1 };
+    let parameters =
+        UpdateParameters { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, batch_growth: 1 };
     for name in algo::NAMES {
         let mut learner =
             algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)
@@ -200,7 +201,9 @@ fn update(c: &mut Criterion) {
         rollout.comm.fill(1.0);
         group.throughput(Throughput::Elements((sizes.steps * sizes.envs) as u64));
         group.bench_function(name, |b| {
-            b.iter(|| learner.update(black_box(&rollout), &pace, Seed::new(3)).expect("finite"));
+            b.iter(|| {
+                learner.update(black_box(&rollout), &parameters, Seed::new(3)).expect("finite")
+            });
         });
     }
     group.finish();

@@ -180,7 +180,7 @@ impl Checkpoint {
             Err(_) => episodes.iter().map(after).collect(),
         };
         let counters = |p: &Position| {
-            [p.next, p.fresh, p.turn].into_iter().chain(p.failed.iter().copied()).max()
+            [p.next, p.fresh, p.episode_index].into_iter().chain(p.failed.iter().copied()).max()
         };
         if positions.len() != episodes.len()
             || positions.iter().filter_map(counters).any(|n| n > 1 << 60)

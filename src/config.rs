@@ -86,12 +86,12 @@ pub struct Train {
     /// Number E of worlds that are simulated in lock-step.
     pub envs: usize,
     /// Number T of steps per rollout and world.
-    pub segment: usize,
+    pub rollout_steps: usize,
     /// Factor on the steps of a rollout and on the samples of a minibatch once the noise has fallen
     /// to `log_std_explore` (after [`Exploration::explore_steps`](settings::Exploration)). Small
     /// batches are themselves noisy and can make the performance of a nearly successful policy
     /// collapse. 1: no change.
-    pub growth: usize,
+    pub batch_growth: usize,
     /// Least number of agents in an episode. Each episode of training and validation has a random
     /// number of agents, from this one to `agents`, on the same net, so that the policy learns to
     /// drive among any number. 0: always all agents.
@@ -99,7 +99,7 @@ pub struct Train {
     /// Probability that a world repeats a failed training episode instead of playing the next one.
     /// A world remembers the last 16 episodes that failed when last played, so that rare failures
     /// are trained on more often. 0: never.
-    pub replay_failed: f64,
+    pub repeat_failed: f64,
     /// Whether the value of the last observation stands for the rewards after the horizon, as if
     /// episodes went on. Otherwise the horizon is a deadline: an agent that has not arrived by then
     /// earns nothing more.
@@ -128,10 +128,10 @@ impl Default for Train {
     fn default() -> Self {
         Self {
             envs: 16,
-            segment: 128,
-            growth: 1,
+            rollout_steps: 128,
+            batch_growth: 1,
             fewest_agents: 0,
-            replay_failed: 0.5,
+            repeat_failed: 0.5,
             bootstrap_horizon: false,
             validate_every: 16_384,
             validation_episodes: 64,
@@ -196,7 +196,7 @@ pub struct Env {
     pub foresight: f64,
     /// Distance to the first conflict of its route at which a vehicle gets its priority, first
     /// come, first served; encounters contain the priorities \[m\]. 0: not observed.
-    pub turns: f64,
+    pub priority_distance: f64,
     /// Distance up to which an agent observes how close its sides are to the lines of the road that
     /// it must not touch \[m\]; 0: not observed.
     pub borders: f64,
@@ -245,7 +245,7 @@ impl Env {
             stream_vehicles: seen.stream_vehicles,
             encounters: seen.encounters,
             foresight: seen.foresight,
-            turns: seen.turns,
+            priority_distance: seen.priority_distance,
             borders: seen.borders,
             lidar_beams: seen.lidar.beams,
             lidar_range: seen.lidar.range,
@@ -276,7 +276,7 @@ impl Env {
         seen.stream_vehicles = self.stream_vehicles;
         seen.encounters = self.encounters;
         seen.foresight = self.foresight;
-        seen.turns = self.turns;
+        seen.priority_distance = self.priority_distance;
         seen.borders = self.borders;
         seen.lidar = Lidar { beams: self.lidar_beams, range: self.lidar_range };
         scenario.communication.range = self.communication_range;

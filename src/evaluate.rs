@@ -13,11 +13,12 @@ use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Insight, Observation};
+use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation};
 use crate::env::{
-    self, Audit, Driver, EpisodeRecord, Failures, Frame, Others, Pursuit, Task, VecEnv, VecOptions,
+    self, Audit, BackgroundMetrics, Driver, EpisodeRecord, Failures, Frame, Pursuit, Task, VecEnv,
+    VecOptions,
 };
-use crate::replay::{Recorder, Thoughts};
+use crate::replay::{RecordedDiagnostics, Recorder};
 use crate::rng::{self, Seed};
 use crate::stats::Estimate;
 use crate::sumo::Hosting;
@@ -128,7 +129,7 @@ pub struct Metrics {
     pub failures: Failures,
     /// Effects on background traffic and pedestrians; `None` in tasks without them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub others: Option<OthersMetrics>,
+    pub others: Option<BackgroundSummary>,
     /// How well the policy's latent predicts its targets; empty for policies without a latent.
     pub reconstruction: Vec<Knowledge>,
 }
@@ -154,11 +155,11 @@ impl KmPerCrash {
     }
 }
 
-/// Effects of agents on background traffic and pedestrians; see [`env::Others`] for the
+/// Effects of agents on background traffic and pedestrians; see [`env::BackgroundMetrics`] for the
 /// definitions. Shares and means are over the episodes that contain vehicles, or pedestrians;
 /// `None` without such episodes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct OthersMetrics {
+pub struct BackgroundSummary {
     /// Number of background vehicles in an episode.
     pub vehicles: Estimate,
     /// Share of the vehicles that collided with an agent or a wreck.
@@ -185,16 +186,17 @@ pub struct OthersMetrics {
     pub pet: Option<Estimate>,
 }
 
-impl OthersMetrics {
+impl BackgroundSummary {
     fn of(episodes: &[EpisodeRecord]) -> Option<Self> {
-        type Of = fn(&Others) -> f64;
-        let all: Vec<Others> = episodes.iter().filter_map(|record| record.others).collect();
-        let column = |any: fn(&Others) -> bool, of: Of| {
+        type Of = fn(&BackgroundMetrics) -> f64;
+        let all: Vec<BackgroundMetrics> =
+            episodes.iter().filter_map(|record| record.others).collect();
+        let column = |any: fn(&BackgroundMetrics) -> bool, of: Of| {
             all.iter().filter(|o| any(o)).map(of).collect::<Vec<_>>()
         };
-        let driven: fn(&Others) -> bool = |o| o.vehicles > 0;
-        let walked: fn(&Others) -> bool = |o| o.pedestrians > 0;
-        let either: fn(&Others) -> bool = |o| o.vehicles + o.pedestrians > 0;
+        let driven: fn(&BackgroundMetrics) -> bool = |o| o.vehicles > 0;
+        let walked: fn(&BackgroundMetrics) -> bool = |o| o.pedestrians > 0;
+        let either: fn(&BackgroundMetrics) -> bool = |o| o.vehicles + o.pedestrians > 0;
         Some(Self {
             vehicles: Estimate::t(&column(|_| true, |o| f64::from(o.vehicles)))?,
             crash: Estimate::rate(&column(driven, |o| o.crash)),
@@ -237,14 +239,14 @@ impl Evaluation {
                 .episodes
                 .iter()
                 .fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
-            others: OthersMetrics::of(&self.episodes),
+            others: BackgroundSummary::of(&self.episodes),
             reconstruction: self.reconstruction.clone(),
         })
     }
 }
 
 /// The observer of an evaluation: can stop it, and gets its progress and its episodes.
-pub struct Onlooker<'a> {
+pub struct EvaluationObserver<'a> {
     /// Flag that stops the evaluation early; the finished episodes are returned.
     pub stop: &'a AtomicBool,
     /// Function that gets the number of finished episodes, after each step in which episodes end.
@@ -264,9 +266,9 @@ pub fn evaluate(
     episodes: u64,
     seed: Seed,
     hosting: &Hosting,
-    onlooker: Onlooker<'_>,
+    observer: EvaluationObserver<'_>,
 ) -> Result<Evaluation, env::Error> {
-    let Onlooker { stop, report, recorder } = onlooker;
+    let EvaluationObserver { stop, report, recorder } = observer;
     let stage = Stage { task, policy, seed, hosting, stop };
     let mut watch = Watch { knowledge: Sums::default(), recorder };
     let mut records = stage.play(0..episodes, RETRIES, &mut watch, report)?;
@@ -370,7 +372,7 @@ impl Stage<'_> {
         records.retain(|record| !record.interrupted);
         for episode in again {
             if retries == 0 {
-                return Err(env::Error::Doomed { episode, times: RETRIES + 1 });
+                return Err(env::Error::KeepsFailing { episode, times: RETRIES + 1 });
             }
             records.extend(self.play(episode..episode + 1, retries - 1, watch, &mut |_| {})?);
         }
@@ -430,7 +432,7 @@ impl<'a> PolicyDriver<'a> {
             .worlds()
             .enumerate()
             .find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
-        let mut thoughts = Thoughts::default();
+        let mut thoughts = RecordedDiagnostics::default();
         let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
             Policy::Throttle(throttle) => {
@@ -523,12 +525,12 @@ impl<'a> PolicyDriver<'a> {
     }
 }
 
-fn thoughts_of(insight: &Insight, world: i64) -> Thoughts {
+fn thoughts_of(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
     let numbers = |tensor: &Option<Tensor>| {
         let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
         tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
     };
-    Thoughts { value: numbers(&insight.value), graph: numbers(&insight.graph) }
+    RecordedDiagnostics { value: numbers(&diagnostics.value), graph: numbers(&diagnostics.graph) }
 }
 
 /// Returns the randomness of a channel, which depends only on each world's episode and step.

@@ -232,17 +232,17 @@ impl Rollout {
         team.bootstrap_horizon = self.bootstrap_horizon;
         let rows = self.sizes.steps * self.sizes.envs;
         for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
-            let crew = || {
+            let members = || {
                 (0..self.sizes.agents)
                     .filter(|&i| active[i] > 0.0)
                     .map(|i| row * self.sizes.agents + i)
             };
-            let any = crew().next().is_some();
+            let any = members().next().is_some();
             team.active[row] = f32::from(u8::from(any));
             if row < rows && any {
-                team.reward[row] = crew().map(|i| self.reward[i]).sum();
-                let over = crew().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
-                let cut = crew().any(|i| self.truncated[i] > 0.0);
+                team.reward[row] = members().map(|i| self.reward[i]).sum();
+                let over = members().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
+                let cut = members().any(|i| self.truncated[i] > 0.0);
                 team.terminated[row] = f32::from(u8::from(over && !cut));
                 team.truncated[row] = f32::from(u8::from(over && cut));
             }

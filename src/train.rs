@@ -19,11 +19,11 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, Algorithm, Losses, Pace};
+use crate::algo::{self, Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{self, Checkpoint, Progress};
 use crate::config::{self, Config};
 use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
-use crate::evaluate::{Evaluation, Onlooker, Policy, evaluate};
+use crate::evaluate::{Evaluation, EvaluationObserver, Policy, evaluate};
 use crate::record;
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
@@ -34,7 +34,7 @@ pub use run_dir::RunDir;
 
 /// How training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum TrainingEnd {
     /// All steps were done.
     Finished,
     /// Validations reached `train.stop_success`, and annealing is over.
@@ -146,11 +146,11 @@ impl Trainer {
             driver: Driver::Agents,
             seed: seed.child("episodes"),
             episodes: 0..u64::MAX,
-            replay: config.train.replay_failed,
+            replay: config.train.repeat_failed,
             hosting: config.hosting(),
         };
         let sizes = Sizes {
-            steps: config.train.segment,
+            steps: config.train.rollout_steps,
             envs: worlds,
             agents: task.agents,
             observation: task.spec.observation.len(),
@@ -244,11 +244,14 @@ impl Trainer {
         self.collect(seed.child("noise"))?;
         let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
         schedule::advance(&self.config, &mut self.progress, steps);
-        let growth = self.rollout.sizes.steps / self.config.train.segment;
-        let pace = Pace { growth, ..schedule::pace(&self.config, &self.progress) };
+        let batch_growth = self.rollout.sizes.steps / self.config.train.rollout_steps;
+        let parameters = UpdateParameters {
+            batch_growth,
+            ..schedule::update_parameters(&self.config, &self.progress)
+        };
         let learner = &mut self.learner;
         let losses = timed(&mut self.timers.update, || {
-            learner.update(&self.rollout, &pace, seed.child("update"))
+            learner.update(&self.rollout, &parameters, seed.child("update"))
         })?;
         self.progress.iteration += 1;
         self.progress.seconds += begin.elapsed().as_secs_f64();
@@ -257,7 +260,8 @@ impl Trainer {
 
     /// Resizes the rollout to the number of steps that the next iteration takes.
     fn grow(&mut self) {
-        let steps = self.config.train.segment * schedule::pace(&self.config, &self.progress).growth;
+        let steps = self.config.train.rollout_steps
+            * schedule::update_parameters(&self.config, &self.progress).batch_growth;
         if steps != self.rollout.sizes.steps {
             let Rollout { cooperation, bootstrap_horizon, .. } = self.rollout;
             let empty = Rollout::new(Sizes { steps, ..self.rollout.sizes });
@@ -279,7 +283,7 @@ impl Trainer {
             self.seed.child("validation"),
             // The training worlds may use libsumo, which a process can have only once.
             &self.config.hosting().beside(),
-            Onlooker { stop, report: &mut |_| {}, recorder: None },
+            EvaluationObserver { stop, report: &mut |_| {}, recorder: None },
         );
         self.learner.swap_average();
         Ok(evaluation?)
@@ -317,13 +321,13 @@ impl Trainer {
         dir: &RunDir,
         stop: &AtomicBool,
         report: &mut dyn FnMut(&Report),
-    ) -> Result<Outcome, Error> {
+    ) -> Result<TrainingEnd, Error> {
         let mut files =
             Files::open(dir, &self.config, self.progress.step, self.progress.validated)?;
         let mut validation_success = None;
         let outcome = loop {
             if stop.load(Ordering::Relaxed) {
-                break Outcome::Interrupted;
+                break TrainingEnd::Interrupted;
             }
             let done = self.progress.step >= self.config.steps;
             // Depends on the progress alone, so that an interrupted validation is repeated.
@@ -339,10 +343,10 @@ impl Trainer {
                 continue;
             }
             if schedule::solved(&self.config, &self.progress) {
-                break Outcome::Solved;
+                break TrainingEnd::Solved;
             }
             if done {
-                break Outcome::Finished;
+                break TrainingEnd::Finished;
             }
             let before = (self.progress.step, self.progress.seconds);
             self.timers = Timers::default();
@@ -407,7 +411,7 @@ impl Trainer {
 /// Refuses to resume a run with settings under which its worlds cannot be restored.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
     const ONCE: [&str; 6] =
-        ["algorithm", "agents", "seed", "train.envs", "train.segment", "train.fewest_agents"];
+        ["algorithm", "agents", "seed", "train.envs", "train.rollout_steps", "train.fewest_agents"];
     let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
     let changed = config::changes(&stored.config, &config.to_toml());
     changed

@@ -10,7 +10,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
 use iwol_sumo::env::{Driver, Task, World};
-use iwol_sumo::evaluate::{Onlooker, Policy, evaluate};
+use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Error, Map, Sizes, State, Template, build, create, import};
@@ -104,9 +104,9 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
             Scenario::load(&create(folder.path(), "site", template, &SIZES).unwrap()).unwrap();
         let task = Arc::new(Task::new(&scenario, 8).unwrap());
         let success = |task: &Arc<Task>, policy| {
-            let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
+            let observer = EvaluationObserver { stop: &stop, report: &mut |_| {}, recorder: None };
             let played =
-                evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+                evaluate(task, &policy, 8, Seed::new(0), &Hosting::default(), observer).unwrap();
             played.metrics().unwrap().success.mean
         };
         // `iwol scenario check` warns if full throttle does no harm in any episode.
@@ -373,11 +373,11 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:117:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
+    site.xml:117:20: warning: with a range of 500 m every vehicle scope every other: the largest net is 122 m across
       hint: make the range shorter if it is to matter who is near whom
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:117:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
+    site.xml:117:20: warning: with a range of 5 m no vehicle scope the next one in its row, 8 m away
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use iwol_sumo::env::{Motion, Pose, Task};
-use iwol_sumo::evaluate::{Evaluation, Metrics, Onlooker, Policy, evaluate};
+use iwol_sumo::evaluate::{Evaluation, EvaluationObserver, Metrics, Policy, evaluate};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::Hosting;
@@ -27,7 +27,7 @@ fn play_on(path: &Path, policy: &Policy<'_>, agents: u32, episodes: u64) -> (Eva
         episodes,
         seed,
         &Hosting::default(),
-        Onlooker { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None },
+        EvaluationObserver { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None },
     )
     .expect("SUMO runs; else run scripts/bootstrap");
     assert_eq!(evaluation.episodes.len() as u64, episodes);

@@ -103,7 +103,7 @@ fn damaged_checkpoints_are_refused() {
     let run = dir.path().join("run");
     let tiny = [
         "train.envs=2",
-        "train.segment=16",
+        "train.rollout_steps=16",
         "train.validation_episodes=1",
         "network.hidden=8",
         "iwol.rounds=1",
@@ -368,7 +368,7 @@ fn work_goes_on_where_nobody_hears_it() {
         "--set",
         "train.envs=2",
         "--set",
-        "train.segment=16",
+        "train.rollout_steps=16",
         "--set",
         "network.hidden=8",
         "--set",

@@ -7,12 +7,12 @@
 //! gradients, and tighter where stated.
 
 use iwol_sumo::algo::settings::{EncoderKind, Settings};
-use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Pace, ppo};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, UpdateParameters, ppo};
 use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
-    Adam, CommGraph, Decoded, Decoder, Entity, GraphAttention, GraphTransformer, Gru, Init,
-    MaskMode, Mixer, Mlp, Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup,
+    Adam, CommGraph, Decoded, Entity, GraphAttention, GraphTransformer, Gru, Init, MaskMode, Mixer,
+    Mlp, Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, TransformerDecoder,
     ValueNorm, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
@@ -217,7 +217,7 @@ fn transformer_in_both_mask_modes() {
 #[test]
 fn decoder_of_mat() {
     let case = Case::new("decoder");
-    let (params, decoder) = case.network(|path| Decoder::new(path, 2, 8, 1, 2, None));
+    let (params, decoder) = case.network(|path| TransformerDecoder::new(path, 2, 8, 1, 2, None));
     let (previous, rep) = (case.input("previous"), case.input("rep"));
     let reach = Reach::of(&case.get("seen")).causal();
     let out = decoder.forward(&previous, &rep, &reach, &mut Decoded::default());
@@ -238,7 +238,7 @@ fn commformer() {
         let relations = path.create("relations", &[2, 8], Init::Zeros);
         let edges = path.create("edges", &[5, 5], Init::Zeros);
         let block = RelationBlock::new(path.sub("block"), 8, 2);
-        let decoder = Decoder::new(path.sub("decoder"), 1, 8, 1, 2, Some(&relations));
+        let decoder = TransformerDecoder::new(path.sub("decoder"), 1, 8, 1, 2, Some(&relations));
         (edges, relations, block, decoder)
     });
     let x = case.input("x");
@@ -326,8 +326,9 @@ fn maddpg() {
     for (place, there) in numbers("there").into_iter().enumerate() {
         rollout.comm[place * agents + place % agents] = there;
     }
-    let pace = Pace { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, growth: 1 };
-    let losses = learner.update(&rollout, &pace, Seed::new(2)).expect("finite");
+    let parameters =
+        UpdateParameters { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, batch_growth: 1 };
+    let losses = learner.update(&rollout, &parameters, Seed::new(2)).expect("finite");
     let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
     let found =
         names.map(|name| losses.iter().find(|(n, _)| *n == name).expect("reported").1 as f32);

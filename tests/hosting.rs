@@ -286,7 +286,7 @@ fn training_is_the_same_with_either_backend_validations_included() {
                 "--set",
                 "train.envs=4",
                 "--set",
-                "train.segment=32",
+                "train.rollout_steps=32",
                 "--set",
                 "train.validate_every=256",
             ])

@@ -134,7 +134,7 @@ fn train_with(run: &Path, settings: &[&str]) -> std::process::Child {
             "--set",
             "train.envs=2",
             "--set",
-            "train.segment=16",
+            "train.rollout_steps=16",
             "--set",
             "network.hidden=8",
             "--set",

@@ -2,7 +2,8 @@
 //! and learning itself. The tests use no simulator.
 
 use iwol_sumo::algo::{
-    self, ActMode, Algorithm, Channel, ChannelNoise, Hears, Observation, Pace, Settings,
+    self, ActMode, Algorithm, Channel, ChannelNoise, CommunicationScope, Observation, Settings,
+    UpdateParameters,
     settings::{EncoderKind, GraphNoise},
 };
 use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features, Group};
@@ -10,8 +11,10 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: Pace = Pace { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, growth: 1 };
-const STILL: Pace = Pace { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, growth: 1 };
+const PACE: UpdateParameters =
+    UpdateParameters { learning_rate: 7e-4, log_std: -0.2, gamma: 0.99, batch_growth: 1 };
+const STILL: UpdateParameters =
+    UpdateParameters { learning_rate: 0.0, log_std: 0.0, gamma: 0.99, batch_growth: 1 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
@@ -121,7 +124,7 @@ fn pairs() -> Tensor {
 #[test]
 fn observations_reach_whom_they_may_and_nobody_else() {
     each(|name, encoder| {
-        let hears = algo::capabilities(name).expect("known").hears;
+        let scope = algo::capabilities(name).expect("known").scope;
         let learner = loud(name, &spec(5), &small(encoder));
         let (x, comm) = (noise(1, &[1, 5, 4]), pairs());
         let before = act(&*learner, &x, &comm);
@@ -130,10 +133,10 @@ fn observations_reach_whom_they_may_and_nobody_else() {
             let _ = changed.get(0).get(j).fill_(9.0);
             let after = act(&*learner, &changed, &comm);
             for i in 0..4 {
-                let reached = match hears {
-                    Hears::Nobody | Hears::InRangeLater => false,
-                    Hears::InRange => comm.double_value(&[0, i as i64, j]) > 0.0,
-                    Hears::Everyone => j != 4,
+                let reached = match scope {
+                    CommunicationScope::None | CommunicationScope::InRangeNextStep => false,
+                    CommunicationScope::InRange => comm.double_value(&[0, i as i64, j]) > 0.0,
+                    CommunicationScope::All => j != 4,
                 };
                 let own = i as i64 == j;
                 assert_eq!(
@@ -145,9 +148,9 @@ fn observations_reach_whom_they_may_and_nobody_else() {
         }
         let alone = act(&*learner, &x, &Tensor::eye(5, (Kind::Float, Device::Cpu)).unsqueeze(0));
         assert_eq!(
-            hears == Hears::Nobody,
+            scope == CommunicationScope::None,
             before[..4] == alone[..4],
-            "{name}: the range matters to who hears"
+            "{name}: the range matters to who scope"
         );
     });
 }
@@ -156,7 +159,7 @@ fn observations_reach_whom_they_may_and_nobody_else() {
 #[test]
 fn symbols_are_seen_a_step_later_and_within_range() {
     each(|name, encoder| {
-        if algo::capabilities(name).expect("known").hears != Hears::InRangeLater {
+        if algo::capabilities(name).expect("known").scope != CommunicationScope::InRangeNextStep {
             return;
         }
         let learner = algo::build(name, &spec(5), &small(encoder), Seed::new(1), Device::Cpu)
@@ -455,7 +458,13 @@ fn graphs_that_are_drawn_again_have_the_noise_of_those_that_acted() {
         let mut rollout = random_rollout(&*learner, 4, 3);
         rollout.graph_noise.fill(0.0);
         decide(&*learner, &mut rollout);
-        nothing_moved(name, encoder, &mut *learner, &rollout, Pace { log_std: -8.0, ..STILL });
+        nothing_moved(
+            name,
+            encoder,
+            &mut *learner,
+            &rollout,
+            UpdateParameters { log_std: -8.0, ..STILL },
+        );
     });
 }
 
@@ -501,9 +510,9 @@ fn nothing_moved(
     encoder: EncoderKind,
     learner: &mut dyn Algorithm,
     rollout: &Rollout,
-    pace: Pace,
+    parameters: UpdateParameters,
 ) {
-    let losses = learner.update(rollout, &pace, Seed::new(4)).expect("finite");
+    let losses = learner.update(rollout, &parameters, Seed::new(4)).expect("finite");
     let of = |what: &str| losses.iter().find(|l| l.0 == what).expect("reported").1;
     assert!(of("ppo/approx_kl").abs() < 1e-5, "{name} {encoder:?}: {}", of("ppo/approx_kl"));
     assert_eq!(of("ppo/clip_fraction"), 0.0, "{name} {encoder:?}");
@@ -589,7 +598,7 @@ fn many_agents_learn_as_few_do() {
 #[test]
 fn symbols_tell_of_actions_within_their_bounds() {
     each(|name, encoder| {
-        if algo::capabilities(name).expect("known").hears != Hears::InRangeLater {
+        if algo::capabilities(name).expect("known").scope != CommunicationScope::InRangeNextStep {
             return;
         }
         let told = |change: fn(f32) -> f32| {
@@ -914,13 +923,13 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             rollout.reward[cell].copy_from_slice(&rewards);
         }
         let share = (update + 1) as f64 / updates as f64;
-        let pace = Pace {
+        let parameters = UpdateParameters {
             learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
             log_std: -0.5 - share,
             gamma: 0.99,
-            growth: 1,
+            batch_growth: 1,
         };
-        learner.update(&rollout, &pace, Seed::new(3).index(update)).expect("finite");
+        learner.update(&rollout, &parameters, Seed::new(3).index(update)).expect("finite");
     }
     mean
 }
@@ -1000,15 +1009,14 @@ fn several_action_dimensions_are_learned_from() {
 
 #[test]
 fn messages_help_where_they_are_needed() {
-    let hears = |name: &str| algo::capabilities(name).expect("known").hears;
+    let scope = |name: &str| algo::capabilities(name).expect("known").scope;
     // MAPPO stands for all methods without communication; another test checks for each method that
     // no observation reaches an agent that it must not reach.
     let without = play("mappo", Game::Other, 60);
     assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
-    for name in algo::NAMES
-        .into_iter()
-        .filter(|name| !matches!(hears(name), Hears::Nobody | Hears::InRangeLater))
-    {
+    for name in algo::NAMES.into_iter().filter(|name| {
+        !matches!(scope(name), CommunicationScope::None | CommunicationScope::InRangeNextStep)
+    }) {
         // The bound is wide, because rounding differs between processors and a run then takes
         // another course.
         let with = play(name, Game::Other, 120);
@@ -1020,8 +1028,10 @@ fn messages_help_where_they_are_needed() {
 fn symbols_help_where_they_are_needed() {
     let without = play("mappo", Game::OtherBefore, 60);
     assert!(without < -0.3, "what the other saw cannot be guessed: {without}");
-    let hears = |name: &str| algo::capabilities(name).expect("known").hears;
-    for name in algo::NAMES.into_iter().filter(|name| hears(name) == Hears::InRangeLater) {
+    let scope = |name: &str| algo::capabilities(name).expect("known").scope;
+    for name in
+        algo::NAMES.into_iter().filter(|name| scope(name) == CommunicationScope::InRangeNextStep)
+    {
         let with = play(name, Game::OtherBefore, 120);
         assert!(with > -0.2, "{name}: but a symbol can tell: {with}");
     }
@@ -1044,7 +1054,8 @@ fn values_do_not_feed_on_their_own_normalisation() {
         rollout.active.fill(1.0);
         rollout.comm.fill(1.0);
         rollout.terminated.fill(0.0);
-        let pace = Pace { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, growth: 1 };
+        let parameters =
+            UpdateParameters { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, batch_growth: 1 };
         let input = observation(
             &*learner,
             noise(4, &[1, 2, 4]),
@@ -1053,7 +1064,7 @@ fn values_do_not_feed_on_their_own_normalisation() {
         let state = noise(5, &[1, 2, 3]);
         let mut values = Vec::new();
         for round in 0..20 {
-            learner.update(&rollout, &pace, Seed::new(round)).expect("finite");
+            learner.update(&rollout, &parameters, Seed::new(round)).expect("finite");
             values.push(
                 learner.inspect(&input, &state).value.expect("a value").double_value(&[0, 0]),
             );

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex};
 use iwol_sumo::env::{
     Driver, EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap,
 };
-use iwol_sumo::evaluate::{Evaluation, Onlooker, Policy, evaluate};
+use iwol_sumo::evaluate::{Evaluation, EvaluationObserver, Policy, evaluate};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
 use iwol_sumo::stats::Estimate;
@@ -400,7 +400,7 @@ fn others_wait_behind_agents_that_steer() {
         }
         let world = env.worlds().next().expect("one world");
         let agents: Vec<_> = world.agents().collect();
-        assert!(agents.iter().all(|agent| !agent.fate.crashed), "seed {seed}: {agents:?}");
+        assert!(agents.iter().all(|agent| !agent.outcome.crashed), "seed {seed}: {agents:?}");
         for other in world.others().filter(|other| other.speed < 0.1 && !other.wreck) {
             let (sin, cos) = other.pose.heading.sin_cos();
             let behind = agents.iter().any(|agent| {
@@ -432,7 +432,7 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
             assert_eq!(record.crash > 0.0, others.crash > 0.0, "it takes two");
             crashes += usize::from(record.crash > 0.0);
             if record.crash > 0.0 {
-                assert!(agent.fate.crashed && record.own_collisions > 0);
+                assert!(agent.outcome.crashed && record.own_collisions > 0);
                 let hit = |other: &OtherView| {
                     let size =
                         [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
@@ -441,7 +441,7 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
                 assert!(wrecks.iter().any(hit), "{agent:?} {wrecks:?}");
                 assert_eq!((others.ttc, others.pet), (0.0, 0.0));
             } else {
-                assert!(agent.fate.arrived && wrecks.is_empty());
+                assert!(agent.outcome.arrived && wrecks.is_empty());
             }
         }
     }
@@ -488,8 +488,9 @@ fn a_wreck_of_theirs_is_cleared_away() {
 }
 
 fn play(task: &Arc<Task>, policy: &Policy<'_>, episodes: u64) -> Evaluation {
-    let onlooker = Onlooker { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None };
-    evaluate(task, policy, episodes, Seed::new(0), &Hosting::default(), onlooker)
+    let observer =
+        EvaluationObserver { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None };
+    evaluate(task, policy, episodes, Seed::new(0), &Hosting::default(), observer)
         .expect("SUMO runs")
 }
 

@@ -83,7 +83,7 @@ fn a_recording_says_what_the_evaluation_says() {
     // The run is small, and its learned graph has nearly all edges.
     for set in [
         "train.envs=2",
-        "train.segment=32",
+        "train.rollout_steps=32",
         "train.validate_every=64",
         "train.validation_episodes=1",
         "network.hidden=8",

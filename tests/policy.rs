@@ -10,7 +10,7 @@ use serde_json::Value;
 
 const SMALL: [&str; 9] = [
     "train.envs=2",
-    "train.segment=32",
+    "train.rollout_steps=32",
     "train.validate_every=64",
     "train.validation_episodes=1",
     "network.hidden=8",

@@ -8,14 +8,14 @@ use iwol_sumo::algo;
 use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::train::{Outcome, RunDir, Trainer};
+use iwol_sumo::train::{RunDir, Trainer, TrainingEnd};
 use tch::{Kind, Tensor};
 
 // Uses TraCI, because several trainers exist at once, and a process can have libsumo only once.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     let text = format!(
         "scenario = '{}'\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
-         [train]\nenvs = 3\nsegment = 40\nfewest_agents = 2\nreplay_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
+         [train]\nenvs = 3\nrollout_steps = 40\nfewest_agents = 2\nrepeat_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
          [simulation]\nbackend = 'traci'\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\ntoken_width = 8\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
@@ -34,7 +34,7 @@ fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     let (mut config, scenario) = config(algorithm, encoder, 720);
     config.exploration.explore_steps = 240;
     if algo::capabilities(algorithm).is_ok_and(|c| c.on_policy) {
-        config.train.growth = 2;
+        config.train.batch_growth = 2;
     }
     (config, scenario)
 }
@@ -55,7 +55,7 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
         .collect();
     for world in &checkpoint.worlds {
         let p = &world.position;
-        let order = [world.episode, p.next, p.fresh, p.turn, u64::from(p.replaying)];
+        let order = [world.episode, p.next, p.fresh, p.episode_index, u64::from(p.replaying)];
         let order = order.into_iter().chain(p.failed.iter().copied());
         all.push((
             "world".to_owned(),
@@ -107,11 +107,11 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
             "episodes that failed are remembered"
         );
         assert!(
-            (0..3).any(|e| position(e).turn > position(e).fresh),
+            (0..3).any(|e| position(e).episode_index > position(e).fresh),
             "and at least one was played again"
         );
         let (config, scenario) = growing(algorithm, encoder);
-        let end = if config.train.growth == 2 { 720 } else { 480 };
+        let end = if config.train.batch_growth == 2 { 720 } else { 480 };
         // Episodes with other numbers of agents would not match the stored actions.
         let mut other = config.clone();
         other.train.fewest_agents = 3;
@@ -143,7 +143,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     // Training is asked to stop during the first iteration, as by Ctrl-C.
     let outcome =
         trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
-    assert_eq!(outcome.expect("a clean end"), Outcome::Interrupted);
+    assert_eq!(outcome.expect("a clean end"), TrainingEnd::Interrupted);
     drop(trainer);
     let stored = Checkpoint::load(&dir.last()).expect("a checkpoint");
     assert_eq!(stored.progress.step, 120);
@@ -152,7 +152,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     std::fs::write(dir.metrics(), format!("{text}{{\"step\":12")).expect("written");
     let stop = AtomicBool::new(false);
     let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
-    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
+    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), TrainingEnd::Finished);
     let steps: Vec<u64> = std::fs::read_to_string(dir.metrics())
         .expect("metrics")
         .lines()
@@ -170,7 +170,10 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let undisturbed = RunDir::new(folder.path().join("undisturbed"));
     let (config, scenario) = self::config("im-iwol", "mlp", 360);
     let mut trainer = Trainer::new(config, scenario).expect("SUMO runs");
-    assert_eq!(trainer.run(&undisturbed, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
+    assert_eq!(
+        trainer.run(&undisturbed, &stop, &mut |_| {}).expect("trained"),
+        TrainingEnd::Finished
+    );
     for file in [RunDir::last, RunDir::best] {
         let (a, b) = (Checkpoint::load(&file(&dir)), Checkpoint::load(&file(&undisturbed)));
         let (a, b) = (a.expect("a checkpoint"), b.expect("a checkpoint"));
@@ -198,6 +201,6 @@ fn a_stopped_run_goes_on_in_its_folder() {
     stored.progress.validated = 240;
     let (config, scenario) = self::config("im-iwol", "mlp", 360);
     let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
-    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), Outcome::Finished);
+    assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), TrainingEnd::Finished);
     assert_eq!((recorded(dir.metrics()), recorded(dir.episodes())), before);
 }

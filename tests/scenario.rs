@@ -15,7 +15,7 @@ use std::{
 use iwol_sumo::{
     algo::{self, Channel},
     env::{EpisodeRecord, Task},
-    evaluate::{Onlooker, Policy, evaluate},
+    evaluate::{EvaluationObserver, Policy, evaluate},
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar,
@@ -234,13 +234,13 @@ fn every_shipped_scenario_is_for_every_method() {
             let policy = Policy::Learned(&*learner, Channel::default());
             // One episode is enough; a whole window of the throughput metric would take hundreds.
             let stop = AtomicBool::new(false);
-            let onlooker = Onlooker {
+            let observer = EvaluationObserver {
                 stop: &stop,
                 report: &mut |_| stop.store(true, Ordering::Relaxed),
                 recorder: None,
             };
             let played =
-                evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), onlooker).unwrap();
+                evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), observer).unwrap();
             let driven =
                 |record: &EpisodeRecord| record.episode_length > 0 && record.reward.is_finite();
             assert!(
@@ -431,7 +431,7 @@ prop_compose! {
                 signal_distance: if counts[1] % 3 == 1 { 1.0 + f64::from(counts[2] as u32) } else { 30.0 },
                 conflict_streams: counts[1], stream_vehicles: counts[2], encounters: counts[0] / 2,
                 foresight: f64::from(counts[2] as u32) / 2.0,
-                turns: f64::from(counts[1] as u32) / 2.0,
+                priority_distance: f64::from(counts[1] as u32) / 2.0,
                 borders: f64::from(counts[0] as u32) / 2.0,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rand::RngExt;
 
 use iwol_sumo::env::{Driver, Task, World};
-use iwol_sumo::evaluate::{Onlooker, Policy, evaluate};
+use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::domain::vehicle::{Addition, Placement};
@@ -259,9 +259,9 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     let play = |name: &str, agents: u32, policy: Policy<'static>| {
         let task = task(name, agents);
         let stop = std::sync::atomic::AtomicBool::new(false);
-        let onlooker = Onlooker { stop: &stop, report: &mut |_| {}, recorder: None };
+        let observer = EvaluationObserver { stop: &stop, report: &mut |_| {}, recorder: None };
         let hosting = Hosting { backend: Backend::Traci, ..Hosting::default() };
-        evaluate(&task, &policy, 24, Seed::new(5), &hosting, onlooker)
+        evaluate(&task, &policy, 24, Seed::new(5), &hosting, observer)
             .expect("SUMO runs")
             .metrics()
             .expect("episodes")

@@ -15,7 +15,7 @@ title = "Tiny"
 scenario = "scenarios/intersection.xml"
 agents = 4
 steps = 4096
-train = { envs = 2, segment = 64, validate_every = 512, validation_episodes = 2, anneal_steps = 512 }
+train = { envs = 2, rollout_steps = 64, validate_every = 512, validation_episodes = 2, anneal_steps = 512 }
 [grid]
 algorithm = ["mappo"]
 seed = [0, 1]

@@ -245,7 +245,7 @@ mod tests {
         let (heard, _) = send(&channel, &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(1.0, 0.4));
         for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
             let same = numbers(&heard.embedding.get(0).get(i).get(j)) == numbers(&f.get(0).get(j));
-            assert_eq!(same, i == j, "{i} hears {j}");
+            assert_eq!(same, i == j, "{i} scope {j}");
         }
     }
 

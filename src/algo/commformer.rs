@@ -45,16 +45,16 @@ use super::batch::{Batch, Shard};
 use super::core::{EDGE_RATE, Loss, Networks};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::parameters::{ACTOR, Places, Set};
+use super::parameters::{ACTOR, ParameterBuilder, ParameterGroup};
 use super::scene::Scene;
 use super::sequence::{Input, Order, Sequence, ValueHead};
-use super::{ActMode, Decision, Hears, Observation, Reconstruction, Settings, ppo};
+use super::{ActMode, CommunicationScope, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::graph::{edge_rate, sample_best, with_self_loops};
-use crate::nn::{AdamConfig, Decoder, Dropout, Init, Reach, RelationBlock, ValueNorm};
+use crate::nn::{AdamConfig, Dropout, Init, Reach, RelationBlock, TransformerDecoder, ValueNorm};
 
 /// The group of the graph's scores.
-const GRAPH: Set = Set {
+const GRAPH: ParameterGroup = ParameterGroup {
     name: "graph",
     gradient: "the graph's gradient",
     norm: "ppo/grad_norm_graph",
@@ -117,48 +117,59 @@ impl CommFormer {
 
 impl Networks for CommFormer {
     const NAME: &'static str = "commformer";
-    const HEARS: Hears = Hears::InRange;
+    const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const SETTINGS: &'static [&'static str] = &["commformer", "transformer", "iwol"];
     const GRAPHS: usize = 1;
     const GRAPH_LASTS: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];
     const PER_AGENT: Option<&'static str> = Some("graph/edges");
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (hidden, actions, agents) =
             (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
         let (count, heads) = (settings.transformer.blocks, settings.transformer.heads);
-        let relations = places.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
-        let block = |i| RelationBlock::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
+        let relations = builder.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
+        let block = |i| RelationBlock::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, heads);
         let blocks = (0..count).map(block).collect();
         let related = Some(&relations);
-        let decoder =
-            Decoder::new(places.of(ACTOR).sub("decoder"), actions, hidden, count, heads, related);
-        let world = |places: &mut Places| {
-            WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden)
+        let decoder = TransformerDecoder::new(
+            builder.of(ACTOR).sub("decoder"),
+            actions,
+            hidden,
+            count,
+            heads,
+            related,
+        );
+        let world = |builder: &mut ParameterBuilder| {
+            WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, hidden)
         };
         Self {
-            edges: places.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
+            edges: builder.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
             links: ((agents as f64 * settings.commformer.sparsity) as i64).clamp(1, agents),
             relations,
-            input: Input::new(places.of(ACTOR), spec, settings),
+            input: Input::new(builder.of(ACTOR), spec, settings),
             blocks,
-            value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
+            value: ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
                 decoder,
                 head: GaussianHead::new(
-                    places.of(ACTOR).sub("head"),
+                    builder.of(ACTOR).sub("head"),
                     hidden,
                     &spec.actions,
                     &settings.exploration,
                 ),
                 actions,
             },
-            world: (settings.commformer.lambda_world > 0.0).then(|| world(places)),
+            world: (settings.commformer.lambda_world > 0.0).then(|| world(builder)),
         }
     }
 
-    fn rate(set: Set, epoch: usize, learning_rate: f64, settings: &Settings) -> Option<f64> {
+    fn rate(
+        set: ParameterGroup,
+        epoch: usize,
+        learning_rate: f64,
+        settings: &Settings,
+    ) -> Option<f64> {
         let turn = (epoch + 1).is_multiple_of(settings.commformer.graph_every);
         if set == GRAPH {
             turn.then_some(learning_rate * settings.commformer.graph_rate)

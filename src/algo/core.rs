@@ -12,11 +12,13 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::head::{APPROX_KL, GaussianHead};
-use super::parameters::{Places, Set, Weights, load_value_norm, part, value_norm_entry};
+use super::parameters::{
+    ParameterBuilder, ParameterGroup, Weights, load_value_norm, part, value_norm_entry,
+};
 use super::settings::{GraphNoise, NoiseMode, Settings};
 use super::{
-    ActMode, Algorithm, Channel, ChannelNoise, Decision, Error, Hears, Insight, Losses,
-    Observation, Pace, Reconstruction, check_agents,
+    ActMode, Algorithm, Channel, ChannelNoise, CommunicationScope, Decision, Diagnostics, Error,
+    Losses, Observation, Reconstruction, UpdateParameters, check_agents,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -32,7 +34,7 @@ pub(super) trait Networks: Sized + Send {
     /// Name of the algorithm, as on the command line.
     const NAME: &'static str;
     /// The agents whose observations can change an agent's action.
-    const HEARS: Hears = Hears::Nobody;
+    const SCOPE: CommunicationScope = CommunicationScope::None;
     /// Whether agents send messages that each receiver reads by itself, so that a channel can
     /// disturb them.
     const MESSAGES: bool = false;
@@ -57,11 +59,16 @@ pub(super) trait Networks: Sized + Send {
     const PER_AGENT: Option<&'static str> = None;
 
     /// Creates the networks and their parameters.
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self;
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self;
 
     /// Returns the learning rate of a parameter group in pass `epoch` over the rollout; `None`
     /// where that pass does not train the group.
-    fn rate(_set: Set, _epoch: usize, learning_rate: f64, _settings: &Settings) -> Option<f64> {
+    fn rate(
+        _set: ParameterGroup,
+        _epoch: usize,
+        learning_rate: f64,
+        _settings: &Settings,
+    ) -> Option<f64> {
         Some(learning_rate)
     }
 
@@ -158,18 +165,18 @@ impl<N: Networks> ActorCritic<N> {
     /// Creates a learner with initial weights drawn from `seed`.
     pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
         let build = || {
-            let mut places = Places::new(seed, device);
-            let networks = N::new(spec, settings, &mut places);
-            (networks, places)
+            let mut builder = ParameterBuilder::new(seed, device);
+            let networks = N::new(spec, settings, &mut builder);
+            (networks, builder)
         };
-        let (networks, places) = build();
-        let mut weights = Weights::new(places, settings.ppo.average > 0.0);
+        let (networks, builder) = build();
+        let mut weights = Weights::new(builder, settings.ppo.average > 0.0);
         let mut copies = vec![networks];
         // A GPU works on one shard at a time, so that a second one would bring nothing.
         let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
         for _ in 1..shards {
-            let (networks, places) = build();
-            places.replicate(&mut weights);
+            let (networks, builder) = build();
+            builder.replicate(&mut weights);
             copies.push(networks);
         }
         let threads = rayon::ThreadPoolBuilder::new()
@@ -260,7 +267,7 @@ impl<N: Networks> ActorCritic<N> {
         &mut self,
         batch: &Batch,
         shards: Vec<Shard>,
-        rate: impl Fn(Set) -> Option<f64>,
+        rate: impl Fn(ParameterGroup) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         // The reference updates the normalisation in every evaluation of the value loss.
         let returns: Vec<Tensor> =
@@ -327,12 +334,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         decision.map(|tensor| tensor.to_device(Device::Cpu))
     }
 
-    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics {
         let (input, state) =
             (input.map(|t| t.to_device(self.device)), state.to_device(self.device));
         let (value, graph) =
             no_grad(|| (self.copies[0].value(&input, &state), self.copies[0].graph(&input)));
-        Insight {
+        Diagnostics {
             value: value.map(|value| self.value_norm.denormalize(&value).to_device(Device::Cpu)),
             graph: graph.map(|graph| graph.to_device(Device::Cpu)),
         }
@@ -348,7 +355,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             .collect()
     }
 
-    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
+    fn update(
+        &mut self,
+        rollout: &Rollout,
+        parameters: &UpdateParameters,
+        seed: Seed,
+    ) -> Result<Losses, Error> {
         let settings = self.settings.clone();
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
@@ -356,15 +368,21 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
-        let scale = if imposed { pace.log_std.exp() } else { 1.0 };
+        let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
             batch.value_graph =
                 graph_noise(rollout, 1, false, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(rollout, &outputs, &self.value_norm, [pace.gamma, ppo.gae_lambda], N::TEAM);
+        batch.estimate(
+            rollout,
+            &outputs,
+            &self.value_norm,
+            [parameters.gamma, ppo.gae_lambda],
+            N::TEAM,
+        );
         let (mut means, mut passes) = (Means::default(), 0);
-        let size = ppo.minibatch * pace.growth;
+        let size = ppo.minibatch * parameters.batch_growth;
         for epoch in 0..ppo.epochs {
             if self.settings.iwol.graph_noise == GraphNoise::Resampled {
                 let noise = |of: &str, graphs: usize| {
@@ -388,7 +406,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             let mut pass = Means::default();
             for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order)
             {
-                let rate = |set| N::rate(set, epoch, pace.learning_rate, &settings);
+                let rate = |set| N::rate(set, epoch, parameters.learning_rate, &settings);
                 pass.add(&self.step(&batch, shards, rate)?);
             }
             passes += 1;
@@ -399,12 +417,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             }
         }
         let head = self.copies[0].head();
-        head.impose(pace.log_std);
+        head.impose(parameters.log_std);
         self.weights.follow_average(ppo.average);
         means.finish(&[
             ("ppo/explained_variance", batch.explained_variance),
             ("ppo/std", head.std()),
-            ("ppo/learning_rate", pace.learning_rate),
+            ("ppo/learning_rate", parameters.learning_rate),
             ("ppo/passes", f64::from(passes)),
         ])
     }

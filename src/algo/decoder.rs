@@ -9,12 +9,12 @@ use crate::env::EnvSpec;
 use crate::nn::{Init, Linear, Path};
 
 /// A decoder of three layers, optionally with a tanh at its end.
-pub(super) struct Decoder {
+pub(super) struct LatentDecoder {
     layers: [Linear; 3],
     tanh: bool,
 }
 
-impl Decoder {
+impl LatentDecoder {
     pub(super) fn new(
         mut path: Path<'_>,
         inputs: i64,
@@ -44,7 +44,7 @@ impl Decoder {
 
 /// A decoder that predicts the privileged state, or what `iwol.world_target` sets, from a latent.
 pub(super) struct WorldDecoder {
-    decoder: Decoder,
+    decoder: LatentDecoder,
     target: WorldTarget,
     /// Share of the samples from which the decoder learns.
     share: f64,
@@ -54,7 +54,8 @@ impl WorldDecoder {
     /// Creates a decoder of latents of width `inputs`.
     pub(super) fn new(path: Path<'_>, spec: &EnvSpec, settings: &Settings, inputs: i64) -> Self {
         let target = settings.iwol.world_target;
-        let decoder = Decoder::new(path, inputs, settings.network.hidden, target.width(spec), true);
+        let decoder =
+            LatentDecoder::new(path, inputs, settings.network.hidden, target.width(spec), true);
         Self { decoder, target, share: settings.iwol.decoded }
     }
 

@@ -13,10 +13,11 @@ use super::core::{EDGE_RATE, Loss, Networks};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::{MessageCritic, MessageTrunk, Messages};
-use super::parameters::{ACTOR, CRITIC, Places};
+use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::scene::Scene;
 use super::{
-    ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo,
+    ActMode, Channel, ChannelNoise, CommunicationScope, Decision, Observation, Reconstruction,
+    Settings, ppo,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -42,7 +43,7 @@ impl ExIwol {
 
 impl Networks for ExIwol {
     const NAME: &'static str = "ex-iwol";
-    const HEARS: Hears = Hears::InRange;
+    const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const LATENT: &'static [&'static str] = &["world"];
     const SETTINGS: &'static [&'static str] = &["iwol"];
     const MESSAGES: bool = true;
@@ -50,25 +51,25 @@ impl Networks for ExIwol {
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
         Self {
             trunk: MessageTrunk::new(
-                places.of(ACTOR).sub("trunk"),
+                builder.of(ACTOR).sub("trunk"),
                 &spec.observation,
                 network,
                 iwol,
             ),
             head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
+                builder.of(ACTOR).sub("head"),
                 message + hidden,
                 &spec.actions,
                 &settings.exploration,
             ),
-            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, message),
+            world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
             told: iwol.lambda_world > 0.0,
-            critic: MessageCritic::new(places.of(CRITIC), &spec.observation, network, iwol),
+            critic: MessageCritic::new(builder.of(CRITIC), &spec.observation, network, iwol),
         }
     }
 

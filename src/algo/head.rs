@@ -151,16 +151,16 @@ impl PolicyTerms {
         let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
         let policy =
-            ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip);
+            ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip_range);
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
-            let outside = (difference.exp() - 1.0).abs().gt(ppo.clip).to_kind(Kind::Float);
+            let outside = (difference.exp() - 1.0).abs().gt(ppo.clip_range).to_kind(Kind::Float);
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
             ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
         });
-        let loss =
-            &policy - ppo.entropy * &entropy + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
+        let loss = &policy - ppo.entropy_coefficient * &entropy
+            + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
         Self { loss, policy, entropy, approx_kl, clip_fraction }
     }
 

@@ -29,11 +29,11 @@ use tch::{Kind, Tensor};
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
 use super::critic::Critic;
-use super::decoder::Decoder;
+use super::decoder::LatentDecoder;
 use super::encoder::{Encoder, encode_rows, encode_shard};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::parameters::{ACTOR, CRITIC, Places};
-use super::{ActMode, Decision, Hears, Observation, Settings, ppo};
+use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::{ActMode, CommunicationScope, Decision, Observation, Settings, ppo};
 use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
 use crate::nn::{Init, Linear, Mixer, ValueNorm};
@@ -78,7 +78,7 @@ pub(super) struct Icp<D> {
     encoder: Encoder,
     head: GaussianHead,
     symbol: Linear,
-    decoder: Decoder,
+    decoder: LatentDecoder,
     critic: Critic,
     mixer: Option<Mixer>,
     /// Number K of symbols.
@@ -130,11 +130,11 @@ impl<D: Decomposition> Icp<D> {
 
 impl<D: Decomposition> Networks for Icp<D> {
     const NAME: &'static str = D::NAME;
-    const HEARS: Hears = Hears::InRangeLater;
+    const SCOPE: CommunicationScope = CommunicationScope::InRangeNextStep;
     const SETTINGS: &'static [&'static str] = &["icp"];
     const TEAM: bool = D::TEAM;
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, symbols, actions) =
             (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
         let (hidden, told) = (network.hidden, network.hidden + actions);
@@ -152,30 +152,36 @@ impl<D: Decomposition> Networks for Icp<D> {
             presence: None,
         };
         let heard = Features { list: (0..told).map(heard).collect(), groups: vec![group] };
-        let mixer = |places: &mut Places| {
-            Mixer::new(places.of(CRITIC).sub("mixer"), spec.state.len() as i64)
+        let mixer = |builder: &mut ParameterBuilder| {
+            Mixer::new(builder.of(CRITIC).sub("mixer"), spec.state.len() as i64)
         };
         Self {
             encoder: Encoder::new(
-                places.of(ACTOR).sub("encoder"),
+                builder.of(ACTOR).sub("encoder"),
                 &spec.observation.join(&heard),
                 network,
             ),
             head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
+                builder.of(ACTOR).sub("head"),
                 hidden,
                 &spec.actions,
                 &settings.exploration,
             ),
             symbol: Linear::new(
-                places.of(ACTOR).sub("symbol"),
+                builder.of(ACTOR).sub("symbol"),
                 hidden,
                 symbols,
                 Init::Orthogonal(1.0),
             ),
-            decoder: Decoder::new(places.of(ACTOR).sub("decoder"), symbols, hidden, told, false),
-            critic: Critic::new(places.of(CRITIC), &spec.observation, network),
-            mixer: D::MIXED.then(|| mixer(places)),
+            decoder: LatentDecoder::new(
+                builder.of(ACTOR).sub("decoder"),
+                symbols,
+                hidden,
+                told,
+                false,
+            ),
+            critic: Critic::new(builder.of(CRITIC), &spec.observation, network),
+            mixer: D::MIXED.then(|| mixer(builder)),
             symbols,
             decomposition: PhantomData,
         }

@@ -12,11 +12,11 @@ use tch::Tensor;
 
 use super::batch::{Batch, Shard};
 use super::core::{EDGE_RATE, Loss, Networks};
-use super::decoder::{Decoder, WorldDecoder};
+use super::decoder::{LatentDecoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
-use super::parameters::{ACTOR, CRITIC, Places};
+use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::settings::PolicyInput;
 use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
 use crate::env::EnvSpec;
@@ -35,7 +35,7 @@ pub(super) struct LatentPolicy {
     latent: Latent,
     pub(super) head: GaussianHead,
     pub(super) world: WorldDecoder,
-    pub(super) interaction: Decoder,
+    pub(super) interaction: LatentDecoder,
     input: PolicyInput,
     /// Whether the world decoder and the interaction decoder are trained.
     told: [bool; 2],
@@ -54,14 +54,18 @@ impl Latent {
 }
 
 impl LatentPolicy {
-    pub(super) fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    pub(super) fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let hidden = network.hidden;
-        let encoder = Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network);
+        let encoder = Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network);
         let latent = Latent {
-            first: Linear::torch_default(places.of(ACTOR).sub("latent").sub(0), hidden, hidden / 2),
+            first: Linear::torch_default(
+                builder.of(ACTOR).sub("latent").sub(0),
+                hidden,
+                hidden / 2,
+            ),
             second: Linear::torch_default(
-                places.of(ACTOR).sub("latent").sub(1),
+                builder.of(ACTOR).sub("latent").sub(1),
                 hidden / 2,
                 iwol.latent,
             ),
@@ -75,14 +79,14 @@ impl LatentPolicy {
             encoder,
             latent,
             head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
+                builder.of(ACTOR).sub("head"),
                 inputs,
                 &spec.actions,
                 &settings.exploration,
             ),
-            world: WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, iwol.latent),
-            interaction: Decoder::new(
-                places.of(ACTOR).sub("interaction"),
+            world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, iwol.latent),
+            interaction: LatentDecoder::new(
+                builder.of(ACTOR).sub("interaction"),
                 iwol.latent,
                 hidden,
                 iwol.message,
@@ -134,11 +138,11 @@ impl Networks for ImIwol {
     const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         Self {
-            policy: LatentPolicy::new(spec, settings, places),
+            policy: LatentPolicy::new(spec, settings, builder),
             critic: MessageCritic::new(
-                places.of(CRITIC),
+                builder.of(CRITIC),
                 &spec.observation,
                 &settings.network,
                 &settings.iwol,

@@ -35,13 +35,16 @@ use super::encoder::{Encoder, encode_locally};
 use super::head::GaussianHead;
 use super::im_iwol::LatentPolicy;
 use super::message::MessageTrunk;
-use super::parameters::{ACTOR, CRITIC, Places, Weights, load_value_norm, part, value_norm_entry};
+use super::parameters::{
+    ACTOR, CRITIC, ParameterBuilder, Weights, load_value_norm, part, value_norm_entry,
+};
 use super::replay::{Replay, Transitions, View};
 use super::scene::Scene;
 use super::settings::NoiseMode;
 use super::{
-    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, Decision, Error, Hears, Insight,
-    Losses, Method, Observation, Pace, Reconstruction, Settings, ppo,
+    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Decision,
+    Diagnostics, Error, Losses, Method, Observation, Reconstruction, Settings, UpdateParameters,
+    ppo,
 };
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
@@ -69,7 +72,7 @@ const fn method(
     build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
 ) -> Method {
     let capabilities = Capabilities {
-        hears: Hears::Nobody,
+        scope: CommunicationScope::None,
         messages: false,
         any_number: true,
         team: false,
@@ -88,15 +91,20 @@ enum Actor {
 }
 
 impl Actor {
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
+    fn new(
+        spec: &EnvSpec,
+        settings: &Settings,
+        builder: &mut ParameterBuilder,
+        iwol: bool,
+    ) -> Self {
         if iwol {
-            return Self::Latent(LatentPolicy::new(spec, settings, places).bounded());
+            return Self::Latent(LatentPolicy::new(spec, settings, builder).bounded());
         }
         let hidden = settings.network.hidden;
         let encoder =
-            Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
+            Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
         let head = GaussianHead::new(
-            places.of(ACTOR).sub("head"),
+            builder.of(ACTOR).sub("head"),
             hidden,
             &spec.actions,
             &settings.exploration,
@@ -159,14 +167,19 @@ struct Critic {
 }
 
 impl Critic {
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
+    fn new(
+        spec: &EnvSpec,
+        settings: &Settings,
+        builder: &mut ParameterBuilder,
+        iwol: bool,
+    ) -> Self {
         let (network, hidden) = (&settings.network, settings.network.hidden);
-        let root = |places: &mut Places, name: &str, inputs: i64| {
-            Linear::new(places.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
+        let root = |builder: &mut ParameterBuilder, name: &str, inputs: i64| {
+            Linear::new(builder.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
         };
         let (eyes, seen) = if iwol {
             let trunk = MessageTrunk::new(
-                places.of(CRITIC).sub("trunk"),
+                builder.of(CRITIC).sub("trunk"),
                 &spec.observation,
                 network,
                 &settings.iwol,
@@ -176,7 +189,7 @@ impl Critic {
             let features = spec.observation.join(&spec.state);
             (
                 Eyes::Privileged(Encoder::new(
-                    places.of(CRITIC).sub("encoder"),
+                    builder.of(CRITIC).sub("encoder"),
                     &features,
                     network,
                 )),
@@ -185,18 +198,18 @@ impl Critic {
         };
         Self {
             eyes,
-            join: root(places, "join", seen + spec.actions.len() as i64),
-            join_norm: LayerNorm::new(places.of(CRITIC).sub("join_norm"), hidden),
+            join: root(builder, "join", seen + spec.actions.len() as i64),
+            join_norm: LayerNorm::new(builder.of(CRITIC).sub("join_norm"), hidden),
             attention: Attention::new(
-                places.of(CRITIC).sub("others"),
+                builder.of(CRITIC).sub("others"),
                 hidden,
                 1,
                 Init::Orthogonal(1.0),
                 false,
             ),
-            deep: root(places, "deep", 2 * hidden),
-            deep_norm: LayerNorm::new(places.of(CRITIC).sub("deep_norm"), hidden),
-            value: Linear::new(places.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
+            deep: root(builder, "deep", 2 * hidden),
+            deep_norm: LayerNorm::new(builder.of(CRITIC).sub("deep_norm"), hidden),
+            value: Linear::new(builder.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
         }
     }
 
@@ -257,15 +270,20 @@ impl Critic {
 }
 
 /// Policy and critic.
-struct Networks {
+struct MaddpgNetworks {
     actor: Actor,
     critic: Critic,
 }
 
-impl Networks {
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places, iwol: bool) -> Self {
-        let actor = Actor::new(spec, settings, places, iwol);
-        Self { actor, critic: Critic::new(spec, settings, places, iwol) }
+impl MaddpgNetworks {
+    fn new(
+        spec: &EnvSpec,
+        settings: &Settings,
+        builder: &mut ParameterBuilder,
+        iwol: bool,
+    ) -> Self {
+        let actor = Actor::new(spec, settings, builder, iwol);
+        Self { actor, critic: Critic::new(spec, settings, builder, iwol) }
     }
 }
 
@@ -273,10 +291,10 @@ struct Maddpg {
     name: &'static str,
     settings: Settings,
     device: Device,
-    networks: Networks,
+    networks: MaddpgNetworks,
     weights: Weights,
     /// Target networks: copies whose weights follow those of `networks` slowly.
-    targets: Networks,
+    targets: MaddpgNetworks,
     target_weights: Weights,
     value_norm: ValueNorm,
     replay: Replay,
@@ -285,16 +303,16 @@ struct Maddpg {
 impl Maddpg {
     fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device, iwol: bool) -> Self {
         let build = || {
-            let mut places = Places::new(seed, device);
-            (Networks::new(spec, settings, &mut places, iwol), places)
+            let mut builder = ParameterBuilder::new(seed, device);
+            (MaddpgNetworks::new(spec, settings, &mut builder, iwol), builder)
         };
-        let ((networks, places), (targets, following)) = (build(), build());
+        let ((networks, builder), (targets, following)) = (build(), build());
         Self {
             name: if iwol { MADDPG_IWOL.name } else { MADDPG.name },
             settings: settings.clone(),
             device,
             networks,
-            weights: Weights::new(places, settings.ppo.average > 0.0),
+            weights: Weights::new(builder, settings.ppo.average > 0.0),
             targets,
             target_weights: Weights::new(following, false),
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
@@ -310,14 +328,14 @@ impl Maddpg {
     fn step(
         &mut self,
         steps: &Transitions,
-        pace: &Pace,
+        parameters: &UpdateParameters,
         seed: Seed,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         let Transitions { before, after, action, reward, active, discount } = steps;
         // The noise of the graphs falls with the schedule, as the noise of the policies' graphs
         // does.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
-        let quiet = if imposed { pace.log_std.exp() } else { 1.0 };
+        let quiet = if imposed { parameters.log_std.exp() } else { 1.0 };
         let noise = |of: &str| {
             let mut noise = vec![0.0; before.comm.numel()];
             rng::fill_logistic(&mut seed.child(of).rng(), &mut noise);
@@ -349,7 +367,7 @@ impl Maddpg {
         let value_loss = ppo::masked_mean(&(value - target).square(), active);
         value_loss.backward();
         let mut report =
-            self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, pace.learning_rate)?;
+            self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, parameters.learning_rate)?;
 
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
@@ -378,7 +396,7 @@ impl Maddpg {
         report.extend(self.weights.step(
             ACTOR,
             self.settings.ppo.max_grad_norm,
-            pace.learning_rate,
+            parameters.learning_rate,
         )?);
         self.target_weights.follow(&self.weights, self.settings.maddpg.target_rate);
         Ok(report)
@@ -421,7 +439,7 @@ impl Algorithm for Maddpg {
         Decision { memory: input.memory.shallow_clone(), ..self.act(&own, &ActMode::Deterministic) }
     }
 
-    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight {
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics {
         let value = no_grad(|| {
             let there = |tensor: &Tensor| tensor.to_device(self.device);
             let view = View {
@@ -434,7 +452,7 @@ impl Algorithm for Maddpg {
             self.value_norm
                 .denormalize(&self.networks.critic.value(&seen, &mean, &mean, &view.comm))
         });
-        Insight { value: Some(value.to_device(Device::Cpu)), graph: None }
+        Diagnostics { value: Some(value.to_device(Device::Cpu)), graph: None }
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
@@ -460,23 +478,29 @@ impl Algorithm for Maddpg {
         })
     }
 
-    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error> {
+    fn update(
+        &mut self,
+        rollout: &Rollout,
+        parameters: &UpdateParameters,
+        seed: Seed,
+    ) -> Result<Losses, Error> {
         self.replay.add(rollout);
         let rows = (self.settings.ppo.minibatch / rollout.sizes.agents).max(1);
         let returns = self.settings.maddpg.n_step;
         let mut means = Means::default();
         for update in 0..self.settings.maddpg.updates {
             let seed = seed.index(update as u64);
-            let steps = self.replay.draw(rows, returns, pace.gamma, &mut seed.child("steps").rng());
-            let losses = self.step(&steps, pace, seed.child("graph"))?;
+            let steps =
+                self.replay.draw(rows, returns, parameters.gamma, &mut seed.child("steps").rng());
+            let losses = self.step(&steps, parameters, seed.child("graph"))?;
             if !losses.is_empty() {
                 means.add(&losses);
             }
         }
         let head = self.networks.actor.head();
-        head.impose(pace.log_std);
+        head.impose(parameters.log_std);
         self.weights.follow_average(self.settings.ppo.average);
-        means.finish(&[("ppo/std", head.std()), ("ppo/learning_rate", pace.learning_rate)])
+        means.finish(&[("ppo/std", head.std()), ("ppo/learning_rate", parameters.learning_rate)])
     }
 
     fn swap_average(&mut self) {

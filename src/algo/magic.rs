@@ -34,10 +34,11 @@ use super::critic::PrivilegedCritic;
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::parameters::{ACTOR, CRITIC, Places};
+use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::scene::Scene;
 use super::{
-    ActMode, Channel, ChannelNoise, Decision, Hears, Observation, Reconstruction, Settings, ppo,
+    ActMode, Channel, ChannelNoise, CommunicationScope, Decision, Observation, Reconstruction,
+    Settings, ppo,
 };
 use crate::env::EnvSpec;
 use crate::nn::graph::edge_rate;
@@ -103,34 +104,34 @@ impl Magic {
 
 impl Networks for Magic {
     const NAME: &'static str = "magic";
-    const HEARS: Hears = Hears::InRange;
+    const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const MESSAGES: bool = true;
     const SETTINGS: &'static [&'static str] = &["magic", "iwol"];
     const GRAPHS: usize = 2;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, hidden) = (&settings.network, settings.network.hidden);
         // Four heads, each with a quarter of the width.
         let width = (hidden / HEADS).max(1);
         let exploration = &settings.exploration;
-        let world = |places: &mut Places| {
-            WorldDecoder::new(places.of(ACTOR).sub("world"), spec, settings, hidden)
+        let world = |builder: &mut ParameterBuilder| {
+            WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, hidden)
         };
         Self {
-            encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
+            encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
             schedulers: [0, 1]
-                .map(|i| Scheduler::new(places.of(ACTOR).sub("scheduler").sub(i), hidden)),
+                .map(|i| Scheduler::new(builder.of(ACTOR).sub("scheduler").sub(i), hidden)),
             rounds: [
                 GraphAttention::new(
-                    places.of(ACTOR).sub("round").sub(0),
+                    builder.of(ACTOR).sub("round").sub(0),
                     hidden,
                     HEADS,
                     width,
                     true,
                 ),
                 GraphAttention::new(
-                    places.of(ACTOR).sub("round").sub(1),
+                    builder.of(ACTOR).sub("round").sub(1),
                     HEADS * width,
                     1,
                     hidden,
@@ -138,13 +139,13 @@ impl Networks for Magic {
                 ),
             ],
             head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
+                builder.of(ACTOR).sub("head"),
                 2 * hidden,
                 &spec.actions,
                 exploration,
             ),
-            world: (settings.magic.lambda_world > 0.0).then(|| world(places)),
-            critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
+            world: (settings.magic.lambda_world > 0.0).then(|| world(builder)),
+            critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
             hidden,
         }
     }

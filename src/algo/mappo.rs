@@ -8,7 +8,7 @@ use super::core::{Loss, Networks};
 use super::critic::PrivilegedCritic;
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::parameters::{ACTOR, CRITIC, Places};
+use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::{ActMode, Decision, Observation, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -23,17 +23,17 @@ pub(super) struct Mappo {
 impl Networks for Mappo {
     const NAME: &'static str = "mappo";
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let network = &settings.network;
         Self {
-            encoder: Encoder::new(places.of(ACTOR).sub("encoder"), &spec.observation, network),
+            encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
             head: GaussianHead::new(
-                places.of(ACTOR).sub("head"),
+                builder.of(ACTOR).sub("head"),
                 network.hidden,
                 &spec.actions,
                 &settings.exploration,
             ),
-            critic: PrivilegedCritic::new(places.of(CRITIC), spec, network),
+            critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
         }
     }
 

@@ -7,7 +7,7 @@
 //! 2. value of each agent from its representation (`Encoder.head`)
 //! 3. decoder: each agent reads the previous agent's action (zeros for the first agent); attention
 //!    goes among the actions so far, then from the agent's representation to them, with the
-//!    representation as residual (`DecodeBlock`, `Decoder`)
+//!    representation as residual (`DecodeBlock`, `TransformerDecoder`)
 //! 4. acting decodes one agent after another; an update decodes all agents at once from the actions
 //!    taken (`continuous_autoregreesive_act`, `continuous_parallel_act`)
 //! 5. each dimension of the action has its own clipped ratio, and the surrogates are added
@@ -26,14 +26,14 @@ use tch::Tensor;
 use super::batch::{Batch, Shard};
 use super::core::{Loss, Networks};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::parameters::{ACTOR, Places};
+use super::parameters::{ACTOR, ParameterBuilder};
 use super::scene::Scene;
 use super::sequence::{Input, Order, Sequence, ValueHead};
-use super::{ActMode, Decision, Hears, Observation, Settings, ppo};
+use super::{ActMode, CommunicationScope, Decision, Observation, Settings, ppo};
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
 use crate::nn::transformer::Block;
-use crate::nn::{Decoder, Mask, Packing, Reach, ValueNorm};
+use crate::nn::{Mask, Packing, Reach, TransformerDecoder, ValueNorm};
 
 /// The networks of MAT (multi-agent transformer).
 pub(super) struct Mat {
@@ -61,23 +61,23 @@ impl Mat {
 
 impl Networks for Mat {
     const NAME: &'static str = "mat";
-    const HEARS: Hears = Hears::Everyone;
+    const SCOPE: CommunicationScope = CommunicationScope::All;
     const SETTINGS: &'static [&'static str] = &["transformer"];
     const TRAINING_ONLY: &'static [&'static str] = &["value."];
 
-    fn new(spec: &EnvSpec, settings: &Settings, places: &mut Places) -> Self {
+    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (hidden, actions, transformer) =
             (settings.network.hidden, spec.actions.len() as i64, &settings.transformer);
         let (count, heads) = (transformer.blocks, transformer.heads);
-        let block = |i| Block::new(places.of(ACTOR).sub("blocks").sub(i), hidden, heads);
+        let block = |i| Block::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, heads);
         let blocks = (0..count).map(block).collect();
         Self {
-            input: Input::new(places.of(ACTOR), spec, settings),
+            input: Input::new(builder.of(ACTOR), spec, settings),
             blocks,
-            value: ValueHead::new(places.of(ACTOR).sub("value"), spec, hidden),
+            value: ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
-                decoder: Decoder::new(
-                    places.of(ACTOR).sub("decoder"),
+                decoder: TransformerDecoder::new(
+                    builder.of(ACTOR).sub("decoder"),
                     actions,
                     hidden,
                     count,
@@ -85,7 +85,7 @@ impl Networks for Mat {
                     None,
                 ),
                 head: GaussianHead::new(
-                    places.of(ACTOR).sub("head"),
+                    builder.of(ACTOR).sub("head"),
                     hidden,
                     &spec.actions,
                     &settings.exploration,

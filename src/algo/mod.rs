@@ -79,7 +79,7 @@ impl Method {
     /// A method whose networks are trained by proximal policy optimisation.
     const fn of<N: Networks + 'static>() -> Self {
         let capabilities = Capabilities {
-            hears: N::HEARS,
+            scope: N::SCOPE,
             messages: N::MESSAGES,
             any_number: N::PER_AGENT.is_none(),
             team: N::TEAM,
@@ -108,7 +108,7 @@ impl Method {
 #[expect(clippy::struct_excessive_bools, reason = "any of them may be without the others")]
 pub struct Capabilities {
     /// The agents whose observations can change an agent's action at run time.
-    pub hears: Hears,
+    pub scope: CommunicationScope,
     /// Whether agents send messages that each receiver reads by itself, so that a [`Channel`] can
     /// disturb them.
     pub messages: bool,
@@ -131,16 +131,16 @@ pub struct Capabilities {
 
 /// The agents, besides itself, whose observations can change an agent's action at run time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Hears {
+pub enum CommunicationScope {
     /// No other agent. The policy needs no radio.
-    Nobody,
+    None,
     /// Agents within range, by messages. With several rounds, or along a sequence, agents within
     /// range of those as well.
     InRange,
     /// Agents within range, one step later, because their actions show it.
-    InRangeLater,
+    InRangeNextStep,
     /// All agents: one central policy decides for everyone.
-    Everyone,
+    All,
 }
 
 /// Returns what the algorithm called `name` can do.
@@ -159,7 +159,9 @@ pub fn capabilities(name: &str) -> Result<Capabilities, Error> {
 /// [`Error::NoMessages`], [`Error::UnknownAlgorithm`].
 pub fn check_channel(name: &str, channel: &Channel) -> Result<(), Error> {
     let Method { name, capabilities, .. } = Method::named(name)?;
-    let fits = channel.is_perfect() || capabilities.messages || capabilities.hears == Hears::Nobody;
+    let fits = channel.is_perfect()
+        || capabilities.messages
+        || capabilities.scope == CommunicationScope::None;
     if fits { Ok(()) } else { Err(Error::NoMessages { algorithm: name }) }
 }
 
@@ -261,7 +263,7 @@ pub struct Reconstruction {
 
 /// Diagnostics of a policy at one decision.
 #[derive(Debug, Default)]
-pub struct Insight {
+pub struct Diagnostics {
     /// Value of each agent, in units of the reward, `[E, N]`; `None` where the value function needs
     /// a memory of its own.
     pub value: Option<Tensor>,
@@ -272,7 +274,7 @@ pub struct Insight {
 
 /// Parameters of one update, and the noise of the actions after it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pace {
+pub struct UpdateParameters {
     /// Learning rate of this update.
     pub learning_rate: f64,
     /// Logarithm of the actions' standard deviation that the update leaves in the policy, where a
@@ -281,7 +283,7 @@ pub struct Pace {
     /// Discount per step.
     pub gamma: f64,
     /// Factor on the number of samples per minibatch.
-    pub growth: usize,
+    pub batch_growth: usize,
 }
 
 /// Named diagnostics of an update, under the names that are usual in the field.
@@ -320,7 +322,7 @@ pub trait Algorithm {
     -> Decision;
 
     /// Returns diagnostics of the policy, given the privileged `state [E, N, S]`.
-    fn inspect(&self, input: &Observation, state: &Tensor) -> Insight;
+    fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics;
 
     /// Returns the decoders' predictions of `state [E, N, S]` and of messages from the latent, with
     /// their targets; empty for methods without a latent.
@@ -330,7 +332,12 @@ pub trait Algorithm {
     ///
     /// # Errors
     /// [`Error::NonFinite`] when a loss is not finite.
-    fn update(&mut self, rollout: &Rollout, pace: &Pace, seed: Seed) -> Result<Losses, Error>;
+    fn update(
+        &mut self,
+        rollout: &Rollout,
+        parameters: &UpdateParameters,
+        seed: Seed,
+    ) -> Result<Losses, Error>;
 
     /// Exchanges the policy's weights with their average, if one is kept. An evaluation calls it
     /// once before [`Algorithm::act`] and once more before training continues.

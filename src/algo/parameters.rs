@@ -8,7 +8,7 @@ use crate::rng::{Rng, Seed};
 
 /// The names of a parameter group, and the coefficients of its optimiser.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Set {
+pub(super) struct ParameterGroup {
     /// Name in checkpoints; the state of the group's optimiser is stored under `<name>_adam`.
     pub(super) name: &'static str,
     /// Name of the group's gradient in messages.
@@ -20,14 +20,14 @@ pub(super) struct Set {
 }
 
 /// The group of the policy and of everything that is trained together with it.
-pub(super) const ACTOR: Set = Set {
+pub(super) const ACTOR: ParameterGroup = ParameterGroup {
     name: "actor",
     gradient: "the policy's gradient",
     norm: "ppo/grad_norm_actor",
     adam: AdamConfig::MAPPO,
 };
 /// The group of a value function that is trained separately.
-pub(super) const CRITIC: Set = Set {
+pub(super) const CRITIC: ParameterGroup = ParameterGroup {
     name: "critic",
     gradient: "the value's gradient",
     norm: "ppo/grad_norm_critic",
@@ -36,13 +36,13 @@ pub(super) const CRITIC: Set = Set {
 
 /// A builder of parameters, which networks use to create theirs. A group is created at its first
 /// request; the first one must be [`ACTOR`].
-pub(super) struct Places {
+pub(super) struct ParameterBuilder {
     device: Device,
     seed: Seed,
-    sets: Vec<(Set, Params, Rng)>,
+    sets: Vec<(ParameterGroup, Params, Rng)>,
 }
 
-impl Places {
+impl ParameterBuilder {
     /// Creates a builder without groups. The initial values of each group are drawn from a stream
     /// of its own, derived from `seed`.
     pub(super) fn new(seed: Seed, device: Device) -> Self {
@@ -50,7 +50,7 @@ impl Places {
     }
 
     /// Returns the root path of a group.
-    pub(super) fn of(&mut self, set: Set) -> Path<'_> {
+    pub(super) fn of(&mut self, set: ParameterGroup) -> Path<'_> {
         let at = self.sets.iter().position(|(own, ..)| *own == set).unwrap_or_else(|| {
             self.sets.push((set, Params::new(self.device), self.seed.child(set.name).rng()));
             self.sets.len() - 1
@@ -69,7 +69,7 @@ impl Places {
 
 /// A parameter group and its optimiser.
 struct Optimised {
-    set: Set,
+    set: ParameterGroup,
     params: Params,
     adam: Adam,
 }
@@ -85,12 +85,12 @@ pub(super) struct Weights {
 impl Weights {
     /// Takes over all groups, whose networks must be complete. Keeps an average of the policy's
     /// weights if `average` is true.
-    pub(super) fn new(places: Places, average: bool) -> Self {
-        let optimised = |(set, mut params, _): (Set, Params, Rng)| {
+    pub(super) fn new(builder: ParameterBuilder, average: bool) -> Self {
+        let optimised = |(set, mut params, _): (ParameterGroup, Params, Rng)| {
             let adam = Adam::with_config(&mut params, set.adam);
             Optimised { set, params, adam }
         };
-        let sets: Vec<_> = places.sets.into_iter().map(optimised).collect();
+        let sets: Vec<_> = builder.sets.into_iter().map(optimised).collect();
         let average = average.then(|| sets[0].adam.weights().copy());
         Self { sets, average }
     }
@@ -103,7 +103,7 @@ impl Weights {
     pub(super) fn step_all(
         &mut self,
         limit: f64,
-        rate: impl Fn(Set) -> Option<f64>,
+        rate: impl Fn(ParameterGroup) -> Option<f64>,
     ) -> Result<Vec<(&'static str, f64)>, Error> {
         let norms = self.sets.iter_mut().map(|own| own.clip(limit)).collect::<Result<_, _>>()?;
         for Optimised { set, adam, .. } in &mut self.sets {
@@ -118,7 +118,7 @@ impl Weights {
     /// Steps one group, as [`Weights::step_all`] does, and drops the gradients of the others.
     pub(super) fn step(
         &mut self,
-        set: Set,
+        set: ParameterGroup,
         limit: f64,
         rate: f64,
     ) -> Result<Vec<(&'static str, f64)>, Error> {

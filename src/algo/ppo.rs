@@ -61,7 +61,7 @@ pub(super) fn value_terms(
         &shard.active(&batch.value),
         &target,
         &target.ones_like(),
-        ppo.clip,
+        ppo.clip_range,
         ppo.huber_delta,
     )
 }

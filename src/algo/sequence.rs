@@ -16,7 +16,7 @@ use super::head::GaussianHead;
 use super::scene::Scene;
 use super::settings::Settings;
 use crate::env::EnvSpec;
-use crate::nn::{Decoded, Decoder, Init, LayerNorm, Linear, Path, Reach};
+use crate::nn::{Decoded, Init, LayerNorm, Linear, Path, Reach, TransformerDecoder};
 
 /// The observation encoder and the transformer's input layer: normalisation, linear, GELU,
 /// normalisation.
@@ -78,7 +78,7 @@ impl ValueHead {
 
 /// A decoder of actions, agent by agent in the order of slots.
 pub(super) struct Sequence {
-    pub(super) decoder: Decoder,
+    pub(super) decoder: TransformerDecoder,
     pub(super) head: GaussianHead,
     /// Number of action dimensions A.
     pub(super) actions: i64,
@@ -91,7 +91,7 @@ pub(super) struct Order {
     /// Number, counted from 1, of the slot of the last present agent before each slot, `[B, N]`; 0
     /// where there is none.
     before: Tensor,
-    /// 1 where an agent hears the last present agent before it, `[B, N]`.
+    /// 1 where an agent scope the last present agent before it, `[B, N]`.
     heard: Tensor,
     /// Attention among the agents up to and including each agent.
     reach: Reach,
@@ -99,7 +99,7 @@ pub(super) struct Order {
 
 impl Order {
     /// Creates the order. In `present: [B, N]` and `graph: [B, N, N]` (row = listener) 1 is present
-    /// and hears; `reach` is the graph for attention.
+    /// and scope; `reach` is the graph for attention.
     pub(super) fn new(present: &Tensor, graph: &Tensor, reach: &Reach) -> Self {
         let agents = present.size()[1];
         let present = present.gt(0.5);

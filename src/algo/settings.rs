@@ -144,7 +144,7 @@ pub struct Ppo {
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
     /// Clip range ε of the ratio and of the value.
-    pub clip: f64,
+    pub clip_range: f64,
     /// Weight of the penalty on mean actions beyond -1 to 1, where actions are clipped: half the
     /// squared excess, in units of the noise's standard deviation; 0: no penalty. Beyond the bounds
     /// noise changes no action, so that the policy learns nothing from it
@@ -153,7 +153,7 @@ pub struct Ppo {
     /// Error of the normalised value at which the Huber loss becomes linear.
     pub huber_delta: f64,
     /// Weight of the entropy bonus; 0 where a schedule imposes the noise.
-    pub entropy: f64,
+    pub entropy_coefficient: f64,
     /// Largest gradient norm, of policy and value function separately.
     pub max_grad_norm: f64,
     /// Decay of the running statistics that normalise values.
@@ -174,10 +174,10 @@ impl Default for Ppo {
             gamma: 0.99,
             gamma_explored: 0.0,
             gae_lambda: 0.95,
-            clip: 0.2,
+            clip_range: 0.2,
             bounds: 0.1,
             huber_delta: 10.0,
-            entropy: 0.0,
+            entropy_coefficient: 0.0,
             max_grad_norm: 10.0,
             value_norm_beta: 0.99999,
         }
@@ -203,14 +203,12 @@ pub struct Exploration {
     /// Environment steps over which the logarithm of the standard deviation falls linearly from
     /// `log_std_start` to `log_std_explore`.
     pub explore_steps: u64,
-    /// Correlation of the noise of throttle and brake from step to step (first-order
+    /// Correlation of the noise of actions from step to step (first-order
     /// autoregressive, of constant variance) until annealing begins; then there is none. Correlated
     /// noise moves a vehicle further from its mean trajectory and so finds other orders of passing;
     /// but vehicles that must allow for it drive slowly (Hollenstein et al., AAAI 2024).
     /// Probabilities of actions are conditional on the noise of the step before.
     pub correlation: f64,
-    /// Environment steps over which the correlation falls to 0; 0: it stays constant.
-    pub correlation_steps: u64,
 }
 
 impl Default for Exploration {
@@ -222,7 +220,6 @@ impl Default for Exploration {
             log_std_end: -2.0,
             explore_steps: 250_000,
             correlation: 0.0,
-            correlation_steps: 0,
         }
     }
 }

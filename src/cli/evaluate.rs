@@ -12,7 +12,8 @@ use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{
-    DETERMINED, Knowledge, Metrics, Onlooker, OthersMetrics, POLICIES, Policy, evaluate,
+    BackgroundSummary, DETERMINED, EvaluationObserver, Knowledge, Metrics, POLICIES, Policy,
+    evaluate,
 };
 use iwol_sumo::provenance::{Program, Training};
 use iwol_sumo::record;
@@ -198,8 +199,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .map(|_| Recorder::new(&task, args.record_episode));
         let mut show = |done| bar.set_position(done);
         let hosting = config.hosting();
-        let onlooker = Onlooker { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, onlooker)
+        let observer =
+            EvaluationObserver { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
+        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, observer)
             .with_context(|| format!("evaluating {name} stopped"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
@@ -284,7 +286,7 @@ type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
 /// Formats a metric of background traffic and pedestrians; a dash if there was none.
 fn others(
     metrics: &Metrics,
-    of: fn(&OthersMetrics) -> Option<Estimate>,
+    of: fn(&BackgroundSummary) -> Option<Estimate>,
     write: fn(&Estimate) -> String,
 ) -> String {
     metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
@@ -356,7 +358,7 @@ fn table(rows: &[Row]) -> String {
         ("smallest TTC s", &|m| others(m, |o| o.ttc, fine)),
         ("smallest PET s", &|m| others(m, |o| o.pet, fine)),
     ];
-    let any = |of: fn(&OthersMetrics) -> f64| {
+    let any = |of: fn(&BackgroundSummary) -> f64| {
         rows.iter().any(|row| row.metrics.others.as_ref().is_some_and(|others| of(others) > 0.0))
     };
     let (driven, walked) = (any(|o| o.vehicles.mean), any(|o| o.pedestrians.mean));

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
-use iwol_sumo::train::{Outcome, Report, RunDir, Trainer, human_duration};
+use iwol_sumo::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
 use toml::Value;
 
 use super::Verdict;
@@ -243,9 +243,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     })?;
     let progress = trainer.progress();
     let end = match outcome {
-        Outcome::Finished => "finished",
-        Outcome::Solved => "stopped, solved",
-        Outcome::Interrupted => "interrupted",
+        TrainingEnd::Finished => "finished",
+        TrainingEnd::Solved => "stopped, solved",
+        TrainingEnd::Interrupted => "interrupted",
     };
     say!(
         "{end} after {} steps in {}; best validation success {}",
@@ -255,7 +255,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .best
             .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
-    if outcome == Outcome::Interrupted {
+    if outcome == TrainingEnd::Interrupted {
         say!("go on with: iwol train --resume --out {}", dir.path().display());
     }
     tell!("{}", dir.path().display());

@@ -41,7 +41,7 @@ impl Config {
         let few = agents < 8 && !steers;
         let on_policy = algo::capabilities(algorithm).is_ok_and(|c| c.on_policy);
         let train = Train {
-            growth: if steers && on_policy { 4 } else { train.growth },
+            batch_growth: if steers && on_policy { 4 } else { train.batch_growth },
             envs: if few {
                 2 * scaled(envs)
             } else {
@@ -60,13 +60,6 @@ impl Config {
             // A turn takes a second or two of steering to one side, which noise that is independent
             // from step to step never does (docs/lab/decision-process.md).
             correlation: if steers { 0.95 } else { exploration.correlation },
-            // The correlation fades because agents must learn to do without it. Off-policy methods
-            // get worse as it fades (docs/lab/0.1.0.md).
-            correlation_steps: if steers && on_policy {
-                scaled(exploration.explore_steps)
-            } else {
-                exploration.correlation_steps
-            },
             explore_steps: scaled(exploration.explore_steps).max(exploration.explore_steps)
                 * if steers { 2 } else { 1 },
             // With the noise for new weights, a trained policy would forget what it has learned.

@@ -67,12 +67,11 @@ impl Config {
     ///   and `train.validation_episodes` × 8/N, but at least a quarter; `steps` and
     ///   `exploration.explore_steps` × 8/N below 8 agents; `train.envs` 256/N, but at least 8, and
     ///   16 from 8 to 16 agents.
-    /// - Vehicles that steer: correlated noise (`exploration.correlation`); twice the `exploration.explore_steps`, and then larger
-    ///   batches (`train.growth`) and a higher discount (`ppo.gamma_explored`); four times the
-    ///   `steps`; more `train.anneal_steps`; `train.anneal_success` 0.9; `train.envs` 128/N below 8
-    ///   agents.
-    /// - Off-policy methods: half the `ppo.minibatch`; no `train.growth`;
-    ///   correlation until annealing begins.
+    /// - Vehicles that steer: correlated noise (`exploration.correlation`); twice the
+    ///   `exploration.explore_steps`, and then larger batches (`train.batch_growth`) and a higher
+    ///   discount (`ppo.gamma_explored`); four times the `steps`; more `train.anneal_steps`;
+    ///   `train.anneal_success` 0.9; `train.envs` 128/N below 8 agents.
+    /// - Off-policy methods: half the `ppo.minibatch`; no `train.batch_growth`.
     /// - Methods with a team's return: no `env.cooperation`.
     /// - `init_from`: exploration begins at `exploration.log_std_explore`.
     ///
@@ -81,7 +80,7 @@ impl Config {
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
         let document @ Document { name, text, .. } = &layers.document;
         let parsed = DeTable::parse(text).map_err(|e| {
-            let place = Place::At { document, offset: e.span().map_or(0, |span| span.start) };
+            let place = Origin::At { document, offset: e.span().map_or(0, |span| span.start) };
             Error::Syntax { place: place.to_string(), message: e.message().to_owned() }
         })?;
 
@@ -114,7 +113,7 @@ impl Config {
         let mut places = HashMap::new();
         merge(&mut table, &mut places, parsed.get_ref(), &[], document)?;
         for set in &layers.sets {
-            let place = Place::Set(set).to_string();
+            let place = Origin::Set(set).to_string();
             let (key, value) = set.split_once('=').ok_or_else(|| Error::Value {
                 place: place.clone(),
                 key: set.clone(),
@@ -127,7 +126,7 @@ impl Config {
             assign(&mut table, &mut places, &keys, value, place)?;
         }
         for (key, value) in &layers.flags {
-            let place = Place::Flag(key).to_string();
+            let place = Origin::Flag(key).to_string();
             assign(
                 &mut table,
                 &mut places,
@@ -158,13 +157,13 @@ impl Config {
 }
 
 /// The place where a setting is given.
-enum Place<'a> {
+enum Origin<'a> {
     At { document: &'a Document, offset: usize },
     Set(&'a str),
     Flag(&'a str),
 }
 
-impl std::fmt::Display for Place<'_> {
+impl std::fmt::Display for Origin<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::At { document: Document { name, generated: true, .. }, .. } => f.write_str(name),
@@ -193,7 +192,7 @@ fn merge(
     for (key, value) in layer {
         let mut keys = prefix.to_vec();
         keys.push(key.get_ref());
-        let place = |offset| Place::At { document, offset }.to_string();
+        let place = |offset| Origin::At { document, offset }.to_string();
         if let DeValue::Table(inner) = value.get_ref() {
             check_key(table, &keys, &place(key.span().start))?;
             merge(table, places, inner, &keys, document)?;
@@ -313,7 +312,7 @@ pub enum Error {
     /// No setting has this name.
     #[error("{place}: there is no setting `{key}`{}", nearest.as_ref().map(|n| format!("; did you mean `{n}`?")).unwrap_or_default())]
     UnknownKey {
-        /// Place of the key.
+        /// Origin of the key.
         place: String,
         /// The unknown name.
         key: String,
@@ -323,7 +322,7 @@ pub enum Error {
     /// The value is not allowed.
     #[error("{place}: bad value for `{key}`: {message}")]
     Value {
-        /// Place of the value.
+        /// Origin of the value.
         place: String,
         /// The setting.
         key: String,
@@ -443,7 +442,7 @@ mod tests {
         assert_eq!(resolve("agents = 48\nsteps = 5", &["train.envs=3"]).unwrap().train.envs, 3);
         // These settings are the same for every number of agents.
         let searched = |c: &Config| {
-            (c.train.replay_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma)
+            (c.train.repeat_failed, c.train.anneal_success, c.train.stop_success, c.ppo.gamma)
         };
         assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.99); 3]);
         assert_eq!(four.train.validation_episodes, 128);
@@ -459,13 +458,6 @@ mod tests {
     fn vehicles_that_steer_have_defaults_of_their_own() {
         let five = resolve_on("parking_lot", "", &[]).unwrap();
         assert_eq!((five.exploration.correlation, five.train.envs), (0.95, 25));
-        let lasts = |sets: &[&str]| {
-            resolve_on("parking_lot", "", sets).unwrap().exploration.correlation_steps
-        };
-        assert!(
-            lasts(&[]) > 0 && lasts(&["algorithm=maddpg"]) == 0,
-            "methods that replay get worse as it fades"
-        );
         assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
         let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
         assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
@@ -474,7 +466,7 @@ mod tests {
             view(&five),
             "one task for all"
         );
-        assert_eq!((five.train.replay_failed, five.train.anneal_success), (0.5, 0.9));
+        assert_eq!((five.train.repeat_failed, five.train.anneal_success), (0.5, 0.9));
     }
 
     #[test]
@@ -497,7 +489,7 @@ mod tests {
             ["env.cooperation=0.25", "train.envs=3"],
             ["iwol.message=96", "iwol.heads=3"],
             ["network.token_width=24", "network.token_heads=3"],
-            ["train.segment=256", "network.chunk_length=200"],
+            ["train.rollout_steps=256", "network.chunk_length=200"],
         ] {
             let config = resolve("", &sets).unwrap();
             assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);

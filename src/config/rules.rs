@@ -17,8 +17,8 @@ impl Config {
         // The limit on samples keeps a rollout's observations within the machine's memory.
         let samples = t
             .envs
-            .saturating_mul(t.segment)
-            .saturating_mul(t.growth)
+            .saturating_mul(t.rollout_steps)
+            .saturating_mul(t.batch_growth)
             .saturating_mul(self.agents as usize);
         let sequential = ["mat", "commformer"].contains(&self.algorithm.as_str());
         let heads = self.transformer.heads;
@@ -29,16 +29,16 @@ impl Config {
             (&["seed"], i64::try_from(self.seed).is_ok(), "below 2^63"),
             (&["steps"], (1..=1 << 50).contains(&self.steps), "1 to 2^50"),
             (&["train.envs"], (1..=1024).contains(&t.envs), "1 to 1024"),
-            (&["train.segment"], (1..=100_000).contains(&t.segment), "1 to 100000"),
+            (&["train.rollout_steps"], (1..=100_000).contains(&t.rollout_steps), "1 to 100000"),
             (
-                &["train.segment", "train.growth", "train.envs", "agents"],
+                &["train.rollout_steps", "train.batch_growth", "train.envs", "agents"],
                 samples <= 1 << 24,
-                "2^24 samples per rollout (segment × growth × envs × agents)",
+                "2^24 samples per rollout (rollout_steps × batch_growth × envs × agents)",
             ),
-            (&["train.growth"], (1..=64).contains(&t.growth), "1 to 64"),
+            (&["train.batch_growth"], (1..=64).contains(&t.batch_growth), "1 to 64"),
             (
-                &["train.growth", "algorithm"],
-                t.growth == 1 || able.is_none_or(|able| able.on_policy),
+                &["train.batch_growth", "algorithm"],
+                t.batch_growth == 1 || able.is_none_or(|able| able.on_policy),
                 "1 with MADDPG, which learns from replayed steps",
             ),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
@@ -48,7 +48,7 @@ impl Config {
                 "1 to 100000",
             ),
             (&["train.stop_success"], share(t.stop_success), "0 to 1"),
-            (&["train.replay_failed"], share(t.replay_failed), "0 to 1"),
+            (&["train.repeat_failed"], share(t.repeat_failed), "0 to 1"),
             (&["train.anneal_success"], share(t.anneal_success), "0 to 1"),
             (&["train.anneal_steps"], (1..=1 << 50).contains(&t.anneal_steps), "1 to 2^50"),
             (&["train.stop_validations"], (1..=1000).contains(&t.stop_validations), "1 to 1000"),
@@ -71,9 +71,9 @@ impl Config {
                 "a divisor of network.token_width",
             ),
             (
-                &["network.chunk_length", "train.segment", "network.encoder"],
-                !recurrent || (1..=t.segment).contains(&n.chunk_length),
-                "1 to train.segment",
+                &["network.chunk_length", "train.rollout_steps", "network.encoder"],
+                !recurrent || (1..=t.rollout_steps).contains(&n.chunk_length),
+                "1 to train.rollout_steps",
             ),
             (&["ppo.learning_rate"], finite_range(p.learning_rate), "0 or more"),
             (&["ppo.learning_rate_end"], share(p.learning_rate_end), "0 to 1"),
@@ -85,10 +85,10 @@ impl Config {
             (&["ppo.gamma"], share(p.gamma), "0 to 1"),
             (&["ppo.gamma_explored"], share(p.gamma_explored), "0 to 1"),
             (&["ppo.gae_lambda"], share(p.gae_lambda), "0 to 1"),
-            (&["ppo.clip"], finite_positive(p.clip), "above 0"),
+            (&["ppo.clip_range"], finite_positive(p.clip_range), "above 0"),
             (&["ppo.bounds"], p.bounds.is_finite() && p.bounds >= 0.0, "0 or more"),
             (&["ppo.huber_delta"], finite_positive(p.huber_delta), "above 0"),
-            (&["ppo.entropy"], p.entropy.is_finite(), "a finite number"),
+            (&["ppo.entropy_coefficient"], p.entropy_coefficient.is_finite(), "a finite number"),
             (&["ppo.max_grad_norm"], finite_positive(p.max_grad_norm), "above 0"),
             (&["ppo.value_norm_beta"], (0.0..1.0).contains(&p.value_norm_beta), "0 to below 1"),
             (&["exploration.log_std_start"], (-20.0..=5.0).contains(&x.log_std_start), "-20 to 5"),
@@ -100,7 +100,6 @@ impl Config {
             (&["exploration.log_std_end"], (-20.0..=5.0).contains(&x.log_std_end), "-20 to 5"),
             (&["exploration.correlation"], (0.0..1.0).contains(&x.correlation), "0 to below 1"),
             (&["exploration.explore_steps"], x.explore_steps <= 1 << 50, "0 to 2^50"),
-            (&["exploration.correlation_steps"], x.correlation_steps <= 1 << 50, "0 to 2^50"),
             (&["iwol.latent"], (1..=4096).contains(&i.latent), "1 to 4096"),
             (&["iwol.rounds"], (1..=64).contains(&i.rounds), "1 to 64"),
             (&["iwol.message"], (1..=4096).contains(&i.message), "1 to 4096"),
@@ -180,7 +179,7 @@ impl Config {
             (&["env.encounters"], e.encounters <= 16, "0 to 16"),
             (&["env.borders"], (0.0..=20.0).contains(&e.borders), "0 to 20"),
             (&["env.foresight"], (0.0..=10.0).contains(&e.foresight), "0 to 10"),
-            (&["env.turns"], (0.0..=100.0).contains(&e.turns), "0 to 100"),
+            (&["env.priority_distance"], (0.0..=100.0).contains(&e.priority_distance), "0 to 100"),
             (&["env.lidar_beams"], e.lidar_beams <= Lidar::MOST, "0 to 360"),
             (&["env.lidar_range"], (1.0..=200.0).contains(&e.lidar_range), "1 to 200"),
             (&["env.communication_range"], finite_range(e.communication_range), "0 or more"),

@@ -1,5 +1,5 @@
 //! Right of way by first come, first served, as at a junction that grants passage in the order of
-//! requests (Dresner and Stone, JAIR 2008): the vehicles' priorities (`turns`, the smallest number
+//! requests (Dresner and Stone, JAIR 2008): the vehicles' priorities (`priorities`, the smallest number
 //! goes first), and a rule-based driver.
 
 use super::foresight::{Course, DRIVING, passing};
@@ -70,7 +70,7 @@ enum Standing {
 
 /// Returns how far the vehicle of `slot` can drive with regard to the vehicle of slot `j`: the
 /// smallest distances over all candidate routes of the latter.
-pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usize) -> Free {
+pub(super) fn free(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j: usize) -> Free {
     let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
     let (own, other) = (&slots[slot], &slots[j]);
     if j == slot || other.status == Status::Empty {
@@ -81,7 +81,7 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
             Standing::Behind
         } else if is_behind(routes, place, &Candidate::of(own)) || other.status == Status::Wreck {
             Standing::Ahead
-        } else if turns[j] < turns[slot] {
+        } else if priorities[j] < priorities[slot] {
             Standing::Before
         } else {
             Standing::After
@@ -124,14 +124,14 @@ pub(super) fn free(knowledge: Knowledge<'_>, turns: &[u32], slot: usize, j: usiz
 /// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
 /// ahead, or stands in its way.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
-    let (mut turns, mut blocked) = (Vec::new(), Vec::new());
+    let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.routes, traffic);
-    inherit(knowledge, &mut turns, &mut blocked);
+    inherit(knowledge, &mut priorities, &mut blocked);
     let control = &task.scenario.control;
     let brakes = control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING);
     let gives_way = |(slot, own): (usize, &Slot)| {
-        let seen = |free: Free, j| free.min(self::free(knowledge, &turns, slot, j));
-        let free = (0..turns.len()).fold(Free::ALL, seen);
+        let seen = |free: Free, j| free.min(self::free(knowledge, &priorities, slot, j));
+        let free = (0..priorities.len()).fold(Free::ALL, seen);
         let braking = own.speed * own.speed / (2.0 * brakes);
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(task, own).is_some_and(|entry| entry < braking);
@@ -159,21 +159,21 @@ fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) ->
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 
-/// Writes the effective priorities of all slots to `turns`; the smallest number goes first.
+/// Writes the effective priorities of all slots to `priorities`; the smallest number goes first.
 ///
 /// A vehicle whose present position blocks another inherits the blocked vehicle's priority if that
 /// is earlier than its own; otherwise the two would wait for each other. A vehicle with several
 /// candidate routes is blocked if it is blocked on any of them. `blocked` is scratch.
 pub(super) fn inherit(
     knowledge: Knowledge<'_>,
-    turns: &mut Vec<u32>,
+    priorities: &mut Vec<u32>,
     blocked: &mut Vec<(usize, usize)>,
 ) {
     let Knowledge { routes, traffic, .. } = knowledge;
     let slots = &traffic.slots;
-    turns.clear();
+    priorities.clear();
     // Vehicles that have no priority yet (0) come last.
-    turns.extend(slots.iter().map(|slot| slot.turn.wrapping_sub(1)));
+    priorities.extend(slots.iter().map(|slot| slot.priority.wrapping_sub(1)));
     let drives = |i: usize| slots[i].status == Status::Active;
     let stands_in_the_way = |i: usize, j: usize| {
         let waits_behind =
@@ -195,8 +195,8 @@ pub(super) fn inherit(
     let mut changed = true;
     while std::mem::take(&mut changed) {
         for &(i, j) in &*blocked {
-            changed |= turns[j] < turns[i];
-            turns[i] = turns[i].min(turns[j]);
+            changed |= priorities[j] < priorities[i];
+            priorities[i] = priorities[i].min(priorities[j]);
         }
     }
 }
@@ -246,9 +246,9 @@ mod tests {
     }
 
     fn inherited(task: &Task, traffic: &Traffic) -> Vec<u32> {
-        let mut turns = Vec::new();
-        inherit(Knowledge::full(&task.routes, traffic), &mut turns, &mut Vec::new());
-        turns
+        let mut priorities = Vec::new();
+        inherit(Knowledge::full(&task.routes, traffic), &mut priorities, &mut Vec::new());
+        priorities
     }
 
     #[test]
@@ -262,13 +262,13 @@ mod tests {
         ];
         let mut traffic = traffic(&task, &at);
         traffic.take_turns(&task.routes, None, 20.0);
-        let turns =
-            |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.turn).collect::<Vec<_>>();
-        assert_eq!(turns(&traffic), [0, 1, 2, 0]);
+        let priorities =
+            |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.priority).collect::<Vec<_>>();
+        assert_eq!(priorities(&traffic), [0, 1, 2, 0]);
         // A vehicle that comes later has a later priority, however close it gets.
         traffic.slots[0].s += 24.0;
         traffic.take_turns(&task.routes, None, 20.0);
-        assert_eq!(turns(&traffic), [3, 1, 2, 0]);
+        assert_eq!(priorities(&traffic), [3, 1, 2, 0]);
         traffic.refresh();
         assert_eq!(
             inherited(&task, &traffic),
@@ -291,8 +291,8 @@ mod tests {
         traffic.slots[0] = at(&task, routes[0], met.own - 7.0);
         traffic.slots[1] = at(&task, routes[1], met.other);
         traffic.refresh();
-        for (slot, turn) in traffic.slots.iter_mut().zip([2, 3, 1]) {
-            slot.turn = turn;
+        for (slot, priority) in traffic.slots.iter_mut().zip([2, 3, 1]) {
+            slot.priority = priority;
         }
         assert_eq!(inherited(&task, &traffic), [1, 1, 0], "by itself the second would be last");
         assert_eq!(giving_way(&task, &traffic), [true, false, false]);
@@ -317,15 +317,15 @@ mod tests {
             let names = routes.map(|route| task.route_ids[route].clone());
             let mut traffic = traffic(&task, &[(&names[0], way[0]), (&names[1], way[1])]);
             for (k, slot) in traffic.slots.iter_mut().enumerate() {
-                (slot.turn, slot.speed) = (1 + k as u32, speed[k]);
+                (slot.priority, slot.speed) = (1 + k as u32, speed[k]);
             }
             let touch = separation(
                 (traffic.stance(0), traffic.slots[0].size),
                 (traffic.stance(1), traffic.slots[1].size),
             );
             prop_assume!(touch > 1.2);
-            let (turns, waits) = (inherited(&task, &traffic), giving_way(&task, &traffic));
-            let blocked = free(Knowledge::full(&task.routes, &traffic), &turns, 0, 1).blocked < RESERVE;
+            let (priorities, waits) = (inherited(&task, &traffic), giving_way(&task, &traffic));
+            let blocked = free(Knowledge::full(&task.routes, &traffic), &priorities, 0, 1).blocked < RESERVE;
             let places = [0, 1].map(|k| Candidate::of(&traffic.slots[k]));
             let behind = is_behind(&task.routes, &places[1], &places[0]);
             prop_assert!(!waits[0] || blocked || behind, "{names:?} {waits:?}");

@@ -48,7 +48,7 @@ pub struct EpisodeRecord {
     pub failures: Failures,
     /// Effects on background traffic; `None` in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub others: Option<Others>,
+    pub others: Option<BackgroundMetrics>,
     /// Whether the simulation broke off in the episode; such an episode does not count.
     pub interrupted: bool,
     /// Whether the episode repeats one that failed before ([`super::VecOptions::replay`]).
@@ -61,7 +61,7 @@ pub struct EpisodeRecord {
 
 /// Effects of an episode on background vehicles and pedestrians, while agents were on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Others {
+pub struct BackgroundMetrics {
     /// Number of background vehicles.
     pub vehicles: u32,
     /// Share of the vehicles that collided with an agent or a wreck.

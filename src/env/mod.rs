@@ -38,12 +38,12 @@ pub use comm::physical_mask;
 pub use dynamics::{acceleration, advance};
 pub use failures::Failures;
 pub use geometry::{Pose, Size, boxes_overlap};
-pub use metrics::{EpisodeRecord, Others};
+pub use metrics::{BackgroundMetrics, EpisodeRecord};
 pub use order::Position;
 pub use routes::{Conflict, RouteGeometry};
-pub use slots::Fate;
+pub use slots::Outcome;
 pub use steering::Motion;
-pub use task::{Place, Task};
+pub use task::{RoutePosition, Task};
 pub use vec::{Resets, VecEnv, VecOptions};
 pub use world::{AgentView, Driver, Frame, OtherView, Pursuit, World, WorldState};
 
@@ -242,7 +242,7 @@ pub enum Error {
     Replay,
     /// An episode cannot be played: SUMO dies or loses a vehicle in every attempt.
     #[error("the simulation broke off {times} times in episode {episode}; the warnings say why")]
-    Doomed {
+    KeepsFailing {
         /// Number of the episode.
         episode: u64,
         /// Number of attempts.

@@ -70,31 +70,35 @@ const FORESEEN: [(&str, &str, f32, f32); 4] = [
 
 /// Priority feature of an encounter, after the foresight features; only in scenarios that show
 /// priorities.
-const TURN: [(&str, &str, f32, f32); 1] =
-    [("turn", "1 the agent's comes first, -1 the other's, 0 neither has come near", -1.0, 1.0)];
+const PRIORITY: [(&str, &str, f32, f32); 1] = [(
+    "priority",
+    "1 the agent has priority, -1 the other vehicle has it, 0 neither has come near",
+    -1.0,
+    1.0,
+)];
 
 /// Free-space features, common to all encounters.
 const FREE: [(&str, &str, f32, f32); 3] = [
     (
         "free",
-        "15 m, until too close to one whose turn is before the agent's, is ahead, or is a wreck",
+        "15 m, to the first conflict with a vehicle that has priority, is ahead, or is a wreck",
         0.0,
         1.0,
     ),
     ("free_slow", "the same at half the speed", 0.0, 1.0),
-    ("free_blocked", "15 m, to where one whose turn is after the agent's stands now", 0.0, 1.0),
+    ("free_blocked", "15 m, to the present position of a vehicle without priority", 0.0, 1.0),
 ];
 
 /// Appends the features of encounters.
 pub(super) fn describe_encounters(
     features: &mut Features,
-    Encounters { count, foresight, turns }: Encounters,
+    Encounters { count, foresight, priority: with_priority }: Encounters,
 ) {
     let (seen, flags) = ENCOUNTER.split_at(8);
     let foreseen: &[_] = if foresight > 0.0 { &FORESEEN } else { &[] };
-    let turn: &[_] = if turns { &TURN } else { &[] };
-    features.push("encounter", count, &[seen, foreseen, turn, flags].concat());
-    if turns {
+    let priority: &[_] = if with_priority { &PRIORITY } else { &[] };
+    features.push("encounter", count, &[seen, foreseen, priority, flags].concat());
+    if with_priority {
         features.push("free", 1, &FREE);
     }
 }
@@ -137,7 +141,7 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
             &[("forward", "way ahead", -1.0, 1.0), ("left", "way ahead", -1.0, 1.0)],
         );
     }
-    if settings.turns > 0.0 {
+    if settings.priority_distance > 0.0 {
         features.push(
             "entry",
             1,
@@ -241,7 +245,7 @@ struct View<'a> {
 pub(super) fn write(
     task: &Task,
     knowledge: Knowledge<'_>,
-    turns: &[u32],
+    priorities: &[u32],
     slot: usize,
     out: &mut [f32],
 ) {
@@ -279,7 +283,7 @@ pub(super) fn write(
             w.put([(dx * cos + dy * sin) / ahead, (dy * cos - dx * sin) / ahead]);
         }
     }
-    if scenario.observation.turns > 0.0 {
+    if scenario.observation.priority_distance > 0.0 {
         let entry = fcfs::to_entry(task, own);
         w.put([NEAR, FAR].map(|scale| entry.map_or(-1.0, |way| way.max(0.0) / scale)));
     }
@@ -292,9 +296,14 @@ pub(super) fn write(
     if groups.nearest() {
         view.put_nearest(&mut w);
     }
-    put_encounters(&mut w, knowledge, turns, slot, Encounters::of(&scenario.observation), |j| {
-        view.seen(j)
-    });
+    put_encounters(
+        &mut w,
+        knowledge,
+        priorities,
+        slot,
+        Encounters::of(&scenario.observation),
+        |j| view.seen(j),
+    );
     if groups.conflict() {
         view.put_leader(&mut w);
         view.put_streams(&mut w);
@@ -456,7 +465,7 @@ impl View<'_> {
 pub(super) struct Encounters {
     pub(super) count: usize,
     pub(super) foresight: f64,
-    pub(super) turns: bool,
+    pub(super) priority: bool,
 }
 
 impl Encounters {
@@ -464,7 +473,7 @@ impl Encounters {
         Self {
             count: settings.encounters,
             foresight: settings.foresight,
-            turns: settings.turns > 0.0,
+            priority: settings.priority_distance > 0.0,
         }
     }
 }
@@ -476,9 +485,9 @@ impl Encounters {
 pub(super) fn put_encounters(
     w: &mut Writer,
     knowledge: Knowledge<'_>,
-    turns: &[u32],
+    priorities: &[u32],
     slot: usize,
-    Encounters { count, foresight, turns: told }: Encounters,
+    Encounters { count, foresight, priority: told }: Encounters,
     seen: impl Fn(usize) -> bool,
 ) {
     let Knowledge { routes, traffic, .. } = knowledge;
@@ -505,7 +514,7 @@ pub(super) fn put_encounters(
     for &(_, own_way, other_way, ahead, j) in &soonest[..count] {
         let Some(other) = traffic.slots.get(j) else {
             let foreseen = if foresight > 0.0 { FORESEEN.len() } else { 0 };
-            w.skip(ENCOUNTER.len() + foreseen + if told { TURN.len() } else { 0 });
+            w.skip(ENCOUNTER.len() + foreseen + if told { PRIORITY.len() } else { 0 });
             continue;
         };
         let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
@@ -528,12 +537,12 @@ pub(super) fn put_encounters(
             w.put(if own.speed < DRIVING { at_speed(DRIVING) } else { foreseen });
         }
         if told {
-            w.put([f64::from(turns[j].cmp(&turns[slot]) as i8)]);
+            w.put([f64::from(priorities[j].cmp(&priorities[slot]) as i8)]);
         }
         w.put([moving(other.status), 1.0]);
     }
     if told {
-        let of = |j| fcfs::free(knowledge, turns, slot, j);
+        let of = |j| fcfs::free(knowledge, priorities, slot, j);
         let free = (0..traffic.slots.len()).filter(|&j| seen(j)).map(of).fold(Free::ALL, Free::min);
         w.put([free.way, free.slow, free.blocked].map(|way| way / NEAR));
     }

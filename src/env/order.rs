@@ -19,7 +19,7 @@ pub struct Position {
     pub fresh: u64,
     /// Number that the next episode would have if none were repeated: it grows by the world's
     /// stride with every episode that begins, repeated ones included.
-    pub turn: u64,
+    pub episode_index: u64,
     /// Whether the current episode repeats an earlier one.
     pub replaying: bool,
     /// Episodes that failed when last played, oldest first.
@@ -29,7 +29,13 @@ pub struct Position {
 impl Position {
     /// Returns the position before `episode`, with no failed episodes remembered.
     pub(crate) fn before(episode: u64) -> Self {
-        Self { next: episode, fresh: episode, turn: episode, replaying: false, failed: Vec::new() }
+        Self {
+            next: episode,
+            fresh: episode,
+            episode_index: episode,
+            replaying: false,
+            failed: Vec::new(),
+        }
     }
 }
 
@@ -75,20 +81,20 @@ impl Order {
     /// Undoes the beginning of `episode`, which comes next again.
     pub(super) fn repeat(&mut self, episode: u64) {
         self.position.next = episode;
-        self.position.turn -= self.stride;
+        self.position.episode_index -= self.stride;
         if !self.position.replaying {
             self.position.fresh = episode;
         }
     }
 
     /// Returns the number that the current episode would have if none had been repeated.
-    pub(super) fn turn(&self) -> u64 {
-        self.position.turn.saturating_sub(self.stride)
+    pub(super) fn episode_index(&self) -> u64 {
+        self.position.episode_index.saturating_sub(self.stride)
     }
 
     /// Begins the next episode and returns its number; `None` when all have been played.
     pub(super) fn begin(&mut self) -> Option<u64> {
-        let Position { next, fresh, turn, replaying, .. } = &mut self.position;
+        let Position { next, fresh, episode_index, replaying, .. } = &mut self.position;
         if *next >= self.end {
             return None;
         }
@@ -97,7 +103,7 @@ impl Order {
         if !*replaying {
             *fresh = episode + self.stride;
         }
-        *turn += self.stride;
+        *episode_index += self.stride;
         *next = *fresh;
         Some(episode)
     }
@@ -108,7 +114,7 @@ impl Order {
         if self.replay <= 0.0 {
             return;
         }
-        let turn = self.turn();
+        let episode_index = self.episode_index();
         let Position { next, failed, .. } = &mut self.position;
         failed.retain(|&other| other != episode);
         if !solved {
@@ -117,7 +123,7 @@ impl Order {
                 failed.remove(0);
             }
         }
-        let mut rng = self.seed.index(turn).rng();
+        let mut rng = self.seed.index(episode_index).rng();
         if !failed.is_empty() && rng.random_bool(self.replay) {
             *next = failed[rng::below(&mut rng, failed.len())];
         }
@@ -128,13 +134,13 @@ impl Order {
 mod tests {
     use super::*;
 
-    fn play(order: &mut Order, turns: usize, solved: impl Fn(u64) -> bool) -> Vec<(u64, bool)> {
-        let turn = |order: &mut Order| {
+    fn play(order: &mut Order, count: usize, solved: impl Fn(u64) -> bool) -> Vec<(u64, bool)> {
+        let episode = |order: &mut Order| {
             let episode = order.begin()?;
             order.ended(episode, solved(episode));
             Some((episode, order.position.replaying))
         };
-        (0..turns).map_while(|_| turn(order)).collect()
+        (0..count).map_while(|_| episode(order)).collect()
     }
 
     #[test]

@@ -76,9 +76,9 @@ pub(super) struct Slot {
     pub(super) wreck_steps: u32,
     /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle
     /// has not come near one yet.
-    pub(super) turn: u32,
+    pub(super) priority: u32,
     /// How the agent's episode has ended.
-    pub(super) fate: Fate,
+    pub(super) outcome: Outcome,
     /// The agent's first crash.
     pub(super) crash: Option<Crash>,
     /// How long the agent has loitered.
@@ -87,7 +87,7 @@ pub(super) struct Slot {
 
 /// How an episode ended for an agent; several may hold at once.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Fate {
+pub struct Outcome {
     /// The agent crossed the line at the end of its route.
     pub arrived: bool,
     /// The agent hit another vehicle or a pedestrian.
@@ -115,8 +115,8 @@ pub(super) const EMPTY: Slot = Slot {
     held: None,
     departed: false,
     wreck_steps: 0,
-    turn: 0,
-    fate: Fate { arrived: false, crashed: false, out_of_road: false },
+    priority: 0,
+    outcome: Outcome { arrived: false, crashed: false, out_of_road: false },
     crash: None,
     loitering: Loitering { has_moved: false, time: 0.0 },
 };
@@ -129,10 +129,10 @@ pub(super) struct Traffic {
     pub(super) by_route: Vec<Vec<usize>>,
     /// Distances between the centres of all slots' vehicles, `[slots, slots]` \[m\].
     distances: Vec<f64>,
-    /// Place and direction of each slot's vehicle.
+    /// RoutePosition and direction of each slot's vehicle.
     stances: Vec<Stance>,
     /// The last priority number that was assigned.
-    turn: u32,
+    priority: u32,
 }
 
 impl Traffic {
@@ -143,7 +143,7 @@ impl Traffic {
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
             stances: vec![(&EMPTY.pose).into(); slots],
-            turn: 0,
+            priority: 0,
         }
     }
 
@@ -202,15 +202,15 @@ impl Traffic {
         };
         loop {
             let waiting = self.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
-                let waits = slot.status != Status::Empty && slot.turn == 0;
+                let waits = slot.status != Status::Empty && slot.priority == 0;
                 let distance = if waits { way(j, slot) } else { f64::INFINITY };
                 (distance <= near).then_some((distance, slot))
             });
             let Some((_, next)) = waiting.min_by(|a, b| a.0.total_cmp(&b.0)) else {
                 return;
             };
-            self.turn += 1;
-            next.turn = self.turn;
+            self.priority += 1;
+            next.priority = self.priority;
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::scenario::Scenario;
 const OWN_LANE: usize = 2;
 /// Encounters that the state describes if the observation has any. Foresight and priority are left
 /// out, since the observation contains them and value functions read the observation as well.
-const MET: Encounters = Encounters { count: 8, foresight: 0.0, turns: false };
+const MET: Encounters = Encounters { count: 8, foresight: 0.0, priority: false };
 /// Number of vehicles described per conflicting route.
 const PER_STREAM: usize = 4;
 

@@ -11,7 +11,7 @@ use super::routes::{RouteGeometry, geometry};
 use super::{ActionDimension, EnvSpec, Error, observation, state};
 use crate::scenario::{Control, Demand, Laid, Scenario, Source, SpawnPlace, VehicleKind};
 use crate::sumo::net::{EdgeFunction, Net, Path};
-use crate::sumo::{Departure, Hosting, Others, Route, SimulationConfig, VehicleType};
+use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
@@ -32,7 +32,7 @@ pub(super) struct JunctionStretch {
 
 /// Where a vehicle is relative to its route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub enum RoutePosition {
     /// On a lane of its route, on a road.
     Road,
     /// On a lane of its route, over a junction.
@@ -41,7 +41,7 @@ pub enum Place {
     Beside,
 }
 
-impl Place {
+impl RoutePosition {
     /// Bits for `moveToXY` by which SUMO finds the lane of the vehicle. 1 searches the edges of
     /// the vehicle's route, which is three times as fast but never finds a lane over a junction
     /// (SUMO 1.15). 2 takes the exact place, on any lane or on none.
@@ -278,7 +278,7 @@ impl Task {
     /// Returns where the front bumper of a vehicle is relative to its route, and the front's arc
     /// length along the route's lanes \[m\]. `front` is in the world's coordinates \[m\], and
     /// `segment` is the segment of the route's path on which the vehicle was last.
-    pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (Place, f64) {
+    pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (RoutePosition, f64) {
         let geometry = &self.routes[route];
         let path = geometry.lanes();
         let (s, lateral, segment) = match geometry.avoided {
@@ -287,11 +287,11 @@ impl Task {
             Some(_) => path.nearest(front),
         };
         let place = if lateral.abs() > path.widths[segment] / 2.0 {
-            Place::Beside
+            RoutePosition::Beside
         } else if self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s)) {
-            Place::Junction
+            RoutePosition::Junction
         } else {
-            Place::Road
+            RoutePosition::Road
         };
         (place, s)
     }
@@ -317,7 +317,7 @@ impl Task {
             seed,
             worlds,
             slots: self.slots() as u32,
-            others: (self.others > 0).then(|| self.guests()),
+            others: (self.others > 0).then(|| self.road_users()),
             timeout: hosting.timeout,
             audit: hosting.audit,
             // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
@@ -336,7 +336,7 @@ impl Task {
     }
 
     /// Returns what SUMO needs to know about background traffic.
-    fn guests(&self) -> Others {
+    fn road_users(&self) -> BackgroundTraffic {
         let departure = |source: &Source| {
             let route = self.demand_routes[source.route] as u32;
             if let Some([pos, arrival]) = self.walk_ends[source.route] {
@@ -345,7 +345,7 @@ impl Task {
             let crate::scenario::Start { lane, pos, speed } = source.start.clone();
             Departure::Drive { route, lane, pos, speed }
         };
-        Others {
+        BackgroundTraffic {
             first_slot: self.agents as u32,
             definitions: self.demand.definitions.clone(),
             types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),

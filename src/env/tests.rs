@@ -149,8 +149,8 @@ proptest! {
             let frame = world.frame();
             if frame.start {
                 dead.clear();
-                let crew = frame.active.iter().filter(|&&a| a == 1.0).count();
-                prop_assert!(crew >= fewest.min(n));
+                let active_agents = frame.active.iter().filter(|&&a| a == 1.0).count();
+                prop_assert!(active_agents >= fewest.min(n));
             }
             for i in 0..n {
                 let (active, was_active) = (frame.active[i] > 0.0, before.active[i] > 0.0);
@@ -196,9 +196,9 @@ proptest! {
                 prop_assert!(record.episode_length <= horizon);
                 prop_assert_eq!(record.step_rewards.len(), record.episode_length as usize);
                 let failures = &record.failures;
-                let crew = f64::from(failures.crashed() + failures.out_of_road + failures.unfinished)
+                let active_agents = f64::from(failures.crashed() + failures.out_of_road + failures.unfinished)
                     / (1.0 - record.success).max(1e-9);
-                prop_assert!(record.success > 1.0 - 1e-9 || (crew - crew.round()).abs() < 1e-6, "{:?}", failures);
+                prop_assert!(record.success > 1.0 - 1e-9 || (active_agents - active_agents.round()).abs() < 1e-6, "{:?}", failures);
                 prop_assert!(record.success + record.safety <= 2.0 && record.crash + record.safety <= 1.0 + 1e-9);
                 let sum: f64 = record.step_rewards.iter().map(|&r| f64::from(r)).sum();
                 prop_assert!((sum - record.reward).abs() < 1e-3);
@@ -410,34 +410,34 @@ fn episodes_may_have_fewer_agents() {
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
     let mut crews = std::collections::BTreeSet::new();
-    let (mut crew, mut reward) = (0, 0.0);
+    let (mut active_agents, mut reward) = (0, 0.0);
     while crews.len() < 6 {
         exchange(&mut world, &mut rails, &[0.6; 8]);
         let frame = world.frame();
         if frame.start {
-            crew = frame.active.iter().filter(|&&active| active > 0.0).count();
+            active_agents = frame.active.iter().filter(|&&active| active > 0.0).count();
             assert!(
-                frame.active[..crew].iter().all(|&active| active > 0.0),
+                frame.active[..active_agents].iter().all(|&active| active > 0.0),
                 "the first slots are theirs"
             );
-            assert_eq!(rails.vehicles.iter().flatten().count(), crew);
+            assert_eq!(rails.vehicles.iter().flatten().count(), active_agents);
             reward = 0.0;
         }
-        for i in crew..8 {
+        for i in active_agents..8 {
             assert_eq!((frame.active[i], frame.reward[i], frame.comm[i * 8 + i]), (0.0, 0.0, 0.0));
             assert!(frame.terminated[i] == 0.0 && frame.truncated[i] == 0.0);
         }
-        reward += frame.reward.iter().map(|&r| f64::from(r)).sum::<f64>() / crew as f64;
+        reward += frame.reward.iter().map(|&r| f64::from(r)).sum::<f64>() / active_agents as f64;
         if let Some(record) = world.take_finished() {
             assert!(
                 (record.reward - reward).abs() < 1e-3 * reward.abs().max(1.0),
                 "{} {reward}",
                 record.reward
             );
-            let shares = [record.success, record.crash].map(|share| share * crew as f64);
+            let shares = [record.success, record.crash].map(|share| share * active_agents as f64);
             assert!(shares.iter().all(|share| (share - share.round()).abs() < 1e-9));
-            assert!((3..=8).contains(&crew));
-            crews.insert(crew);
+            assert!((3..=8).contains(&active_agents));
+            crews.insert(active_agents);
         }
     }
 }
@@ -661,7 +661,7 @@ proptest! {
             s.observation.neighbours = 0;
             s.observation.encounters = count;
             s.observation.foresight = foresight;
-            s.observation.turns = turns;
+            s.observation.priority_distance = turns;
         });
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -739,7 +739,7 @@ fn first_come_first_served_brings_all_home() {
 /// reason is beyond the observed distance.
 #[test]
 fn agents_are_told_what_the_rule_goes_by() {
-    let task = task(8, |s| s.observation.turns = 50.0);
+    let task = task(8, |s| s.observation.priority_distance = 50.0);
     let (mut world, mut rails) = (world(&task, 11), Rails::new(&task));
     world.reset(0);
     let named = |name: &str| {
@@ -784,7 +784,8 @@ fn a_crash_replaces_the_reward_of_its_step() {
         exchange(&mut world, &mut rails, &[1.0; 8]);
         let frame = world.frame();
         for (i, agent) in world.agents().enumerate() {
-            let failed = frame.terminated[i] > 0.0 && agent.fate.crashed && !agent.fate.arrived;
+            let failed =
+                frame.terminated[i] > 0.0 && agent.outcome.crashed && !agent.outcome.arrived;
             assert!(!failed || frame.reward[i] == -10.0);
             assert!(failed || frame.reward[i] >= 0.0);
             crashes += usize::from(failed);

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 pub use self::motion::Pursuit;
-use self::others::Others;
+use self::others::BackgroundState;
 pub use self::view::{AgentView, Frame, OtherView};
 use super::audit::{Ours, Pairs, Sumos};
 use super::comm::physical_mask;
@@ -27,7 +27,7 @@ use super::loitering;
 use super::metrics::EpisodeRecord;
 use super::order::{Order, Position};
 use super::road::BESIDE;
-use super::slots::{Fate, Slot, Status, Track, Traffic};
+use super::slots::{Outcome, Slot, Status, Track, Traffic};
 use super::steering::Motion;
 use super::task::Task;
 use super::{Error, observation, state};
@@ -44,7 +44,7 @@ const BORDER_MARGIN: f64 = 0.035;
 
 /// Distance to the first conflict point at which vehicles get their priority, in scenarios whose
 /// observations do not contain priority \[m\].
-const TURNS: f64 = 50.0;
+const PRIORITY_DISTANCE: f64 = 50.0;
 
 /// What controls the agents' vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,11 +103,11 @@ pub struct World {
     phase: Phase,
     step: u32,
     /// Number of agents in the current episode, which occupy the first slots.
-    crew: usize,
+    active_agents: usize,
     traffic: Traffic,
     /// Routes that each vehicle could still take, if the scenario hides routes.
     intentions: Option<Intentions>,
-    others: Others,
+    others: BackgroundState,
     frame: Frame,
     own_rewards: Vec<f64>,
     /// Scratch: positions of the agents along their routes before the step.
@@ -119,7 +119,7 @@ pub struct World {
     /// Scratch: the vehicle that the vehicle of each slot overlaps with.
     partners: Vec<Option<Partner>>,
     /// Scratch: the vehicles' priority numbers, if agents observe them.
-    turns: Vec<u32>,
+    priorities: Vec<u32>,
     /// Scratch: pairs of slots of which the first vehicle blocks the second.
     blocked: Vec<(usize, usize)>,
     total_reward: f64,
@@ -155,10 +155,10 @@ impl World {
             episode: first,
             phase: Phase::Idle,
             step: 0,
-            crew: n,
+            active_agents: n,
             traffic: Traffic::new(task.slots(), task.routes.len()),
             intentions: Intentions::new(&task),
-            others: Others::new(&task),
+            others: BackgroundState::new(&task),
             frame: Frame {
                 observation: vec![0.0; n * o],
                 state: vec![0.0; n * s],
@@ -179,7 +179,7 @@ impl World {
             poses: vec![Pose::default(); n],
             present: vec![false; n],
             partners: vec![None; task.slots()],
-            turns: Vec::with_capacity(task.slots()),
+            priorities: Vec::with_capacity(task.slots()),
             blocked: Vec::with_capacity(task.slots()),
             total_reward: 0.0,
             step_rewards: Vec::new(),
@@ -226,12 +226,6 @@ impl World {
         self.episode
     }
 
-    /// Returns the index of the current episode in the order of play, which is its number in the
-    /// stream as long as no episode was repeated.
-    pub fn turn(&self) -> u64 {
-        self.order.turn()
-    }
-
     /// Returns the steps since the start of the current episode.
     pub fn step_count(&self) -> u32 {
         self.step
@@ -253,7 +247,7 @@ impl World {
         self.traffic.slots.iter().zip(&self.own_rewards).map(|(slot, reward)| AgentView {
             driving: slot.status == Status::Active,
             wreck: slot.status == Status::Wreck,
-            fate: slot.fate,
+            outcome: slot.outcome,
             pose: slot.pose,
             route: slot.route,
             position: slot.s,
@@ -350,15 +344,15 @@ impl World {
             intentions.update(&self.task, &self.traffic, steers);
         }
         let intentions = self.intentions.as_ref();
-        let turns = self.task.scenario.observation.turns;
+        let distance = self.task.scenario.observation.priority_distance;
         self.traffic.take_turns(
             &self.task.routes,
             intentions,
-            if turns > 0.0 { turns } else { TURNS },
+            if distance > 0.0 { distance } else { PRIORITY_DISTANCE },
         );
-        if turns > 0.0 {
+        if distance > 0.0 {
             let knowledge = Knowledge::public(&self.task, &self.traffic, intentions);
-            fcfs::inherit(knowledge, &mut self.turns, &mut self.blocked);
+            fcfs::inherit(knowledge, &mut self.priorities, &mut self.blocked);
         }
         if self.step > 0 {
             let own = self.frame.reward.iter_mut().zip(&self.own_rewards);
@@ -385,14 +379,14 @@ impl World {
             physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
         }
         let (o, s) = (self.task.spec.observation.len(), self.task.spec.state.len());
-        let (task, traffic, turns, present) =
-            (&*self.task, &self.traffic, &self.turns, &self.present);
+        let (task, traffic, priorities, present) =
+            (&*self.task, &self.traffic, &self.priorities, &self.present);
         let time_left =
             1.0 - f64::from(self.step) / f64::from(self.task.scenario.termination.horizon);
         let knowledge = Knowledge::public(task, traffic, self.intentions.as_ref());
         let view = |i: usize, seen: &mut [f32], known: &mut [f32]| {
             if present[i] {
-                observation::write(task, knowledge, turns, i, seen);
+                observation::write(task, knowledge, priorities, i, seen);
                 state::write(task, traffic, time_left, i, known);
             } else {
                 seen.fill(0.0);
@@ -401,7 +395,7 @@ impl World {
         };
         let (seen, known) = (&mut self.frame.observation, &mut self.frame.state);
         let looks = &task.scenario.observation;
-        if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.turns > 0.0 {
+        if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.priority_distance > 0.0 {
             // Fewer than 16 agents are not worth another core.
             let views = seen
                 .par_chunks_exact_mut(o)
@@ -509,7 +503,7 @@ impl World {
             let route = &task.routes[slot.route];
             let lane = route.path.widths[slot.segment];
             let steers = scenario.control.steering.is_some() && self.driver == Driver::Agents;
-            let fate = Fate {
+            let outcome = Outcome {
                 arrived: slot.s >= route.arrival
                     && (!steers || (route.finish[0]..=route.finish[1]).contains(&slot.lateral)),
                 out_of_road: if steers {
@@ -520,7 +514,7 @@ impl World {
                 },
                 crashed: self.partners[i].is_some(),
             };
-            slot.fate = fate;
+            slot.outcome = outcome;
             if let Some(Partner { route: other, same_way, wreck }) = self.partners[i] {
                 let upstream = route.conflicts.first().is_some_and(|c| c.own - slot.s > UPSTREAM);
                 slot.crash = Some(Crash {
@@ -533,11 +527,11 @@ impl World {
                 });
             }
             // The first case that applies replaces the step's reward.
-            let reward = if fate.arrived {
+            let reward = if outcome.arrived {
                 scenario.reward.arrive
-            } else if fate.out_of_road {
+            } else if outcome.out_of_road {
                 scenario.reward.out_of_road
-            } else if fate.crashed {
+            } else if outcome.crashed {
                 scenario.reward.crash
             } else {
                 let way = slot.s - self.positions[i];
@@ -550,9 +544,9 @@ impl World {
             };
             self.own_rewards[i] = reward;
             sum += reward;
-            if fate.arrived || fate.out_of_road || fate.crashed {
+            if outcome.arrived || outcome.out_of_road || outcome.crashed {
                 self.frame.terminated[i] = 1.0;
-                slot.status = if fate.arrived { Status::Empty } else { Status::Wreck };
+                slot.status = if outcome.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
                 if slot.track == Track::Lost {
                     slot.status = Status::Empty;
@@ -562,8 +556,8 @@ impl World {
             }
         }
         self.meet_others(wreck_steps);
-        self.total_reward += sum / self.crew as f64;
-        self.step_rewards.push((sum / self.crew as f64) as f32);
+        self.total_reward += sum / self.active_agents as f64;
+        self.step_rewards.push((sum / self.active_agents as f64) as f32);
         Ok(())
     }
 
@@ -632,20 +626,20 @@ impl World {
 
     /// Returns the record of the current episode.
     fn record(&mut self, interrupted: bool) -> EpisodeRecord {
-        let n = self.crew as f64;
+        let n = self.active_agents as f64;
         let slots = &self.traffic.slots[..self.task.agents];
         let share =
             |flag: fn(&Slot) -> bool| slots.iter().filter(|slot| flag(slot)).count() as f64 / n;
-        let success = share(|slot| slot.fate.arrived);
-        let danger = share(|slot| slot.fate.crashed || slot.fate.out_of_road);
+        let success = share(|slot| slot.outcome.arrived);
+        let danger = share(|slot| slot.outcome.crashed || slot.outcome.out_of_road);
         let routes = &self.task.route_ids;
         let mut failures = Failures::default();
         for slot in slots {
             failures.unfinished += u32::from(slot.status == Status::Active);
-            if slot.fate.out_of_road && slot.crash.is_none() {
+            if slot.outcome.out_of_road && slot.crash.is_none() {
                 failures.leave(&routes[slot.route]);
             }
-            if let Some(crash) = slot.crash.filter(|_| !slot.fate.arrived) {
+            if let Some(crash) = slot.crash.filter(|_| !slot.outcome.arrived) {
                 failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
             }
         }
@@ -654,8 +648,8 @@ impl World {
             episode_length: self.step,
             success,
             safety: 1.0 - danger,
-            crash: share(|slot| slot.fate.crashed),
-            out_of_road: share(|slot| slot.fate.out_of_road),
+            crash: share(|slot| slot.outcome.crashed),
+            out_of_road: share(|slot| slot.outcome.out_of_road),
             reward: self.total_reward,
             efficiency: (success - danger) * n / f64::from(self.step.max(1)),
             sumo_collisions: self.pairs.of_sumo(),

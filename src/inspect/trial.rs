@@ -132,7 +132,7 @@ impl Trial {
             }
             let world = env.worlds().next().expect("one world");
             if world.step_count() == 1 {
-                let crashed = world.agents().filter(|agent| agent.fate.crashed);
+                let crashed = world.agents().filter(|agent| agent.outcome.crashed);
                 trial
                     .collided_at_once
                     .extend(crashed.map(|agent| scenario.routes[agent.route].id.clone()));

@@ -227,7 +227,7 @@ impl Block {
 /// A decoder that decodes agents one after another: each agent reads the actions of the agents
 /// before it and its own representation.
 #[derive(Debug)]
-pub struct Decoder {
+pub struct TransformerDecoder {
     embed: Linear,
     embed_norm: LayerNorm,
     blocks: Vec<Block>,
@@ -241,7 +241,7 @@ pub struct Decoder {
 #[derive(Debug, Default)]
 pub struct Decoded(Vec<Remembered>);
 
-impl Decoder {
+impl TransformerDecoder {
     /// Creates a decoder for actions of `actions` dimensions and representations of `width`
     /// features. Attention weights are orthogonal with gain 0.01 without relations (MAT), and
     /// normal with standard deviation 0.02 with relations (CommFormer).
@@ -390,8 +390,14 @@ mod tests {
             let mut rng = Seed::new(1).rng();
             let table = related
                 .then(|| params.root(&mut rng).create("relations", &[2, 8], Init::Normal(1.0)));
-            let decoder =
-                Decoder::new(params.root(&mut rng).sub("decoder"), 2, 8, 2, 2, table.as_ref());
+            let decoder = TransformerDecoder::new(
+                params.root(&mut rng).sub("decoder"),
+                2,
+                8,
+                2,
+                2,
+                table.as_ref(),
+            );
             tch::no_grad(|| {
                 for (name, tensor) in params.named() {
                     if name.ends_with("weight") && tensor.dim() == 2 {

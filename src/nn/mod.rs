@@ -31,7 +31,7 @@ pub mod transformer;
 pub mod value_norm;
 
 pub use attention::{Mask, SelfAttention};
-pub use decoder::{Attention, Decoded, Decoder, Dropout, Reach, RelationBlock};
+pub use decoder::{Attention, Decoded, Dropout, Reach, RelationBlock, TransformerDecoder};
 pub use distributions::{gaussian_entropy, gaussian_log_prob};
 pub use entity::{Entity, TokenGroup};
 pub use error::{Error, ensure_finite};

@@ -56,7 +56,7 @@ pub(super) const fn px(length: i32) -> i32 {
 /// Position of a text relative to the point at which it is drawn. Vertically, the point is at the
 /// middle of the capitals.
 #[derive(Clone, Copy)]
-pub(super) enum Place {
+pub(super) enum Placement {
     RightOf,
     LeftOf,
     Centred,
@@ -70,7 +70,7 @@ pub(super) fn write(
     text: &str,
     height: i32,
     color: RGBColor,
-    place: Place,
+    place: Placement,
     (x, y): (i32, i32),
 ) -> Drawn {
     // The library centres the space between the lines; the middle of the capitals is this much
@@ -78,10 +78,10 @@ pub(super) fn write(
     let down = px(height) / 5;
     let font = (FONT, px(height)).into_font();
     let (font, h, x, y) = match place {
-        Place::RightOf => (font, HPos::Left, x, y + down),
-        Place::LeftOf => (font, HPos::Right, x, y + down),
-        Place::Centred => (font, HPos::Center, x, y + down),
-        Place::Upwards => (font.transform(FontTransform::Rotate270), HPos::Center, x + down, y),
+        Placement::RightOf => (font, HPos::Left, x, y + down),
+        Placement::LeftOf => (font, HPos::Right, x, y + down),
+        Placement::Centred => (font, HPos::Center, x, y + down),
+        Placement::Upwards => (font.transform(FontTransform::Rotate270), HPos::Center, x + down, y),
     };
     let style = font.color(&color).pos(Pos::new(h, VPos::Center));
     // The text is drawn twice, a third of a pixel apart: the font's strokes are too light for small

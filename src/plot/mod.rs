@@ -16,7 +16,7 @@ use std::path::Path;
 use plotters::prelude::*;
 
 use axis::{Axis, enclosing, runs, usable};
-use canvas::{Canvas, Drawn, FINE, Place, averaged, line, provide_font, px, text_width, write};
+use canvas::{Canvas, Drawn, FINE, Placement, averaged, line, provide_font, px, text_width, write};
 
 pub(crate) use picture::escaped;
 pub use picture::{Picture, Rgb};
@@ -183,7 +183,7 @@ fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
     let width = canvas.dim_in_pixel().0 as i32;
     let mut top = px(12);
     if !title.is_empty() {
-        write(canvas, title, TITLE, INK, Place::Centred, (width / 2, top + px(TITLE) / 2))?;
+        write(canvas, title, TITLE, INK, Placement::Centred, (width / 2, top + px(TITLE) / 2))?;
         top += px(TITLE + 10);
     }
     let mut labels: Vec<&str> = Vec::new();
@@ -250,7 +250,7 @@ fn draw_legend(canvas: &Canvas, panels: &[Panel], labels: &[&str]) -> Drawn<i32>
             } else {
                 line(canvas, (x, middle), (x + SWATCH, middle), px(3), color)?;
             }
-            write(canvas, text, TEXT, INK, Place::RightOf, (x + SWATCH + GAP, middle))?;
+            write(canvas, text, TEXT, INK, Placement::RightOf, (x + SWATCH + GAP, middle))?;
             x += entry + BETWEEN;
         }
         y += ROW;
@@ -375,13 +375,13 @@ fn draw_panel(
         &panel.title,
         HEADING,
         INK,
-        Place::Centred,
+        Placement::Centred,
         (middle, area.top + px(HEADING) / 2),
     )?;
     for (y, label) in y_axis.ticks.iter().map(|y| at(0.0, *y).1).zip(&tick_labels) {
         line(canvas, (plot.left, y), (plot.right, y), px(1), GRID)?;
         line(canvas, (plot.left - px(5), y), (plot.left, y), px(1), INK)?;
-        write(canvas, label, TICK, INK, Place::LeftOf, (plot.left - px(9), y))?;
+        write(canvas, label, TICK, INK, Placement::LeftOf, (plot.left - px(9), y))?;
     }
 
     for series in &panel.series {
@@ -434,7 +434,7 @@ fn draw_panel(
     }
     if empty {
         let centre = (middle, i32::midpoint(plot.top, plot.bottom));
-        write(canvas, "no data", HEADING, REFERENCE, Place::Centred, centre)?;
+        write(canvas, "no data", HEADING, REFERENCE, Placement::Centred, centre)?;
     }
 
     line(canvas, (plot.left, plot.top), (plot.left, plot.bottom), px(1), INK)?;
@@ -445,16 +445,16 @@ fn draw_panel(
         let label =
             panel.categories.get(tick as usize).cloned().unwrap_or_else(|| x_axis.label(tick));
         let (place, half) = if upwards {
-            (Place::Upwards, text_width(canvas, &label, TICK) / 2)
+            (Placement::Upwards, text_width(canvas, &label, TICK) / 2)
         } else {
-            (Place::Centred, px(TICK / 2))
+            (Placement::Centred, px(TICK / 2))
         };
         write(canvas, &label, TICK, INK, place, (x, plot.bottom + px(9) + half))?;
     }
     let below_ticks = plot.bottom + names + px(14 + TEXT / 2);
-    write(canvas, &panel.x_label, TEXT, INK, Place::Centred, (middle, below_ticks))?;
+    write(canvas, &panel.x_label, TEXT, INK, Placement::Centred, (middle, below_ticks))?;
     let beside = (area.left + px(12 + TEXT / 2), i32::midpoint(plot.top, plot.bottom));
-    write(canvas, &panel.y_label, TEXT, INK, Place::Upwards, beside)?;
+    write(canvas, &panel.y_label, TEXT, INK, Placement::Upwards, beside)?;
     draw_reference_labels(
         canvas,
         plot,
@@ -510,7 +510,7 @@ fn draw_reference_labels(canvas: &Canvas, plot: Area, mut marks: Vec<(i32, Vec<S
         )?;
         for (number, text) in (0..).zip(lines) {
             let at = (plot.right + px(LEADER + 4), top + LINE * number + LINE / 2);
-            write(canvas, text, TICK, REFERENCE, Place::RightOf, at)?;
+            write(canvas, text, TICK, REFERENCE, Placement::RightOf, at)?;
         }
     }
     Ok(())

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use plotters::prelude::*;
 
-use super::canvas::{Canvas, Drawn, FINE, Place, provide_font, px, write};
+use super::canvas::{Canvas, Drawn, FINE, Placement, provide_font, px, write};
 use super::{Error, INK, save};
 
 /// Length of the longer side of the drawing \[pixels\].
@@ -174,7 +174,7 @@ impl Picture {
         let fine = |[x, y]: [f64; 2]| {
             ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
         };
-        write(canvas, &self.title, LETTERS, INK, Place::RightOf, fine([MARGIN, MARGIN]))?;
+        write(canvas, &self.title, LETTERS, INK, Placement::RightOf, fine([MARGIN, MARGIN]))?;
         for Shape { points, color: [r, g, b], width } in &self.shapes {
             let color = RGBColor(*r, *g, *b);
             let places: Vec<[f64; 2]> = points.iter().map(|&point| frame.place(point)).collect();
@@ -217,7 +217,7 @@ impl Picture {
             let (right, _) = fine([x + length, y]);
             let bar = [(left, middle - px(height) / 2), (right, middle + px(height) / 2)];
             canvas.draw(&Rectangle::new(bar, color.filled()))?;
-            write(canvas, note, LETTERS, INK, Place::RightOf, fine([x + length + 10.0, y]))?;
+            write(canvas, note, LETTERS, INK, Placement::RightOf, fine([x + length + 10.0, y]))?;
         }
         canvas.present()
     }

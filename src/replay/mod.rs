@@ -21,7 +21,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 
-use crate::env::{EpisodeRecord, Fate, Task, World};
+use crate::env::{EpisodeRecord, Outcome, Task, World};
 use crate::record;
 use crate::sumo::net::{EdgeFunction, Net};
 
@@ -248,7 +248,7 @@ impl From<u8> for Status {
 
 /// Diagnostics of a policy at a decision of one world.
 #[derive(Debug, Clone, Default)]
-pub struct Thoughts {
+pub struct RecordedDiagnostics {
     /// Value estimates, `[N]`; empty if the policy has none.
     pub value: Vec<f32>,
     /// Communication graph, `[N, N]`, row = receiver; empty for algorithms without messages.
@@ -327,7 +327,7 @@ impl Recorder {
     }
 
     /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
-    pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &Thoughts) {
+    pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &RecordedDiagnostics) {
         let agents = world.agents().count();
         // An episode in which SUMO died is played again from its start.
         if world.step_count() == 0 {
@@ -335,13 +335,13 @@ impl Recorder {
         }
         let acts = world.is_running();
         for (i, agent) in world.agents().enumerate() {
-            let status = match agent.fate {
+            let status = match agent.outcome {
                 _ if agent.driving => Status::Driving,
                 _ if agent.wreck => Status::Crashed,
-                Fate { arrived: true, .. } if self.arrived[i] < FAREWELL => Status::Arrived,
+                Outcome { arrived: true, .. } if self.arrived[i] < FAREWELL => Status::Arrived,
                 _ => Status::Gone,
             };
-            self.arrived[i] += u32::from(agent.fate.arrived);
+            self.arrived[i] += u32::from(agent.outcome.arrived);
             self.x.push(agent.pose.x);
             self.y.push(agent.pose.y);
             // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.

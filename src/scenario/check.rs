@@ -8,7 +8,7 @@ use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten}
 const SLACK: f64 = 1e-6;
 
 /// Byte offsets, in the scenario file, of the parts that are checked against the nets.
-pub(super) struct Places {
+pub(super) struct StartPlaces {
     /// Parts of each route.
     pub(super) routes: Vec<RoutePlaces>,
     /// Parts of each net.
@@ -46,7 +46,7 @@ pub(super) struct Map {
 /// each net its map if the routes and spawn places fit the net.
 pub(super) fn nets(
     scenario: &Scenario,
-    places: &Places,
+    places: &StartPlaces,
     reader: &Reader,
 ) -> (Vec<Error>, Vec<Option<Map>>) {
     let mut errors = Vec::new();
@@ -82,7 +82,7 @@ pub(super) fn nets(
 }
 
 /// Returns the contents of the route files of `<traffic>`.
-fn demand(scenario: &Scenario, places: &Places, reader: &Reader) -> Result<Demand, Error> {
+fn demand(scenario: &Scenario, places: &StartPlaces, reader: &Reader) -> Result<Demand, Error> {
     let demand = Demand::load(&scenario.traffic.files).map_err(|error| match error {
         Error::Read { path: file, source } => {
             let (line, column) = reader.position(places.traffic_files);
@@ -133,7 +133,12 @@ fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
 }
 
 /// Returns an error for the first edge of `brokenLines` that the net does not have.
-fn no_edge(scenario: &Scenario, map: &net::Net, places: &Places, reader: &Reader) -> Option<Error> {
+fn no_edge(
+    scenario: &Scenario,
+    map: &net::Net,
+    places: &StartPlaces,
+    reader: &Reader,
+) -> Option<Error> {
     let edge =
         scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
     let (line, column) = reader.position(places.broken_lines);
@@ -286,7 +291,7 @@ fn lanes(
     scenario: &Scenario,
     map: &net::Net,
     paths: &[Path],
-    places: &Places,
+    places: &StartPlaces,
     reader: &Reader,
 ) -> Result<(), Error> {
     let needed = scenario.vehicle.width + 2.0 * scenario.jitter.lateral;

@@ -12,7 +12,7 @@ use super::{
     AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder,
     Net, Observation, ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination,
     Traffic, Vehicle, check,
-    check::{NetPlaces, Places, RoutePlaces},
+    check::{NetPlaces, RoutePlaces, StartPlaces},
     reader::{Names, Reader, document, finite, in_element},
 };
 use crate::sumo::net::{nearest, shorten, xml};
@@ -129,7 +129,7 @@ pub(super) fn text(path: &Path) -> Result<String, Error> {
 }
 
 impl<'a, 'input> Reader<'a, 'input> {
-    pub(super) fn scenario(&self) -> Result<(Scenario, Places), Error> {
+    pub(super) fn scenario(&self) -> Result<(Scenario, StartPlaces), Error> {
         let root = self.document.root_element();
         if !root.has_tag_name("scenario") {
             return Err(self.unknown(
@@ -150,7 +150,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
         let termination =
             self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
-        let places = Places {
+        let places = StartPlaces {
             routes: route_places,
             nets: net_places,
             lateral: Self::offset(jitter, "lateral"),
@@ -197,7 +197,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                         (0.0..=10.0).contains(&v)
                     })?,
                 },
-                turns: match observation.attribute("turns") {
+                priority_distance: match observation.attribute("turns") {
                     None => 0.0,
                     Some(_) => self
                         .number(observation, "turns", "0 to 100", |v| (0.0..=100.0).contains(&v))?,

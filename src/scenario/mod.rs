@@ -328,7 +328,7 @@ pub struct Observation {
     /// Distance before the first conflict point of its path at which a vehicle gets its priority,
     /// first come, first served \[m\]. Encounters then contain which of the two vehicles has
     /// priority. 0: they do not.
-    pub turns: f64,
+    pub priority_distance: f64,
     /// Distance up to which an agent observes how close its sides are to the lines that it must not
     /// touch \[m\]. 0: not observed.
     pub borders: f64,

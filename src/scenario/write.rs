@@ -123,8 +123,8 @@ impl Scenario {
         if o.foresight > 0.0 {
             write!(xml, " foresight=\"{}\"", o.foresight)?;
         }
-        if o.turns > 0.0 {
-            write!(xml, " turns=\"{}\"", o.turns)?;
+        if o.priority_distance > 0.0 {
+            write!(xml, " priorityDistance=\"{}\"", o.priority_distance)?;
         }
         if o.borders > 0.0 {
             write!(xml, " borders=\"{}\"", o.borders)?;

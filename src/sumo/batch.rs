@@ -373,7 +373,7 @@ fn write_variables(w: &mut Writer, variables: &[VariableId]) {
 /// The result of one command of a batch: the value for a `get` command, `None` for any other
 /// command, [`Error::Refused`] if SUMO refused the command, or [`Error::Invalid`] if it was not
 /// sent.
-pub type Outcome = Result<Option<Value>, Error>;
+pub type CallResult = Result<Option<Value>, Error>;
 
 #[cfg(test)]
 mod tests {

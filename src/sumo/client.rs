@@ -12,7 +12,7 @@ use std::{
 
 use super::{
     Error,
-    batch::{Batch, Call, Outcome},
+    batch::{Batch, Call, CallResult},
     codec::Reader,
     constants::{self as c, Domain},
     domain::{Decode, Scope, simulation::LOAD_STATE},
@@ -211,7 +211,7 @@ impl Client {
     /// # Errors
     /// [`Error::Refused`] if SUMO refuses the command; fatal errors as in [`Client::receive`];
     /// [`Error::Invalid`] if `fill` does not add exactly one command.
-    pub fn call(&mut self, fill: impl FnOnce(&mut Batch)) -> Outcome {
+    pub fn call(&mut self, fill: impl FnOnce(&mut Batch)) -> CallResult {
         let mut batch = Batch::new();
         fill(&mut batch);
         if batch.len() != 1 {

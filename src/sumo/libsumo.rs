@@ -26,15 +26,15 @@ static OCCUPIED: AtomicBool = AtomicBool::new(false);
 
 /// Permission to run the one simulation of libsumo; dropping it releases the permission.
 #[derive(Debug)]
-struct Place;
+struct SoleUse;
 
-impl Place {
+impl SoleUse {
     fn take() -> Result<Self, Error> {
-        if OCCUPIED.swap(true, Ordering::AcqRel) { Err(Error::Occupied) } else { Ok(Place) }
+        if OCCUPIED.swap(true, Ordering::AcqRel) { Err(Error::Occupied) } else { Ok(SoleUse) }
     }
 }
 
-impl Drop for Place {
+impl Drop for SoleUse {
     fn drop(&mut self) {
         OCCUPIED.store(false, Ordering::Release);
     }
@@ -59,7 +59,7 @@ pub struct LibsumoSimulation {
     awaiting: bool,
     exchanges: u64,
     /// Declared last, so that the simulation is closed before the permission is released.
-    _place: Place,
+    _place: SoleUse,
 }
 
 impl LibsumoSimulation {
@@ -69,7 +69,7 @@ impl LibsumoSimulation {
     /// [`Error::Occupied`] while another simulation runs; [`Error::Libsumo`] if Python or libsumo
     /// fails; otherwise as [`super::TraciSimulation::start`].
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
-        let place = Place::take()?;
+        let place = SoleUse::take()?;
         let fleet = Fleet::new(config)?;
         Python::attach(|py| {
             let importing = |e: PyErr| failed("import it", py, &e);

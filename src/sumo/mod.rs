@@ -23,7 +23,7 @@ pub mod reply;
 mod simulation;
 mod traci;
 
-pub use batch::{Batch, Outcome};
+pub use batch::{Batch, CallResult};
 pub use client::{Client, ClientBatch, Version};
 pub use codec::Value;
 pub use constants::Domain;
@@ -35,7 +35,7 @@ pub use libsumo::LibsumoSimulation;
 pub use process::{find_program, find_sumo, sumo_version, traci_version};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
-    Body, Collision, Command, Departure, Meter, Others, Renewal, Route, Simulation,
+    BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, Simulation,
     SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;

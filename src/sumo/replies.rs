@@ -5,7 +5,7 @@ use std::{cell::OnceCell, cmp::Ordering, ops::Deref, sync::Arc, vec};
 
 use super::{
     Error,
-    batch::{Batch, Outcome},
+    batch::{Batch, CallResult},
     codec::{Reader, Value},
     constants::Domain,
     domain::{FromValue, Reported, Ticket, simulation::VAR_TIME},
@@ -17,7 +17,7 @@ use super::{
 #[must_use = "a refusal shows in `check`, or when its ticket is taken"]
 pub struct Replies {
     batch: u64,
-    outcomes: Vec<Outcome>,
+    outcomes: Vec<CallResult>,
     /// SUMO's name of each command.
     names: Vec<&'static str>,
     /// The first values of the subscriptions that the batch makes, at the position of the
@@ -66,23 +66,23 @@ impl Replies {
         }
     }
 
-    pub(super) fn pop(&mut self) -> Option<Outcome> {
+    pub(super) fn pop(&mut self) -> Option<CallResult> {
         self.names.pop();
         self.outcomes.pop()
     }
 }
 
 impl Deref for Replies {
-    type Target = [Outcome];
+    type Target = [CallResult];
 
-    fn deref(&self) -> &[Outcome] {
+    fn deref(&self) -> &[CallResult] {
         &self.outcomes
     }
 }
 
 impl IntoIterator for Replies {
-    type Item = Outcome;
-    type IntoIter = vec::IntoIter<Outcome>;
+    type Item = CallResult;
+    type IntoIter = vec::IntoIter<CallResult>;
 
     fn into_iter(self) -> Self::IntoIter {
         self.outcomes.into_iter()

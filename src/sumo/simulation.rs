@@ -52,7 +52,7 @@ pub enum Command {
         slot: u32,
         /// Index into [`SimulationConfig::routes`].
         route: u32,
-        /// Index into [`SimulationConfig::vehicle_types`], continued by [`Others::types`].
+        /// Index into [`SimulationConfig::vehicle_types`], continued by [`BackgroundTraffic::types`].
         vehicle_type: u32,
         /// Position of the front bumper on the route's first edge \[m\].
         depart_pos: f64,
@@ -65,7 +65,7 @@ pub enum Command {
         world: u32,
         /// Slot of the world.
         slot: u32,
-        /// Index into [`Others::departures`].
+        /// Index into [`BackgroundTraffic::departures`].
         departure: u32,
         /// Index as in [`Command::Add`].
         vehicle_type: u32,
@@ -161,7 +161,7 @@ pub struct Route {
 
 /// Background traffic: vehicles that SUMO drives, and pedestrians.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Others {
+pub struct BackgroundTraffic {
     /// First slot of the background traffic, which also uses all following slots.
     /// [`Snapshot::bodies`] gives its poses.
     pub first_slot: u32,
@@ -231,7 +231,7 @@ pub struct SimulationConfig {
     /// SUMO's time.
     pub audit: bool,
     /// Background traffic; `None` if there is none.
-    pub others: Option<Others>,
+    pub others: Option<BackgroundTraffic>,
 }
 
 /// How a simulation was reset to an empty state.

@@ -28,8 +28,11 @@ impl Trainer {
         self.rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = self.config.exploration.mode == NoiseMode::Schedule;
-        let schedule =
-            if imposed { schedule::pace(&self.config, &self.progress).log_std as f32 } else { 0.0 };
+        let schedule = if imposed {
+            schedule::update_parameters(&self.config, &self.progress).log_std as f32
+        } else {
+            0.0
+        };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
                 store_frames(&self.env, &self.memory, &mut self.rollout, t)
@@ -155,7 +158,7 @@ mod tests {
         let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
         let (mut config, scenario) =
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
-        (config.train.envs, config.train.segment) = (2, 6);
+        (config.train.envs, config.train.rollout_steps) = (2, 6);
         let (correlation, log_std) =
             (config.exploration.correlation, config.exploration.log_std_start);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
@@ -205,7 +208,7 @@ mod tests {
         let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
         let (mut config, scenario) =
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
-        (config.train.envs, config.train.segment) = (2, 8);
+        (config.train.envs, config.train.rollout_steps) = (2, 8);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         let rollout = &trainer.rollout;

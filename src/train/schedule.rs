@@ -5,14 +5,14 @@
 //! then lowers the noise further in its first two thirds and the learning rate in its last third.
 //! Annealing pauses while validations fail, unless the run would end before annealing is over.
 
-use crate::algo::Pace;
+use crate::algo::UpdateParameters;
 use crate::algo::settings::NoiseMode;
 use crate::checkpoint::Progress;
 use crate::config::Config;
 
 /// Returns the parameters of the next update: learning rate, noise, discount and
 /// batch growth.
-pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
+pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateParameters {
     let (noise, ppo) = (&config.exploration, &config.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
@@ -27,25 +27,17 @@ pub(super) fn pace(config: &Config, progress: &Progress) -> Pace {
     // A step of the same size changes a policy with less noise more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
-    Pace {
+    UpdateParameters {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
         log_std,
         gamma: if explored && ppo.gamma_explored > 0.0 { ppo.gamma_explored } else { ppo.gamma },
-        growth: if explored { config.train.growth } else { 1 },
+        batch_growth: if explored { config.train.batch_growth } else { 1 },
     }
 }
 
 /// Returns the correlation of the noise from step to step; 0 once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
-    let noise = &config.exploration;
-    let left =
-        if noise.correlation_steps == 0 { 1.0 } else { fading(noise.correlation_steps, progress) };
-    if searching(progress) { (noise.correlation * left) as f32 } else { 0.0 }
-}
-
-/// Returns a factor that falls from 1 to 0 over the first `steps` of training; 0 if `steps` is 0.
-fn fading(steps: u64, progress: &Progress) -> f64 {
-    if steps == 0 { 0.0 } else { 1.0 - ramp(progress.step, steps) }
+    if searching(progress) { config.exploration.correlation as f32 } else { 0.0 }
 }
 
 /// Returns whether the policy still explores: annealing has not begun, or failed validations took
@@ -147,8 +139,10 @@ mod tests {
     #[test]
     fn batches_grow_when_the_noise_is_small() {
         let mut config = config();
-        config.train.growth = 4;
-        let at = |step| pace(&config, &Progress { step, ..Progress::default() }).growth;
+        config.train.batch_growth = 4;
+        let at = |step| {
+            update_parameters(&config, &Progress { step, ..Progress::default() }).batch_growth
+        };
         assert_eq!([0, 399, 400, 1000].map(at), [1, 1, 4, 4]);
     }
 
@@ -156,7 +150,7 @@ mod tests {
     fn the_view_grows_longer_when_the_noise_is_small() {
         let mut config = config();
         let at = |config: &Config, step| {
-            pace(config, &Progress { step, ..Progress::default() }).gamma.to_bits()
+            update_parameters(config, &Progress { step, ..Progress::default() }).gamma.to_bits()
         };
         let bits = |gamma: [f64; 3]| gamma.map(f64::to_bits);
         assert_eq!(
@@ -173,13 +167,13 @@ mod tests {
     fn play(
         config: &Config,
         success: impl Fn(&Progress) -> f64,
-        mut see: impl FnMut(&Progress, Pace),
+        mut see: impl FnMut(&Progress, UpdateParameters),
     ) -> Progress {
         let mut progress =
             Progress { next_validation: config.train.validate_every, ..Progress::default() };
         while progress.step < config.steps && !solved(config, &progress) {
             advance(config, &mut progress, 10);
-            see(&progress, pace(config, &progress));
+            see(&progress, update_parameters(config, &progress));
             if progress.step >= progress.next_validation {
                 let success = success(&progress);
                 validated(config, &mut progress, success);
@@ -192,7 +186,11 @@ mod tests {
     fn noise_falls_and_waits_for_success() {
         let config = config();
         let mut log_std = Vec::new();
-        play(&config, |_| 0.0, |progress, pace| log_std.push((progress.step, pace.log_std)));
+        play(
+            &config,
+            |_| 0.0,
+            |progress, parameters| log_std.push((progress.step, parameters.log_std)),
+        );
         let at = |step: u64| log_std.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert!((at(200) + 0.5).abs() < 1e-12);
         assert!((at(400) + 1.0).abs() < 1e-12);
@@ -219,9 +217,9 @@ mod tests {
             (550, 200),
             "stops when annealing is over and the last two validations succeeded"
         );
-        let pace = pace(&config, &end);
-        assert!((pace.log_std + 2.0).abs() < 1e-12);
-        assert!((pace.learning_rate - 1e-4 * (-2.0_f64).exp()).abs() < 1e-12);
+        let parameters = update_parameters(&config, &end);
+        assert!((parameters.log_std + 2.0).abs() < 1e-12);
+        assert!((parameters.learning_rate - 1e-4 * (-2.0_f64).exp()).abs() < 1e-12);
     }
 
     #[test]
@@ -247,17 +245,26 @@ mod tests {
     fn a_run_that_is_close_learns_on_without_more_noise() {
         let config = config();
         // Enough for annealing, but not for stopping.
-        let mut paces = Vec::new();
-        let end = play(&config, |_| 0.92, |progress, pace| paces.push((progress.step, pace)));
+        let mut history = Vec::new();
+        let end = play(
+            &config,
+            |_| 0.92,
+            |progress, parameters| history.push((progress.step, parameters)),
+        );
         assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
-        let quiet = paces.iter().position(|(_, pace)| pace.log_std <= -2.0).expect("it anneals");
-        assert!(paces[quiet..].iter().all(|(_, pace)| pace.log_std <= -2.0));
-        let slowest = paces
+        let quiet = history
             .iter()
-            .position(|(_, pace)| pace.learning_rate < 2e-4 * (-2.0_f64).exp())
+            .position(|(_, parameters)| parameters.log_std <= -2.0)
+            .expect("it anneals");
+        assert!(history[quiet..].iter().all(|(_, parameters)| parameters.log_std <= -2.0));
+        let slowest = history
+            .iter()
+            .position(|(_, parameters)| parameters.learning_rate < 2e-4 * (-2.0_f64).exp())
             .expect("anneals");
         assert!(
-            paces[slowest..].iter().any(|(_, pace)| pace.learning_rate > 8e-4 * (-2.0_f64).exp()),
+            history[slowest..]
+                .iter()
+                .any(|(_, parameters)| parameters.learning_rate > 8e-4 * (-2.0_f64).exp()),
             "learns again"
         );
     }
@@ -297,20 +304,16 @@ mod tests {
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
         assert_eq!(at(560), 0.5, "it looks for a way again");
-        // With `correlation_steps`, the correlation falls by itself.
-        config.exploration.correlation_steps = 200;
-        let falls = |step| correlation(&config, &Progress { step, ..Progress::default() });
-        assert_eq!([0, 50, 200, 800].map(falls), [0.5, 0.375, 0.0, 0.0]);
     }
 
     #[test]
     fn a_longer_run_takes_back_what_its_end_forced() {
         let mut config = config();
         let mut progress = play(&config, |_| 0.0, |_, _| ());
-        let loud = pace(&config, &progress).log_std + 1.0;
+        let loud = update_parameters(&config, &progress).log_std + 1.0;
         config.steps = 2000;
         extended(&config, &mut progress, 1000);
-        assert!((pace(&config, &progress).log_std - loud).abs() < 1e-12);
+        assert!((update_parameters(&config, &progress).log_std - loud).abs() < 1e-12);
         let mut earned =
             Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
         extended(&config, &mut earned, 1000);
@@ -324,9 +327,9 @@ mod tests {
             (config.steps, config.train.anneal_steps) = (steps, anneal_steps);
             let success = |p: &Progress| f64::from((p.step.wrapping_mul(seed | 1) >> 7) as u8) / 255.0;
             let mut last = (0, f64::INFINITY);
-            let end = play(&config, success, |progress, pace| {
-                assert!(progress.annealed < last.0 || pace.log_std <= last.1 + 1e-12, "noise never grows but for a restart");
-                last = (progress.annealed, pace.log_std);
+            let end = play(&config, success, |progress, parameters| {
+                assert!(progress.annealed < last.0 || parameters.log_std <= last.1 + 1e-12, "noise never grows but for a restart");
+                last = (progress.annealed, parameters.log_std);
             });
             prop_assert!(end.annealed >= super::anneal_steps(&config));
             prop_assert!(end.step < steps + 10);

@@ -86,7 +86,7 @@ impl Stage {
         ]);
         for set in [
             "train.envs=4",
-            "train.segment=32",
+            "train.rollout_steps=32",
             "train.validate_every=1000000",
             "train.validation_episodes=1",
             "network.hidden=8",

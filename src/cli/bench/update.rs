@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
 use iwol_sumo::algo::settings::{Iwol, Network};
-use iwol_sumo::algo::{self, Algorithm, ComputeDevice, Pace, Settings};
+use iwol_sumo::algo::{self, Algorithm, ComputeDevice, Settings, UpdateParameters};
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::Task;
 use iwol_sumo::rng::{self, Seed};
@@ -116,16 +116,16 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
     let device = config.device.find()?;
     let mut learner = algo::build(name, &task.spec, &config.settings(), Seed::new(0), device)?;
     let rollout = random_rollout(&*learner, config, task);
-    let pace = Pace {
+    let parameters = UpdateParameters {
         learning_rate: config.ppo.learning_rate,
         log_std: 0.0,
         gamma: config.ppo.gamma,
-        growth: 1,
+        batch_growth: 1,
     };
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for repetition in 0..=args.repetitions {
         let begin = Instant::now();
-        learner.update(&rollout, &pace, Seed::new(u64::from(repetition)))?;
+        learner.update(&rollout, &parameters, Seed::new(u64::from(repetition)))?;
         // The first update warms up caches.
         if repetition > 0 {
             ours.push(1e3 * begin.elapsed().as_secs_f64());
@@ -153,7 +153,7 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
 /// Returns a rollout of random numbers, of the same shape as a real one.
 fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Rollout {
     let mut rollout = Rollout::new(Sizes {
-        steps: config.train.segment,
+        steps: config.train.rollout_steps,
         envs: config.train.envs,
         agents: task.agents,
         observation: task.spec.observation.len(),
@@ -196,7 +196,7 @@ fn reference(
     let sizes = [
         ("agents", i64::from(config.agents)),
         ("envs", config.train.envs as i64),
-        ("steps", config.train.segment as i64),
+        ("steps", config.train.rollout_steps as i64),
         ("observation", task.spec.observation.len() as i64),
         ("state", task.spec.state.len() as i64),
         ("hidden", config.network.hidden),

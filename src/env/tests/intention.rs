@@ -26,7 +26,7 @@ fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario 
         stream_vehicles: 4,
         encounters: 8,
         foresight: 4.0,
-        turns: 20.0,
+        priority_distance: 20.0,
         borders: 3.0,
         lidar: Lidar { beams: 24, range: 50.0 },
         intention,
@@ -51,9 +51,9 @@ fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> 
 
 /// A vehicle's route and position along it as shares of their number and of its length, its
 /// lateral offset \[m\], its heading relative to the route's \[rad\], and its speed \[m/s\].
-type Place = (f64, f64, f64, f64, f64);
+type RoutePosition = (f64, f64, f64, f64, f64);
 
-fn place() -> impl Strategy<Value = Place> {
+fn place() -> impl Strategy<Value = RoutePosition> {
     (0.0..1.0, 0.0..1.0, -1.5..1.5, -0.4..0.4, -1.0..14.0)
 }
 
@@ -65,7 +65,7 @@ fn send(task: &Task, slot: &mut Slot, route: usize) {
 }
 
 /// Returns traffic with a vehicle at each of these places.
-fn scene(task: &Task, places: &[Place]) -> Traffic {
+fn scene(task: &Task, places: &[RoutePosition]) -> Traffic {
     let mut traffic = Traffic::new(places.len(), task.routes.len());
     for (k, (slot, &(route, at, lateral, turned, speed))) in
         traffic.slots.iter_mut().zip(places).enumerate()
@@ -90,14 +90,18 @@ fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
     if let Some(intentions) = &mut intentions {
         intentions.update(task, &traffic, true);
     }
-    traffic.take_turns(&task.routes, intentions.as_ref(), task.scenario.observation.turns);
+    traffic.take_turns(
+        &task.routes,
+        intentions.as_ref(),
+        task.scenario.observation.priority_distance,
+    );
     let knowledge = Knowledge::public(task, &traffic, intentions.as_ref());
-    let (mut turns, mut seen) =
+    let (mut priorities, mut seen) =
         (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
-    inherit(knowledge, &mut turns, &mut Vec::new());
+    inherit(knowledge, &mut priorities, &mut Vec::new());
     seen.iter_mut()
         .enumerate()
-        .for_each(|(i, seen)| observation::write(task, knowledge, &turns, i, seen));
+        .for_each(|(i, seen)| observation::write(task, knowledge, &priorities, i, seen));
     seen
 }
 
@@ -176,7 +180,7 @@ proptest! {
         places in prop::collection::vec(place(), VEHICLES),
     ) {
         let task = task_of(name, Intention::Hidden, 30.0);
-        let places: Vec<Place> = places.iter().map(|&(r, at, lateral, h, v)| (r, at, lateral / 5.0, h, v)).collect();
+        let places: Vec<RoutePosition> = places.iter().map(|&(r, at, lateral, h, v)| (r, at, lateral / 5.0, h, v)).collect();
         let mut traffic = scene(&task, &places);
         traffic.refresh();
         let mut intentions = Intentions::new(&task).expect("something is hidden");
@@ -204,7 +208,7 @@ proptest! {
         let [seen, hidden] = [Intention::Seen, Intention::Hidden].map(of);
         prop_assert!(Intentions::new(&hidden).is_some() && Intentions::new(&seen).is_none());
         // The vehicles are on one of the first three routes.
-        let places: Vec<Place> = places.iter().map(|&(r, at, lateral, h, v)| (0.59 * r, at, lateral, h, v)).collect();
+        let places: Vec<RoutePosition> = places.iter().map(|&(r, at, lateral, h, v)| (0.59 * r, at, lateral, h, v)).collect();
         let traffic = scene(&seen, &places);
         let differ = differing(&seen, &observe(&seen, &traffic), &observe(&hidden, &traffic), VEHICLES);
         prop_assert!(differ.is_empty(), "{differ:?}");
@@ -215,7 +219,7 @@ proptest! {
 /// tests above can fail; hidden routes change none.
 #[test]
 fn a_seen_route_changes_what_depends_on_it() {
-    let places = |k: usize| -> Vec<Place> {
+    let places = |k: usize| -> Vec<RoutePosition> {
         let mut rng = Seed::new(k as u64).rng();
         let mut draw = |low: f64, high: f64| {
             let share = crate::rng::below(&mut rng, 10_000) as f64 / 1e4;
@@ -410,19 +414,20 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
 fn what_is_hidden_takes_no_memory_in_a_step() {
     for intention in [Intention::Hidden, Intention::Signalled] {
         let task = task_of("intersection_turns", intention, 30.0);
-        let places: Vec<Place> =
+        let places: Vec<RoutePosition> =
             (0..VEHICLES).map(|k| (k as f64 / 8.5, 0.1 + k as f64 / 20.0, 0.0, 0.0, 5.0)).collect();
         let mut traffic = scene(&task, &places);
         let mut intentions = Intentions::new(&task).expect("something is hidden");
-        let (mut turns, mut blocked) = (Vec::new(), Vec::new());
+        let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
         let mut seen = vec![0.0; task.spec.observation.len()];
         let mut step = || {
             traffic.refresh();
             intentions.update(&task, &traffic, true);
             traffic.take_turns(&task.routes, Some(&intentions), 20.0);
             let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
-            inherit(knowledge, &mut turns, &mut blocked);
-            (0..VEHICLES).for_each(|i| observation::write(&task, knowledge, &turns, i, &mut seen));
+            inherit(knowledge, &mut priorities, &mut blocked);
+            (0..VEHICLES)
+                .for_each(|i| observation::write(&task, knowledge, &priorities, i, &mut seen));
         };
         step();
         assert_eq!(allocation_counter::measure(step).count_total, 0, "{intention:?}");

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::super::geometry::Pose;
 use super::super::slots::{EMPTY, Slot, Status, Track};
 use super::super::steering::Motion;
-use super::super::task::{AGENT_TYPE, Place, SUMO_TYPE, Task};
+use super::super::task::{AGENT_TYPE, RoutePosition, SUMO_TYPE, Task};
 use super::super::{Error, dynamics, fcfs, pursuit};
 use super::{Driver, Phase, World};
 use crate::rng;
@@ -164,7 +164,8 @@ impl World {
         // The number is drawn only if there is a choice, so that the other random numbers do not
         // depend on this setting.
         let choice = task.agents - task.fewest;
-        self.crew = task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
+        self.active_agents =
+            task.fewest + if choice > 0 { rng::below(&mut rng, choice + 1) } else { 0 };
         let mut taken = Vec::new();
         let mut draw = |place: usize, rng: &mut rng::Rng| {
             let place = &task.places[places[place]];
@@ -182,7 +183,7 @@ impl World {
             if slot.added {
                 commands.push(Command::Remove { world, slot: at });
             }
-            if i >= self.crew {
+            if i >= self.active_agents {
                 *slot = EMPTY;
                 continue;
             }
@@ -312,13 +313,13 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [pose.x + half * cos, pose.y + half * sin];
     let (place, s) = task.locate(vehicle.route, [x, y], vehicle.segment);
-    if place == Place::Beside {
+    if place == RoutePosition::Beside {
         vehicle.track = Track::Astray;
     }
     // After the vehicle was beside its route, SUMO may have given it another route.
-    let place = if vehicle.track == Track::Route { place } else { Place::Beside };
+    let place = if vehicle.track == Track::Route { place } else { RoutePosition::Beside };
     let distance = task.routes[vehicle.route].lanes().distance_of_arc(s);
-    let held = vehicle.held.take().filter(|_| place != Place::Beside);
+    let held = vehicle.held.take().filter(|_| place != RoutePosition::Beside);
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
     if let Some(speed) =
         speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed))
@@ -330,10 +331,10 @@ fn moves(task: &Task, world: u32, slot: u32, vehicle: &mut Slot, commands: &mut 
     }
     // Over a junction, SUMO may put the vehicle on another lane that lies there and take it on
     // along that lane, so that it has another route.
-    if place == Place::Junction {
+    if place == RoutePosition::Junction {
         vehicle.track = Track::Astray;
     }
-    vehicle.held = Some(distance).filter(|_| place == Place::Road);
+    vehicle.held = Some(distance).filter(|_| place == RoutePosition::Road);
     let speed = vehicle.speed.max(0.0);
     vehicle.sent = Some((pose, speed));
     commands.push(Command::SetSpeed { world, slot, speed });

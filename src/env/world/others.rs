@@ -10,7 +10,7 @@
 use rand::RngExt as _;
 
 use super::super::geometry::{Pose, time_to_contact};
-use super::super::metrics::Others as Record;
+use super::super::metrics::BackgroundMetrics as Record;
 use super::super::slots::{EMPTY, Slot, Status};
 use super::super::task::Task;
 use super::World;
@@ -40,7 +40,7 @@ struct Clock {
 
 /// What is recorded about one background vehicle.
 #[derive(Debug, Clone, Copy, Default)]
-struct Guest {
+struct RoadUser {
     /// SUMO's time loss of the vehicle \[s\].
     time_loss: f64,
     /// The vehicle's hardest braking \[m/s²\].
@@ -65,24 +65,24 @@ const NOT_YET: Pass = Pass { agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2
 
 /// The background traffic of an episode.
 #[derive(Debug, Clone)]
-pub(super) struct Others {
+pub(super) struct BackgroundState {
     clocks: Vec<Clock>,
-    guests: Vec<Guest>,
+    road_users: Vec<RoadUser>,
     /// Times at the conflict points, `[N, others]`.
     passes: Vec<Pass>,
     /// Records of the vehicles that have left the road, and those of the pedestrians that have.
-    left: [Vec<Guest>; 2],
+    left: [Vec<RoadUser>; 2],
     /// Smallest time to collision with an agent so far \[s\].
     ttc: f64,
     /// Smallest post-encroachment time with an agent so far \[s\].
     pet: f64,
 }
 
-impl Others {
+impl BackgroundState {
     pub(super) fn new(task: &Task) -> Self {
         Self {
             clocks: Vec::with_capacity(task.demand.sources.len()),
-            guests: vec![Guest::default(); task.others],
+            road_users: vec![RoadUser::default(); task.others],
             passes: vec![NOT_YET; task.agents * task.others],
             left: [Vec::with_capacity(4 * task.others), Vec::with_capacity(4 * task.others)],
             ttc: HORIZON,
@@ -104,18 +104,18 @@ impl Others {
             }
             self.clocks.push(clock);
         }
-        self.guests.fill(Guest::default());
+        self.road_users.fill(RoadUser::default());
         self.passes.fill(NOT_YET);
         self.left.iter_mut().for_each(Vec::clear);
         (self.ttc, self.pet) = (HORIZON, HORIZON);
     }
 
     /// Stores the record of a vehicle that has left the road, so that its slot may be used again.
-    fn dismiss(&mut self, guest: usize, walks: bool) {
-        self.left[usize::from(walks)].push(std::mem::take(&mut self.guests[guest]));
-        let others = self.guests.len();
+    fn dismiss(&mut self, road_user: usize, walks: bool) {
+        self.left[usize::from(walks)].push(std::mem::take(&mut self.road_users[road_user]));
+        let others = self.road_users.len();
         for row in self.passes.chunks_mut(others) {
-            row[guest] = NOT_YET;
+            row[road_user] = NOT_YET;
         }
     }
 }
@@ -195,7 +195,7 @@ impl World {
                 continue;
             }
             slot.wreck_steps -= 1;
-            if !std::mem::replace(&mut self.others.guests[i - first].stopped, true) {
+            if !std::mem::replace(&mut self.others.road_users[i - first].stopped, true) {
                 commands.push(Command::SpeedMode { world, slot: at, mode: NO_CHECKS });
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
@@ -257,13 +257,14 @@ impl World {
             let pose =
                 Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
             let front = [body.x, body.y];
-            let guest = &mut self.others.guests[i - first];
+            let road_user = &mut self.others.road_users[i - first];
             if slot.departed {
                 slot.before = slot.pose;
                 let (s, _, segment) = route.lanes().project(front, slot.segment);
                 (slot.s, slot.segment) = (route.on_way(s - half), segment);
                 if slot.status == Status::Active {
-                    guest.braking = guest.braking.max((slot.speed - state.speed) / interval);
+                    road_user.braking =
+                        road_user.braking.max((slot.speed - state.speed) / interval);
                 }
             } else {
                 slot.before = pose;
@@ -273,7 +274,7 @@ impl World {
             }
             (slot.pose, slot.speed) = (pose, state.speed);
             if slot.status == Status::Active {
-                guest.time_loss = body.time_loss;
+                road_user.time_loss = body.time_loss;
             }
         }
     }
@@ -285,12 +286,12 @@ impl World {
         let first = task.agents;
         let slots = &mut self.traffic.slots;
         for i in first..slots.len() {
-            let guest = &mut self.others.guests[i - first];
+            let road_user = &mut self.others.road_users[i - first];
             if self.partners[i].is_some() && slots[i].status == Status::Active {
                 (slots[i].status, slots[i].wreck_steps, slots[i].speed) =
                     (Status::Wreck, wreck_steps, 0.0);
-                guest.crashed = true;
-                guest.close = true;
+                road_user.crashed = true;
+                road_user.close = true;
                 (self.others.ttc, self.others.pet) = (0.0, 0.0);
             }
             if slots[i].status != Status::Active {
@@ -299,7 +300,7 @@ impl World {
             for agent in (0..first).filter(|&agent| slots[agent].status == Status::Active) {
                 let ttc = time_to_collision(&slots[agent], &slots[i]);
                 self.others.ttc = self.others.ttc.min(ttc);
-                guest.close |= ttc < CLOSE;
+                road_user.close |= ttc < CLOSE;
                 let Some(met) = task.routes[slots[agent].route].meeting(slots[i].route) else {
                     continue;
                 };
@@ -322,32 +323,32 @@ impl World {
         if self.task.others == 0 {
             return None;
         }
-        let here = self.traffic.slots[self.task.agents..].iter().zip(&self.others.guests);
-        let of_kind = |walks: bool| -> Vec<&Guest> {
+        let here = self.traffic.slots[self.task.agents..].iter().zip(&self.others.road_users);
+        let of_kind = |walks: bool| -> Vec<&RoadUser> {
             let here =
                 here.clone().filter(|(slot, _)| slot.departed && self.is_pedestrian(slot) == walks);
             self.others.left[usize::from(walks)]
                 .iter()
-                .chain(here.map(|(_, guest)| guest))
+                .chain(here.map(|(_, road_user)| road_user))
                 .collect()
         };
         let (drivers, walkers) = (of_kind(false), of_kind(true));
-        let share = |of: &[&Guest], is: fn(&Guest) -> bool| {
-            of.iter().filter(|guest| is(guest)).count() as f64 / of.len().max(1) as f64
+        let share = |of: &[&RoadUser], is: fn(&RoadUser) -> bool| {
+            of.iter().filter(|road_user| is(road_user)).count() as f64 / of.len().max(1) as f64
         };
-        let mean = |of: fn(&Guest) -> f64| {
-            drivers.iter().map(|guest| of(guest)).sum::<f64>() / drivers.len().max(1) as f64
+        let mean = |of: fn(&RoadUser) -> f64| {
+            drivers.iter().map(|road_user| of(road_user)).sum::<f64>() / drivers.len().max(1) as f64
         };
         Some(Record {
             vehicles: drivers.len() as u32,
-            crash: share(&drivers, |guest| guest.crashed),
-            delay: mean(|guest| guest.time_loss),
-            braking: mean(|guest| guest.braking),
-            hard_braking: share(&drivers, |guest| guest.braking > HARD),
-            close: share(&drivers, |guest| guest.close),
+            crash: share(&drivers, |road_user| road_user.crashed),
+            delay: mean(|road_user| road_user.time_loss),
+            braking: mean(|road_user| road_user.braking),
+            hard_braking: share(&drivers, |road_user| road_user.braking > HARD),
+            close: share(&drivers, |road_user| road_user.close),
             pedestrians: walkers.len() as u32,
-            pedestrian_crash: share(&walkers, |guest| guest.crashed),
-            pedestrian_close: share(&walkers, |guest| guest.close),
+            pedestrian_crash: share(&walkers, |road_user| road_user.crashed),
+            pedestrian_close: share(&walkers, |road_user| road_user.close),
             ttc: self.others.ttc,
             pet: self.others.pet,
         })

@@ -1,7 +1,7 @@
 //! What learners and observers get to see of a world.
 
 use crate::env::geometry::{Pose, Size};
-use crate::env::slots::Fate;
+use crate::env::slots::Outcome;
 
 /// What a world gives to agents and learners after an exchange. Reused from step to step.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +39,7 @@ pub struct AgentView {
     /// Whether the agent's vehicle is a wreck on the road.
     pub wreck: bool,
     /// How the episode has ended for the agent.
-    pub fate: Fate,
+    pub outcome: Outcome,
     /// Pose of the vehicle's centre; the last one if the vehicle is gone.
     pub pose: Pose,
     /// Index of the agent's route.

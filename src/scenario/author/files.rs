@@ -194,7 +194,7 @@ impl Layout {
                 stream_vehicles: longest_row.min(3) as usize,
                 encounters: 0,
                 foresight: 0.0,
-                turns: 0.0,
+                priority_distance: 0.0,
                 borders: 0.0,
                 lidar: Lidar::default(),
             },
