@@ -18,12 +18,12 @@ pub fn advance(control: &Control, vehicle: &Vehicle, v: f64, action: f64) -> (f6
     let substeps = (control.interval * RATE).round().max(1.0);
     let dt = control.interval / substeps;
     let gain = acceleration(control, action) * dt;
-    let (mut way, mut v) = (0.0, v);
+    let (mut distance, mut v) = (0.0, v);
     for _ in 0..substeps as u32 {
         v = (v + gain).clamp(0.0, vehicle.max_speed);
-        way += v * dt;
+        distance += v * dt;
     }
-    (way, v)
+    (distance, v)
 }
 
 /// Returns the acceleration \[m/s²\] of a forward-moving vehicle under `action` (clipped to -1..=1;
@@ -110,8 +110,8 @@ mod tests {
             advance(&control, &vehicle, 5.0, 0.0)
         );
         // From 10 m/s under full throttle: five substeps of 0.02 s, each at its new speed.
-        let way: f64 = (1..=5).map(|k| 0.02 * (10.0 + 2.909 * 0.02 * f64::from(k))).sum();
-        assert!((advance(&control, &vehicle, 10.0, 1.0).0 - way).abs() < 1e-12);
+        let distance: f64 = (1..=5).map(|k| 0.02 * (10.0 + 2.909 * 0.02 * f64::from(k))).sum();
+        assert!((advance(&control, &vehicle, 10.0, 1.0).0 - distance).abs() < 1e-12);
         // A slow vehicle that brakes hard stops within the first substep.
         assert_eq!(advance(&control, &vehicle, 0.2, -1.0).0, 0.0);
     }

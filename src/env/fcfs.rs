@@ -1,4 +1,4 @@
-//! Right of way by first come, first served, as at a junction that grants passage in the order of
+//! Right of distance by first come, first served, as at a junction that grants passage in the order of
 //! requests (Dresner and Stone, JAIR 2008): the vehicles' priorities (`priorities`, the smallest number
 //! goes first), and a rule-based driver.
 
@@ -10,9 +10,9 @@ use super::task::Task;
 
 /// How far ahead the rule predicts motion \[s\].
 const HORIZON: f64 = 5.0;
-/// Closeness ([`passing`]) from which a vehicle gives way: a predicted gap below 1 m.
+/// Closeness ([`passing`]) from which a vehicle gives distance: a predicted gap below 1 m.
 const TOO_CLOSE: f64 = 2.0 / 3.0;
-/// Closeness from which a standing vehicle is in the way: a gap below 0.3 m.
+/// Closeness from which a standing vehicle is in the distance: a gap below 0.3 m.
 const IN_THE_WAY: f64 = 0.9;
 /// Distance that a vehicle's centre keeps, when it stops, from the position where the vehicle would
 /// be too close to another \[m\].
@@ -27,28 +27,28 @@ const BLOCKED: f64 = 3.0;
 const FAR: f64 = 30.0;
 
 /// How far an agent can drive before it comes too close to other vehicles \[m\]; infinite where
-/// nothing is in the way.
+/// nothing is in the distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Free {
     /// Distance to a vehicle that has priority, is ahead, or is a wreck, at the agent's speed but
     /// at least 6 m/s.
-    pub(super) way: f64,
+    pub(super) distance: f64,
     /// The same at the agent's speed but at least 3 m/s.
     pub(super) slow: f64,
-    /// Distance to a vehicle without priority whose present position is in the agent's way, at the
+    /// Distance to a vehicle without priority whose present position is in the agent's distance, at the
     /// agent's speed but at least 6 m/s.
     pub(super) blocked: f64,
 }
 
 impl Free {
-    /// Nothing is in the way.
+    /// Nothing is in the distance.
     pub(super) const ALL: Self =
-        Self { way: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
+        Self { distance: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
 
     /// Returns the smaller of each distance.
     pub(super) fn min(self, other: Self) -> Self {
         Self {
-            way: self.way.min(other.way),
+            distance: self.distance.min(other.distance),
             slow: self.slow.min(other.slow),
             blocked: self.blocked.min(other.blocked),
         }
@@ -88,22 +88,22 @@ pub(super) fn free(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j:
         }
     };
     let on = |place: Candidate| {
-        let way = |least: f64, at: f64, close_to: f64| {
+        let distance = |least: f64, at: f64, close_to: f64| {
             let speed = own.speed.max(least);
             let course = Course::on(routes, place, other.size, at);
             let [close, soon] = passing(Course::new(routes, own, speed), course, HORIZON);
             if close > close_to { speed * HORIZON * (1.0 - soon) } else { f64::INFINITY }
         };
         let before = |at: f64| Free {
-            way: way(DRIVING, at, TOO_CLOSE),
-            slow: way(DRIVING / 2.0, at, TOO_CLOSE),
+            distance: distance(DRIVING, at, TOO_CLOSE),
+            slow: distance(DRIVING / 2.0, at, TOO_CLOSE),
             ..Free::ALL
         };
         match standing(&place) {
             Standing::Behind => Free::ALL,
             Standing::Ahead => before(other.speed),
             Standing::Before => before(other.speed).min(before(other.speed.max(DRIVING))),
-            Standing::After => Free { blocked: way(DRIVING, 0.0, IN_THE_WAY), ..Free::ALL },
+            Standing::After => Free { blocked: distance(DRIVING, 0.0, IN_THE_WAY), ..Free::ALL },
         }
     };
     let reach = other.speed.max(DRIVING) * HORIZON;
@@ -122,7 +122,7 @@ pub(super) fn free(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j:
 }
 
 /// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
-/// ahead, or stands in its way.
+/// ahead, or stands in its distance.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.routes, traffic);
@@ -136,9 +136,9 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(task, own).is_some_and(|entry| entry < braking);
         own.status == Status::Active
-            && (free.way < braking + RESERVE
+            && (free.distance < braking + RESERVE
                 || free.blocked < RESERVE
-                || outside && free.way.min(free.slow) < f64::INFINITY)
+                || outside && free.distance.min(free.slow) < f64::INFINITY)
     };
     traffic.slots.iter().enumerate().map(gives_way).collect()
 }
@@ -150,7 +150,7 @@ pub(super) fn to_entry(task: &Task, slot: &Slot) -> Option<f64> {
     let nose = slot.s + slot.size[0] / 2.0;
     let meeting = task.routes[slot.route].to_first_conflict(slot.s) - RESERVE;
     let lines = task.junctions[slot.route].iter().map(|junction| junction.from - nose);
-    lines.chain([meeting]).filter(|way| *way > -OVER).min_by(f64::total_cmp)
+    lines.chain([meeting]).filter(|distance| *distance > -OVER).min_by(f64::total_cmp)
 }
 
 /// Whether the vehicle at `behind` will come to the position of the vehicle at `ahead` on its
@@ -222,9 +222,9 @@ mod tests {
     /// its first conflict point.
     fn traffic(task: &Task, vehicles: &[(&str, f64)]) -> Traffic {
         let mut traffic = Traffic::new(vehicles.len(), task.routes.len());
-        for (slot, (name, way)) in traffic.slots.iter_mut().zip(vehicles) {
+        for (slot, (name, distance)) in traffic.slots.iter_mut().zip(vehicles) {
             let route = task.route_ids.iter().position(|id| id == name).expect("a route");
-            *slot = at(task, route, task.routes[route].to_first_conflict(0.0) - way);
+            *slot = at(task, route, task.routes[route].to_first_conflict(0.0) - distance);
         }
         traffic.refresh();
         traffic
@@ -305,17 +305,17 @@ mod tests {
     }
 
     proptest! {
-        /// Of two vehicles, the one with priority gives way only where the other blocks it or is
+        /// Of two vehicles, the one with priority gives distance only where the other blocks it or is
         /// ahead.
         #[test]
         fn two_do_not_wait_for_each_other(
             routes in [0usize..12, 0usize..12],
-            way in [-15.0..25.0, -15.0..25.0],
+            distance in [-15.0..25.0, -15.0..25.0],
             speed in [0.0..8.0, 0.0..8.0],
         ) {
             let task = task();
             let names = routes.map(|route| task.route_ids[route].clone());
-            let mut traffic = traffic(&task, &[(&names[0], way[0]), (&names[1], way[1])]);
+            let mut traffic = traffic(&task, &[(&names[0], distance[0]), (&names[1], distance[1])]);
             for (k, slot) in traffic.slots.iter_mut().enumerate() {
                 (slot.priority, slot.speed) = (1 + k as u32, speed[k]);
             }

@@ -112,23 +112,23 @@ pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> O
     (to >= 0.0).then_some(from.max(0.0))
 }
 
-/// Returns the first and last time at which a point that starts at `at` and moves by `way` per unit
+/// Returns the first and last time at which a point that starts at `at` and moves by `displacement` per unit
 /// of time is within `half` of zero along every axis; `None` if it never is.
 pub(super) fn stretch<const N: usize>(
     at: [f64; N],
-    way: [f64; N],
+    displacement: [f64; N],
     half: [f64; N],
 ) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
-    for ((at, way), half) in at.into_iter().zip(way).zip(half) {
-        if way.abs() < 1e-12 {
+    for ((at, displacement), half) in at.into_iter().zip(displacement).zip(half) {
+        if displacement.abs() < 1e-12 {
             if at.abs() > half {
                 return None;
             }
             continue;
         }
-        let per_way = way.recip();
-        let times = [(-half - at) * per_way, (half - at) * per_way];
+        let per_displacement = displacement.recip();
+        let times = [(-half - at) * per_displacement, (half - at) * per_displacement];
         (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
     }
     (from <= to).then_some([from, to])
@@ -190,7 +190,7 @@ mod tests {
             let a = Pose { x: 3.0, y: -2.0, heading: h };
             let b = Pose { x: 3.0 + dx, y: -2.0 + dy, heading: g };
             let area = overlap_by_clipping(&a, &b);
-            // Boxes that touch within rounding may count either way.
+            // Boxes that touch within rounding may count either displacement.
             prop_assume!(!(1e-12..1e-6).contains(&area));
             prop_assert_eq!(boxes_overlap((&a, SIZE), (&b, SIZE)), area > 0.0);
             prop_assert_eq!(boxes_overlap((&b, SIZE), (&a, SIZE)), area > 0.0);

@@ -123,10 +123,11 @@ impl<'a> Beams<'a> {
         let range = self.range;
         road.lines_around(own, range, |line| {
             let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
-            let way = [b[0] - a[0], b[1] - a[1]];
-            let apart = cross(a, way);
+            let direction = [b[0] - a[0], b[1] - a[1]];
+            let apart = cross(a, direction);
             // Distance of the straight line through both ends.
-            let nearest = apart.abs() / (way[0] * way[0] + way[1] * way[1]).sqrt();
+            let nearest =
+                apart.abs() / (direction[0] * direction[0] + direction[1] * direction[1]).sqrt();
             if nearest > range {
                 return;
             }
@@ -136,7 +137,7 @@ impl<'a> Beams<'a> {
             let wide = last - first + SLACK;
             let wide = if wide < 0.0 { wide + TAU } else { wide };
             self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
-                let across = cross(along, way).recip();
+                let across = cross(along, direction).recip();
                 let (distance, place) = (apart * across, cross(a, along) * across);
                 (distance >= 0.0 && (-EDGE..=1.0 + EDGE).contains(&place)).then_some(distance)
             });

@@ -62,7 +62,12 @@ const ENCOUNTER: [(&str, &str, f32, f32); 10] = [
 /// Foresight features of an encounter, before its last two features; only in scenarios with
 /// foresight.
 const FORESEEN: [(&str, &str, f32, f32); 4] = [
-    ("close", "1 touching, 0 no closer than 3 m, if both keep to their ways and speeds", 0.0, 1.0),
+    (
+        "close",
+        "1 touching, 0 no closer than 3 m, if both keep to their routes and speeds",
+        0.0,
+        1.0,
+    ),
     ("soon", "1 closest now, 0 at the end of the foresight", 0.0, 1.0),
     ("close_driving", "likewise, if the agent drives 6 m/s at least", 0.0, 1.0),
     ("soon_driving", "likewise", 0.0, 1.0),
@@ -285,7 +290,7 @@ pub(super) fn write(
     }
     if scenario.observation.priority_distance > 0.0 {
         let entry = fcfs::to_entry(task, own);
-        w.put([NEAR, FAR].map(|scale| entry.map_or(-1.0, |way| way.max(0.0) / scale)));
+        w.put([NEAR, FAR].map(|scale| entry.map_or(-1.0, |distance| distance.max(0.0) / scale)));
     }
     let borders = scenario.observation.borders;
     if let Some(road) = task.road.as_ref().filter(|_| borders > 0.0) {
@@ -544,7 +549,7 @@ pub(super) fn put_encounters(
     if told {
         let of = |j| fcfs::free(knowledge, priorities, slot, j);
         let free = (0..traffic.slots.len()).filter(|&j| seen(j)).map(of).fold(Free::ALL, Free::min);
-        w.put([free.way, free.slow, free.blocked].map(|way| way / NEAR));
+        w.put([free.distance, free.slow, free.blocked].map(|distance| distance / NEAR));
     }
 }
 
@@ -559,8 +564,8 @@ fn meet(
 ) -> Option<(f64, f64, bool)> {
     let ahead =
         route.shared_position(place.route, place.s).map(|s| s - own.s).filter(|way| *way > 0.0);
-    if let Some(way) = ahead {
-        return Some((way - f64::midpoint(own.size[0], other.size[0]), 0.0, true));
+    if let Some(distance) = ahead {
+        return Some((distance - f64::midpoint(own.size[0], other.size[0]), 0.0, true));
     }
     let met = route.next_meeting(own.s, place.route, place.s, CLEARED)?;
     Some((met.own - own.s, met.other - place.s, false))

@@ -17,8 +17,8 @@ const BACK: f64 = 1.5;
 const SWING: f64 = 2.5;
 
 /// Returns the steering command, -1 to 1 (left), of a vehicle at position `s` on a path.
-pub(super) fn steer(steering: &Steering, way: &Path, s: f64, pose: &Pose) -> f64 {
-    let ([x, y], _) = way.at(s + LOOK_AHEAD);
+pub(super) fn steer(steering: &Steering, path: &Path, s: f64, pose: &Pose) -> f64 {
+    let ([x, y], _) = path.at(s + LOOK_AHEAD);
     let (dx, dy) = (x - pose.x, y - pose.y);
     let bearing = dy.atan2(dx) - pose.heading;
     let wheel = (2.0 * steering.wheelbase() * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
@@ -30,7 +30,7 @@ pub(super) fn steer(steering: &Steering, way: &Path, s: f64, pose: &Pose) -> f64
 ///
 /// Only the first such U-turn is replaced; `None` if there is none. Whether the new path lies on
 /// the road is not checked.
-pub(super) fn way_around(route: &Path, steering: &Steering) -> Option<Path> {
+pub(super) fn path_around(route: &Path, steering: &Steering) -> Option<Path> {
     let least = least_radius(steering);
     let heading = |i: usize| {
         let ([x, y], [u, v]) = (route.points[i], route.points[i + 1]);

@@ -52,8 +52,9 @@ impl Strip {
     /// Returns whether a point counts as on the lane.
     fn covers(&self, point: Point) -> bool {
         let [a, b] = self.ends;
-        let way = [b[0] - a[0], b[1] - a[1]];
-        let from = |end: Point| (point[0] - end[0]) * way[0] + (point[1] - end[1]) * way[1];
+        let direction = [b[0] - a[0], b[1] - a[1]];
+        let from =
+            |end: Point| (point[0] - end[0]) * direction[0] + (point[1] - end[1]) * direction[1];
         let beyond = (self.last[0] && from(a) < 0.0) || (self.last[1] && from(b) > 0.0);
         !beyond && distance(self.ends, point) <= self.half + BESIDE
     }
@@ -405,9 +406,9 @@ fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
     let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
     let joins =
         net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
-    let ways = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
-    ways.filter(|way| {
-        let border = parallel(&way.shape, -way.width / 2.0);
+    let lanes = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
+    lanes.filter(|lane| {
+        let border = parallel(&lane.shape, -lane.width / 2.0);
         let inside = |lane: &&Lane| net.edges[lane.edge].function == EdgeFunction::Internal;
         !net.lanes.iter().filter(inside).any(|other| meet(&border, &other.shape))
     })
@@ -574,12 +575,12 @@ mod tests {
             Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
         let net = Net::load(&path).unwrap();
         for [from, to] in [["west_in", "east_out"], ["south_in", "north_out"]] {
-            let way = net.route_path(&[from.to_owned(), to.to_owned()]).unwrap();
-            for k in 0..=(way.length() / 0.5) as usize {
-                let ([x, y], heading) = way.at(0.5 * k as f64);
+            let path = net.route_path(&[from.to_owned(), to.to_owned()]).unwrap();
+            for k in 0..=(path.length() / 0.5) as usize {
+                let ([x, y], heading) = path.at(0.5 * k as f64);
                 assert!(
                     !road.left_by(&Pose { x, y, heading }),
-                    "on the way from {from} to {to}, at {x} {y}"
+                    "on the path from {from} to {to}, at {x} {y}"
                 );
             }
         }

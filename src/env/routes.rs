@@ -137,8 +137,8 @@ pub(super) fn geometry(
         meetings.iter().filter_map(|met| met.first().copied()).collect();
     let apart = (0..paths.len()).filter(|&b| b != a && meetings[b].is_empty()).collect();
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    let ways = shared.into_iter().zip(paths).zip(&meetings);
-    let shared = ways.map(|((mut stretches, other), meetings)| {
+    let pairs = shared.into_iter().zip(paths).zip(&meetings);
+    let shared = pairs.map(|((mut stretches, other), meetings)| {
         stretches.extend(meetings.first().and_then(|met| one_way(path, other, *met)));
         extended(path, other, stretches, size)
     });
@@ -160,8 +160,8 @@ pub(super) fn geometry(
 /// Returns the first metre of a stretch on which the two centre lines coincide although they
 /// belong to different lanes, if the conflict `met` is the beginning of such a stretch.
 fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
-    let together = |way: f64| {
-        let ([x, y], [u, v]) = (other.at(met.other + way).0, own.at(met.own + way).0);
+    let together = |distance: f64| {
+        let ([x, y], [u, v]) = (other.at(met.other + distance).0, own.at(met.own + distance).0);
         (x - u).hypot(y - v) < 0.1
     };
     let stretch = Shared { from: met.other, to: met.other + 1.0, shift: met.own - met.other };

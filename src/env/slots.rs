@@ -196,14 +196,14 @@ impl Traffic {
         intentions: Option<&Intentions>,
         near: f64,
     ) {
-        let way = |j: usize, slot: &Slot| {
+        let to_conflict = |j: usize, slot: &Slot| {
             let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
             hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))
         };
         loop {
             let waiting = self.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
                 let waits = slot.status != Status::Empty && slot.priority == 0;
-                let distance = if waits { way(j, slot) } else { f64::INFINITY };
+                let distance = if waits { to_conflict(j, slot) } else { f64::INFINITY };
                 (distance <= near).then_some((distance, slot))
             });
             let Some((_, next)) = waiting.min_by(|a, b| a.0.total_cmp(&b.0)) else {

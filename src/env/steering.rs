@@ -422,10 +422,10 @@ mod tests {
             let pose = Pose { x: 1.0, y: 2.0, heading };
             let first = Motion { pose, ..forward(speed) };
             let next = first.advance(&control, &steering, &vehicle, 0.0, throttle);
-            let (way, expected) = dynamics::advance(&control, &vehicle, speed, throttle);
+            let (distance, expected) = dynamics::advance(&control, &vehicle, speed, throttle);
             prop_assert!((next.velocity.x - expected).abs() < 1e-12 && next.velocity.y == 0.0);
-            let way = way - 0.02 * (expected - speed);
-            prop_assert!((next.pose.distance(&pose) - way).abs() < 1e-9);
+            let distance = distance - 0.02 * (expected - speed);
+            prop_assert!((next.pose.distance(&pose) - distance).abs() < 1e-9);
             prop_assert!(next.pose.heading == heading);
         }
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::geometry::Size;
 use super::intention::Forks;
-use super::pursuit::way_around;
+use super::pursuit::path_around;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::{ActionDimension, EnvSpec, Error, observation, state};
@@ -138,12 +138,12 @@ impl Task {
                 route_edges.push(edges);
             }
         }
-        let mut ways = paths.clone();
+        let mut driven = paths.clone();
         let mut detoured = vec![false; paths.len()];
         if let Some(steering) = &scenario.control.steering {
-            for (way, detoured) in ways.iter_mut().zip(&mut detoured) {
-                if let Some(around) = way_around(way, steering) {
-                    (*way, *detoured) = (around, true);
+            for (path, detoured) in driven.iter_mut().zip(&mut detoured) {
+                if let Some(around) = path_around(path, steering) {
+                    (*path, *detoured) = (around, true);
                 }
             }
         }
@@ -152,14 +152,14 @@ impl Task {
                 // Vehicles of route files arrive where SUMO removes them: at the end of the route.
                 let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
                 let mut route = geometry(
-                    &ways,
+                    &driven,
                     &detoured,
                     a,
                     arrival.unwrap_or(-1.0),
                     [scenario.vehicle.length, scenario.vehicle.width],
                 );
                 if arrival.is_none() {
-                    route.arrival = ways[a].length();
+                    route.arrival = driven[a].length();
                 }
                 if let Some(&last) = paths[a].lanes.last() {
                     let lanes = net.carriageway(&net.edges[net.lanes[last].edge]);

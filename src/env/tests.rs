@@ -5,7 +5,7 @@
 mod driving;
 mod intention;
 mod others;
-mod ways;
+mod paths;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -261,9 +261,9 @@ fn the_reward_is_way_and_speed_and_then_the_arrival() {
     // Expected rewards by their definition and the longitudinal law.
     let (mut v, mut total) = (0.0, 0.0);
     for frame in &frames[1..end] {
-        let (way, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
+        let (distance, speed) = advance(&scenario.control, &scenario.vehicle, v, 1.0);
         v = speed;
-        let expected = way + 0.1 * v / (80.0 / 3.6);
+        let expected = distance + 0.1 * v / (80.0 / 3.6);
         assert!(
             (f64::from(frame.reward[0]) - expected).abs() < 1e-5,
             "{} {expected}",
@@ -682,8 +682,8 @@ proptest! {
                     continue;
                 }
                 let met = task.routes[own.route].conflicts.iter().find(|conflict| conflict.route == other.route);
-                let ways = met.map(|met| [met.own - own.position, met.other - other.position]);
-                expected.extend(ways.filter(|ways| ways.iter().all(|way| *way >= -CLEARED)));
+                let distances = met.map(|met| [met.own - own.position, met.other - other.position]);
+                expected.extend(distances.filter(|distances| distances.iter().all(|distance| *distance >= -CLEARED)));
             }
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
             let told = usize::from(turns > 0.0);
@@ -693,7 +693,7 @@ proptest! {
             let seen = &world.frame().observation[end - token * count..end];
             prop_assert!(end - token * count >= first);
             for (k, token) in seen.chunks(token).enumerate() {
-                let Some(ways) = expected.get(k) else {
+                let Some(distances) = expected.get(k) else {
                     prop_assert!(token.iter().all(|x| *x == 0.0), "padding: {token:?}");
                     continue;
                 };
@@ -704,9 +704,9 @@ proptest! {
                     let near = 1.0 - 15.0 * token[2] / 3.0;
                     prop_assert!(token[0] == 0.0 || passing[0] >= near.min(1.0) - 1e-4, "{token:?}");
                 }
-                prop_assert_eq!(token[0] > 0.0, ways[1] == 0.0);
-                for (way, at) in ways.iter().zip([1, 3]) {
-                    prop_assert!((f64::from(token[at]) - (way / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {ways:?}");
+                prop_assert_eq!(token[0] > 0.0, distances[1] == 0.0);
+                for (distance, at) in distances.iter().zip([1, 3]) {
+                    prop_assert!((f64::from(token[at]) - (distance / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {distances:?}");
                 }
             }
         }

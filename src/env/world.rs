@@ -534,10 +534,10 @@ impl World {
             } else if outcome.crashed {
                 scenario.reward.crash
             } else {
-                let way = slot.s - self.positions[i];
+                let distance = slot.s - self.positions[i];
                 // The magnitude counts: a vehicle that steers may slide or drive backwards.
                 let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
-                let reward = scenario.reward.progress * way
+                let reward = scenario.reward.progress * distance
                     + scenario.reward.speed * speed / Reward::SPEED_UNIT;
                 let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
                 if off { scenario.routes[slot.route].off_lane * reward } else { reward }
@@ -594,8 +594,9 @@ impl World {
                     let drives = |k: usize| k < agents && moving(k);
                     self.crashes += u32::from(drives(i) || drives(j));
                     let on_way = |a: usize, b: usize| {
-                        let way = &self.task.routes[slots[a].route];
-                        way.shared_position(slots[b].route, slots[b].s)
+                        let route = &self.task.routes[slots[a].route];
+                        route
+                            .shared_position(slots[b].route, slots[b].s)
                             .is_some_and(|s| s >= slots[a].s)
                     };
                     let same_way = on_way(i, j) || on_way(j, i);

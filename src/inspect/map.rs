@@ -137,22 +137,22 @@ fn meetings(task: &Task) -> Vec<[f64; 2]> {
 fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
     let mut pieces: Vec<Vec<[f64; 2]>> = Vec::new();
     for pair in line.windows(2) {
-        let way = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
+        let direction = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
         let mut span = (0.0_f64, 1.0_f64);
         for axis in 0..2 {
             let ends = [window[0][axis] - pair[0][axis], window[1][axis] - pair[0][axis]];
-            if way[axis] == 0.0 {
+            if direction[axis] == 0.0 {
                 // A line parallel to an axis and outside the window leaves no piece.
                 span.1 = if ends[0] <= 0.0 && ends[1] >= 0.0 { span.1 } else { -1.0 };
             } else {
-                let [a, b] = ends.map(|end| end / way[axis]);
+                let [a, b] = ends.map(|end| end / direction[axis]);
                 span = (span.0.max(a.min(b)), span.1.min(a.max(b)));
             }
         }
         if span.0 > span.1 {
             continue;
         }
-        let at = |t: f64| [pair[0][0] + t * way[0], pair[0][1] + t * way[1]];
+        let at = |t: f64| [pair[0][0] + t * direction[0], pair[0][1] + t * direction[1]];
         match pieces.last_mut().filter(|piece| span.0 == 0.0 && piece.last() == Some(&pair[0])) {
             Some(piece) => piece.push(at(span.1)),
             None => pieces.push(vec![at(span.0), at(span.1)]),

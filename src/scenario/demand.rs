@@ -84,14 +84,14 @@ pub struct DemandRoute {
     /// Id of the route, or of the vehicle, person or flow that has it.
     pub id: String,
     /// How the file specifies it.
-    pub way: Way,
+    pub itinerary: Itinerary,
     /// File, line and column.
     pub(super) place: (std::path::PathBuf, u32, u32),
 }
 
 /// How a route file specifies a route or walk. Edges are given by their ids.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Way {
+pub enum Itinerary {
     /// All edges in driving order.
     Route(Vec<String>),
     /// The first edge, edges to pass, and the last edge. The fastest path through them is the
@@ -131,10 +131,10 @@ impl DemandRoute {
             let path = net.route_path_from(&edges, None)?;
             Ok(Laid { path, edges, walk: None })
         };
-        match &self.way {
-            Way::Route(edges) => driven(edges.clone()),
-            Way::Trip(stages) => driven(net.trip(stages)?),
-            Way::Walk { edges, depart, arrival } => {
+        match &self.itinerary {
+            Itinerary::Route(edges) => driven(edges.clone()),
+            Itinerary::Trip(stages) => driven(net.trip(stages)?),
+            Itinerary::Walk { edges, depart, arrival } => {
                 let walk = net.walk(edges, *depart, *arrival)?;
                 Ok(Laid { path: walk.path, edges: edges.clone(), walk: Some([*depart, walk.end]) })
             }
@@ -357,7 +357,7 @@ impl Demand {
 
     fn route(&mut self, reader: &Reader, node: Node, id: &str) -> Result<usize, Error> {
         let edges = reader.text(node, "edges")?.split_whitespace().map(Into::into).collect();
-        self.add(reader, node, id, Way::Route(edges))
+        self.add(reader, node, id, Itinerary::Route(edges))
     }
 
     /// Adds the walk of a person; returns its index in [`Demand::routes`].
@@ -383,7 +383,7 @@ impl Demand {
         };
         let depart = position(person, "departPos")?.unwrap_or(0.0);
         let arrival = position(walk, "arrivalPos")?;
-        self.add(reader, walk, id, Way::Walk { edges, depart, arrival })
+        self.add(reader, walk, id, Itinerary::Walk { edges, depart, arrival })
     }
 
     /// Adds the trip from `from` via `via` to `to`; returns its index in [`Demand::routes`].
@@ -391,11 +391,18 @@ impl Demand {
         let (from, to) = (reader.text(node, "from")?, reader.text(node, "to")?);
         let via = node.attribute("via").unwrap_or_default().split_whitespace();
         let stages = std::iter::once(from).chain(via).chain([to]).map(Into::into).collect();
-        self.add(reader, node, id, Way::Trip(stages))
+        self.add(reader, node, id, Itinerary::Trip(stages))
     }
 
-    fn add(&mut self, reader: &Reader, node: Node, id: &str, way: Way) -> Result<usize, Error> {
-        let (Way::Route(edges) | Way::Trip(edges) | Way::Walk { edges, .. }) = &way;
+    fn add(
+        &mut self,
+        reader: &Reader,
+        node: Node,
+        id: &str,
+        itinerary: Itinerary,
+    ) -> Result<usize, Error> {
+        let (Itinerary::Route(edges) | Itinerary::Trip(edges) | Itinerary::Walk { edges, .. }) =
+            &itinerary;
         if !(1..=MAX_EDGES).contains(&edges.len()) {
             return Err(reader.value(
                 node,
@@ -408,11 +415,11 @@ impl Demand {
         }
         let (line, column) = reader.position(Reader::offset(
             node,
-            if matches!(way, Way::Trip(_)) { "from" } else { "edges" },
+            if matches!(itinerary, Itinerary::Trip(_)) { "from" } else { "edges" },
         ));
         self.routes.push(DemandRoute {
             id: id.into(),
-            way,
+            itinerary,
             place: (reader.path.into(), line, column),
         });
         Ok(self.routes.len() - 1)
@@ -600,8 +607,8 @@ mod tests {
         assert_eq!((g.spacing, g.types.clone()), (Spacing::Poisson(0.5), vec![(3, 0.25)]));
         assert_eq!((t.begin, t.number), (4.0, 1));
         assert_eq!(
-            found.routes[t.route].way,
-            Way::Trip(["a", "d", "e", "c"].map(Into::into).to_vec())
+            found.routes[t.route].itinerary,
+            Itinerary::Trip(["a", "d", "e", "c"].map(Into::into).to_vec())
         );
     }
 
@@ -615,14 +622,14 @@ mod tests {
         .unwrap();
         let [p, f] = &found.sources[..] else { panic!("{:?}", found.sources) };
         assert_eq!((p.begin, p.number, &p.types[..]), (3.0, 1, &[(1, 1.0)][..]));
-        let walk = |edges: &[&str], depart, arrival| Way::Walk {
+        let walk = |edges: &[&str], depart, arrival| Itinerary::Walk {
             edges: edges.iter().map(|&e| e.into()).collect(),
             depart,
             arrival,
         };
-        assert_eq!(found.routes[0].way, walk(&["a", "b", "c"], 0.0, Some(7.0)));
+        assert_eq!(found.routes[0].itinerary, walk(&["a", "b", "c"], 0.0, Some(7.0)));
         assert_eq!((f.route, &f.types[..]), (1, &[(2, 1.0)][..]));
-        assert_eq!(found.routes[1].way, walk(&["a", "b"], 5.0, None));
+        assert_eq!(found.routes[1].itinerary, walk(&["a", "b"], 5.0, None));
         assert!(found.types[2].walks);
         assert_eq!((found.types[2].length, found.types[2].width), (0.215, 0.4));
     }

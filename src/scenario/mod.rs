@@ -15,7 +15,7 @@ mod reader;
 mod schema;
 mod write;
 
-pub use demand::{Demand, DemandRoute, Laid, Source, Spacing, Start, VehicleKind, Way};
+pub use demand::{Demand, DemandRoute, Itinerary, Laid, Source, Spacing, Start, VehicleKind};
 pub use error::Error;
 pub use finding::{Finding, Findings, Severity};
 pub use schema::{Attribute, Element, SCHEMA, describe, markdown};

@@ -92,7 +92,7 @@ impl World {
                                 moves(task, world, at, slot, commands);
                             } else {
                                 slot.action = action(0);
-                                let (way, speed) =
+                                let (distance, speed) =
                                     dynamics::advance(control, vehicle, slot.speed, slot.action);
                                 slot.speed = speed;
                                 // SUMO moves a vehicle by its new speed times the step length, so
@@ -100,7 +100,7 @@ impl World {
                                 commands.push(Command::SetSpeed {
                                     world,
                                     slot: at,
-                                    speed: way / control.interval,
+                                    speed: distance / control.interval,
                                 });
                             }
                         }

@@ -14,7 +14,7 @@ use super::super::{
 };
 use super::{Error, SPACING, netconvert};
 use crate::record::write_atomic;
-use crate::sumo::net::Path as Way;
+use crate::sumo::net::Path as LanePath;
 
 /// Detection range \[m\], longer than the braking distance from any speed that a template allows.
 const DETECTION: f64 = 100.0;
@@ -142,14 +142,14 @@ impl Layout {
 
     /// Returns a scenario on the net of `site`, with the usual settings.
     pub(super) fn scenario(&self, site: Site) -> Scenario {
-        let Site { description, routes, ways, rows, agents, speed, steers } = site;
-        let longest = ways.iter().map(Way::length).fold(0.0, f64::max);
+        let Site { description, routes, paths, rows, agents, speed, steers } = site;
+        let longest = paths.iter().map(LanePath::length).fold(0.0, f64::max);
         // An agent should observe all vehicles that its path may conflict with. Vehicles that begin
         // on the same lane, one behind the other, do not count.
-        let meets = |one: &Way| {
-            ways.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
+        let meets = |one: &LanePath| {
+            paths.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
         };
-        let streams = ways.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
+        let streams = paths.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
         let spawn = |Row { routes, first, count }| SpawnRow {
             routes: Arc::from(routes),
             first,
@@ -273,7 +273,7 @@ pub(super) struct Site {
     pub(super) description: String,
     pub(super) routes: Vec<Route>,
     /// Paths of the routes, in the order of the routes.
-    pub(super) ways: Vec<Way>,
+    pub(super) paths: Vec<LanePath>,
     pub(super) rows: Vec<Row>,
     pub(super) agents: u32,
     /// Top speed \[m/s\].
@@ -352,7 +352,7 @@ fn traffic(scenario: &Scenario, net: &Net) -> String {
 }
 
 /// Returns whether two paths merge or cross.
-pub(super) fn meet(one: &Way, other: &Way) -> bool {
+pub(super) fn meet(one: &LanePath, other: &LanePath) -> bool {
     let side = |a: [f64; 2], b: [f64; 2], p: [f64; 2]| {
         (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
     };

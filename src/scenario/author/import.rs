@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::super::Route;
 use super::files::{Layout, Row, Site, Steers, meet};
 use super::{Error, FIRST, SPACING, netconvert};
-use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as Way};
+use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as LanePath};
 
 /// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and priority rules
 /// instead of traffic lights, which agents do not observe.
@@ -142,7 +142,7 @@ pub fn import(
         layout.write(&layout.scenario(Site {
             description,
             routes: proposal.routes,
-            ways: proposal.ways,
+            paths: proposal.paths,
             rows: proposal.rows,
             agents,
             speed: proposal.speed.clamp(SPEED.0, SPEED.1),
@@ -160,7 +160,7 @@ struct Proposal {
     /// Lowest speed limit on the routes \[m/s\].
     speed: f64,
     /// Paths of the routes, in the order of the routes.
-    ways: Vec<Way>,
+    paths: Vec<LanePath>,
 }
 
 /// Returns all junctions at which paths of vehicles from at least two roads conflict, in descending
@@ -270,7 +270,7 @@ impl<'a> Streets<'a> {
         if incoming.len() < 2 {
             return None;
         }
-        let mut routes: Vec<(Route, usize, usize, Way)> = Vec::new();
+        let mut routes: Vec<(Route, usize, usize, LanePath)> = Vec::new();
         for &edge in incoming {
             for lane in self.net.edges[edge].lanes.clone().filter(|&lane| self.fits(lane)) {
                 let (chain, start) = self.upstream(lane);
@@ -293,7 +293,7 @@ impl<'a> Streets<'a> {
         }
         let mut arms: Vec<usize> = routes.iter().map(|(_, edge, ..)| *edge).collect();
         arms.dedup();
-        let meeting = |(_, a, _, one): &(Route, usize, usize, Way)| {
+        let meeting = |(_, a, _, one): &(Route, usize, usize, LanePath)| {
             routes.iter().any(|(_, b, _, other)| a != b && meet(one, other))
         };
         if !routes.iter().any(meeting) {
@@ -310,7 +310,7 @@ impl<'a> Streets<'a> {
         };
         let rows: Vec<Row> = rows.into_iter().map(row).collect();
         let lanes =
-            routes.iter().flat_map(|(_, _, _, way)| &way.lanes).filter(|&&lane| self.fits(lane));
+            routes.iter().flat_map(|(_, _, _, path)| &path.lanes).filter(|&&lane| self.fits(lane));
         Some(Proposal {
             candidate: Candidate {
                 junction: junction.id.clone(),
@@ -325,14 +325,14 @@ impl<'a> Streets<'a> {
                 .enumerate()
                 .map(|(i, (route, ..))| Route { id: format!("{i}_{}", route.id), ..route.clone() })
                 .collect(),
-            ways: routes.into_iter().map(|(_, _, _, way)| way).collect(),
+            paths: routes.into_iter().map(|(_, _, _, path)| path).collect(),
             rows,
         })
     }
 
     /// Returns a route along edges from a lane, and its path, if the route can be driven without
     /// changing lanes.
-    fn route(&self, chain: &[usize], exit: &[usize], start: usize) -> Option<(Route, Way)> {
+    fn route(&self, chain: &[usize], exit: &[usize], start: usize) -> Option<(Route, LanePath)> {
         // A loop would lead back over spawn places.
         if exit.iter().any(|edge| chain.contains(edge)) {
             return None;
@@ -342,16 +342,16 @@ impl<'a> Streets<'a> {
         let lane = Some(self.net.lanes[start].index);
         // Where a lane leads to several lanes of one road, SUMO may choose another lane than the
         // route.
-        let way = self
+        let path = self
             .net
             .route_path_from(&edges, lane)
             .ok()
-            .filter(|way| self.net.fork(way).is_none())?;
+            .filter(|path| self.net.fork(path).is_none())?;
         let name = format!("{}_to_{}", edges[chain.len() - 1], edges[chain.len()]);
         let id = name
             .chars()
             .map(|c| if c.is_alphanumeric() || "_-#.".contains(c) { c } else { '_' })
             .collect();
-        Some((Route { id, edges, lane, arrival_pos: -5.0, reserved: false, off_lane: 1.0 }, way))
+        Some((Route { id, edges, lane, arrival_pos: -5.0, reserved: false, off_lane: 1.0 }, path))
     }
 }

@@ -63,8 +63,8 @@ pub fn create(
         layout.configure(&inputs, &OPTIONS)?;
         netconvert::convert(&layout.net)?;
         let net = Net::load(&layout.net)?;
-        let way = |route: &Route| net.route_path_from(&route.edges, route.lane);
-        let ways = plan.routes.iter().map(way).collect::<Result<_, _>>()?;
+        let path = |route: &Route| net.route_path_from(&route.edges, route.lane);
+        let paths = plan.routes.iter().map(path).collect::<Result<_, _>>()?;
         let row = |routes: Vec<usize>| {
             let edge = &plan.routes[routes[0]].edges[0];
             let ahead = plan.ahead.get(edge).copied().unwrap_or(0.0);
@@ -78,7 +78,7 @@ pub fn create(
             description: template.description().into(),
             rows: starts(&plan.routes).into_values().map(row).collect(),
             routes: plan.routes,
-            ways,
+            paths,
             agents: sizes.agents,
             speed: sizes.speed,
             steers: match (plan.lot, sizes.steering) {

@@ -98,7 +98,7 @@ impl Plan {
     }
 
     /// Connects the rightmost lanes of two edges by a path through the given points \[m\].
-    pub(super) fn way(&mut self, from: &str, to: &str, shape: Vec<[f64; 2]>) {
+    pub(super) fn connection(&mut self, from: &str, to: &str, shape: Vec<[f64; 2]>) {
         self.links.push(Link { from: from.into(), to: to.into(), lanes: [0, 0], shape });
     }
 
@@ -154,17 +154,17 @@ impl Plan {
             }
             let _ = writeln!(edges, "{}/>", outline(shape));
         }
-        if let Some((nodes, ways)) = &self.ring {
+        if let Some((nodes, paths)) = &self.ring {
             let _ = writeln!(
                 edges,
                 "    <roundabout nodes=\"{}\" edges=\"{}\"/>",
                 nodes.join(" "),
-                ways.join(" ")
+                paths.join(" ")
             );
         }
         let mut links = opening(
             "connections",
-            "Which lane leads to which, counted from the right and starting at 0; a shape [m] is the way there.",
+            "Which lane leads to which, counted from the right and starting at 0; a shape [m] is the path of the vehicles there.",
         );
         for Link { from, to, lanes: [a, b], shape } in &self.links {
             let shape = outline(shape);

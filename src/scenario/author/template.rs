@@ -225,8 +225,8 @@ fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
                 plan.edge(from.clone(), [&name, &junction(cell)], lanes);
                 plan.edge(format!("{name}_out"), [&junction(cell), &name], lanes);
                 for (turn, by) in TURNS {
-                    let Some(way) = drive(&leaving, cell, (heading + by) % 4) else { continue };
-                    let edges: Vec<String> = std::iter::once(from.clone()).chain(way).collect();
+                    let Some(route) = drive(&leaving, cell, (heading + by) % 4) else { continue };
+                    let edges: Vec<String> = std::iter::once(from.clone()).chain(route).collect();
                     plan.route(&format!("{name}_{turn}"), &edges, lanes);
                 }
             }
@@ -301,10 +301,10 @@ fn roundabout(lanes: u32, arm: f64) -> Plan {
             plan.ahead.insert(format!("{name}_in"), quarter(radius));
         }
         for (exit, turn) in ["right", "straight", "left"].into_iter().enumerate() {
-            let way = (0..=exit).map(|k| ring(turns + k));
+            let route = (0..=exit).map(|k| ring(turns + k));
             let out = format!("{}_out", ARMS[(turns + exit + 1) % 4].0);
             let edges: Vec<String> =
-                std::iter::once(format!("{name}_in")).chain(way).chain([out]).collect();
+                std::iter::once(format!("{name}_in")).chain(route).chain([out]).collect();
             plan.route(&format!("{name}_{turn}"), &edges, lanes);
         }
     }
@@ -377,8 +377,8 @@ fn parking(spaces: u32, arm: f64) -> Plan {
         plan.edge(format!("{name}_in"), [name, "lot"], 1);
         plan.edge(format!("{name}_out"), ["lot", name], 1);
     }
-    plan.way("west_in", "east_out", vec![[-end, -half], [end, -half]]);
-    plan.way("east_in", "west_out", vec![[end, half], [-end, half]]);
+    plan.connection("west_in", "east_out", vec![[-end, -half], [end, -half]]);
+    plan.connection("east_in", "west_out", vec![[end, half], [-end, half]]);
     let rows = [1.0, -1.0].into_iter().flat_map(|up| (0..spaces).map(move |column| (up, column)));
     let places: Vec<(String, f64, f64)> = rows
         .enumerate()
@@ -387,7 +387,7 @@ fn parking(spaces: u32, arm: f64) -> Plan {
         })
         .collect();
     for (space, up, x) in &places {
-        let [entry, exit] = ["in", "out"].map(|way| format!("{space}_{way}"));
+        let [entry, exit] = ["in", "out"].map(|end| format!("{space}_{end}"));
         // The edges into and out of a space have separate end nodes: netconvert would move edges
         // with a common end node apart.
         let ends = ["end", "start"].map(|which| format!("{space}_{which}"));
@@ -411,10 +411,10 @@ fn parking(spaces: u32, arm: f64) -> Plan {
                 });
                 std::iter::once([side * end, lane]).chain(arc).chain([near]).collect::<Vec<_>>()
             };
-            plan.way(&format!("{name}_in"), &entry, bend(side * half));
+            plan.connection(&format!("{name}_in"), &entry, bend(side * half));
             let mut out = bend(-side * half);
             out.reverse();
-            plan.way(&exit, &format!("{name}_out"), out);
+            plan.connection(&exit, &format!("{name}_out"), out);
         }
         plan.single.insert(exit);
         plan.spaces.push(Space { id: space.clone(), edge: entry, depth: DEPTH });

@@ -22,7 +22,7 @@ pub struct Walk {
 type Step = (usize, bool);
 
 /// The shortest path whose last edge is walked in this direction.
-struct Way {
+struct Leg {
     /// Length of the path \[m\].
     metres: f64,
     backwards: bool,
@@ -76,19 +76,19 @@ impl Net {
             return Ok(Walk { path, end: arrival.unwrap_or(length(last)) });
         }
         let links = self.links_on_foot();
-        let mut ways: Vec<Way> = [false, true]
-            .map(|backwards| Way { metres: left(backwards), backwards, before: None })
+        let mut legs: Vec<Leg> = [false, true]
+            .map(|backwards| Leg { metres: left(backwards), backwards, before: None })
             .into();
-        let mut junctions: Vec<Vec<Way>> = Vec::with_capacity(lanes.len());
+        let mut junctions: Vec<Vec<Leg>> = Vec::with_capacity(lanes.len());
         for (i, pair) in lanes.windows(2).enumerate() {
-            let mut onward: Vec<Way> = Vec::new();
+            let mut onward: Vec<Leg> = Vec::new();
             for backwards in [false, true] {
-                let joined = ways.iter().enumerate().filter_map(|(k, way)| {
+                let joined = legs.iter().enumerate().filter_map(|(k, way)| {
                     let (metres, areas) =
                         self.over_junction((pair[0], way.backwards), (pair[1], backwards), &links)?;
                     let more =
                         if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
-                    Some(Way {
+                    Some(Leg {
                         metres: way.metres + metres + more,
                         backwards,
                         before: Some((k, areas)),
@@ -100,10 +100,10 @@ impl Net {
                 let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
                 return Err(NetError::NotWalkable { path: self.path.clone(), from, to });
             }
-            junctions.push(std::mem::replace(&mut ways, onward));
+            junctions.push(std::mem::replace(&mut legs, onward));
         }
         let mut way =
-            ways.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
+            legs.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
         let (mut directions, mut between) = (vec![way.backwards], Vec::new());
         while let (Some((k, areas)), Some(mut earlier)) = (way.before, junctions.pop()) {
             way = earlier.swap_remove(k);

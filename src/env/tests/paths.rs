@@ -55,10 +55,10 @@ fn who_is_in_the_way_is_an_encounter() {
         for (a, own) in task.routes.iter().enumerate() {
             for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
                 // Positions up to the arrival.
-                let ways = |route: &RouteGeometry| {
+                let samples = |route: &RouteGeometry| {
                     (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0)
                 };
-                for s in ways(other) {
+                for s in samples(other) {
                     if own.shared_position(b, s).is_some() {
                         continue;
                     }
@@ -70,7 +70,7 @@ fn who_is_in_the_way_is_an_encounter() {
                     let there = pose(&other.path, s);
                     let touched =
                         |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
-                    if let Some(t) = ways(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
+                    if let Some(t) = samples(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
                         unseen.push(format!(
                             "{name}: {} at {s} for {} at {t}",
                             task.route_ids[b], task.route_ids[a]
@@ -107,7 +107,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
                 (s, lateral, segment) = route.path.project(at, segment);
                 assert!(
                     lateral.abs() < 1.0,
-                    "{name}: {id} is {lateral} m beside its way, at {at:?}"
+                    "{name}: {id} is {lateral} m from its path, at {at:?}"
                 );
                 let steer = pursuit::steer(steering, &route.path, s, &motion.pose);
                 motion = motion.advance(
@@ -202,7 +202,7 @@ fn ways_that_lie_on_each_other_meet() {
             "{met:?} {back:?}"
         );
     }
-    assert!(meeting("west_space1", "space8_west").is_some(), "ways over the lot cross");
+    assert!(meeting("west_space1", "space8_west").is_some(), "paths over the lot cross");
     assert!(
         meeting("west_space2", "space1_west").is_some()
             && meeting("west_space5", "space1_west").is_none()
