@@ -479,7 +479,7 @@ pub enum Error {
     },
     /// The initial weights belong to another method.
     #[error(
-        "`{}` holds a policy of {of}, and this run trains {trained}, which has other networks",
+        "`{}` contains a policy of {of}, but this run trains {trained}, which has other networks",
         path.display()
     )]
     OtherMethod {
@@ -491,7 +491,7 @@ pub enum Error {
         trained: String,
     },
     /// The run folder cannot be created.
-    #[error("cannot make the run folder `{}`", path.display())]
+    #[error("cannot create the run folder `{}`", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -506,7 +506,7 @@ pub enum Error {
     },
     /// The least number of agents in an episode exceeds the number of agents.
     #[error(
-        "`train.fewest_agents` is {fewest}, but there are {agents} agents; it is the least number in an episode"
+        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents"
     )]
     TooFew {
         /// The setting `train.fewest_agents`.
@@ -516,7 +516,7 @@ pub enum Error {
     },
     /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
     #[error(
-        "the checkpoint was made with another `{key}`; resume with the settings in its run folder's config.toml"
+        "the checkpoint was written with another `{key}`; resume with the settings in the config.toml of its run folder"
     )]
     OtherRun {
         /// The first setting that differs.

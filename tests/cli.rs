@@ -29,7 +29,7 @@ fn folder() -> tempfile::TempDir {
 fn wrong_names_are_told_what_there_is() {
     assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--algorithm", "im-iwool"])), @r#"
     2
-    error: --algorithm: bad value for `algorithm`: there is no algorithm `im-iwool` (there are mappo, im-iwol, ex-iwol, mat, magic, commformer, icp-dec, icp-sum, icp-monotonic, maddpg, maddpg-iwol); did you mean `im-iwol`?
+    error: --algorithm: bad value for `algorithm`: there is no algorithm `im-iwool` (available: mappo, im-iwol, ex-iwol, mat, magic, commformer, icp-dec, icp-sum, icp-monotonic, maddpg, maddpg-iwol); did you mean `im-iwol`?
     "#);
     assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "throtle:1"])), @r#"
     2
@@ -91,7 +91,7 @@ fn a_missing_sumo_is_named() {
     let mut command = iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "sumo"]);
     assert_snapshot!(failure(command.env("PATH", "/nowhere").env_remove("SUMO_HOME")), @r#"
     2
-    error: evaluating sumo stopped: world 0, episode 0, step 0: sumo was not found; looked in `/nowhere`
+    error: the evaluation of sumo failed: world 0, episode 0, step 0: sumo was not found; looked in `/nowhere`
 
     hint: run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `sumo`
     "#);
@@ -194,7 +194,7 @@ fn damaged_checkpoints_are_refused() {
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(tidy(failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(&run))), @r#"
     2
-    error: `DIR/run` already holds a run; add --resume to go on with it, or choose another --out
+    error: `DIR/run` already contains a run; add --resume to continue it, or choose another --out
     "#);
     // A checkpoint of another algorithm is refused.
     let mut other = iwol(&["train", "--resume", "--algorithm", "mappo", "--out"]);
@@ -207,14 +207,14 @@ fn damaged_checkpoints_are_refused() {
     let mut fewer = iwol(&["train", "--resume", "--agents", "5", "--out"]);
     assert_snapshot!(tidy(failure(fewer.arg(&run))), @r#"
     2
-    error: the checkpoint was made with another `agents`; resume with the settings in its run folder's config.toml
+    error: the checkpoint was written with another `agents`; resume with the settings in the config.toml of its run folder
     "#);
     // Another scenario is refused.
     let mut elsewhere =
         iwol(&["train", "--resume", "--scenario", "scenarios/parking_lot.xml", "--out"]);
     assert_snapshot!(tidy(failure(elsewhere.arg(&run))), @r#"
     2
-    error: `DIR/run` was begun on another scenario, or `scenarios/parking_lot.xml` has changed since, or a net or route file that it names; go on with that, or start a new run from this one's policy with --init-from
+    error: `DIR/run` was started with another scenario, or `scenarios/parking_lot.xml` or a net or route file that it names has changed since then; resume with the original scenario, or start a new run from this run's policy with --init-from
     "#);
     // Another size of the network is refused.
     let mut wider = iwol(&["train", "--resume", "--set", "network.hidden=16", "--out"]);
@@ -334,7 +334,7 @@ fn a_scenario_is_made_built_and_drawn() {
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(tidy(failure(iwol(&["scenario", "show", "-o", "site.gif"]).arg(&file))), @r#"
     2
-    error: `site.gif` is no picture: give a name that ends in .svg, .png or .html
+    error: `site.gif` is not a picture file: give a name that ends in .svg, .png or .html
     "#);
     assert_snapshot!(tidy(failure(iwol(&["scenario", "new", "site", "--template", "tee", "--root"]).arg(dir.path()))), @r#"
     2
@@ -396,7 +396,7 @@ fn strange_files_are_left_alone() {
     let dir = folder();
     std::fs::write(dir.path().join("config.toml"), "precious = true").expect("written");
     let said = failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(dir.path()));
-    assert!(said.contains("config.toml` is there already, and of no run"), "{said}");
+    assert!(said.contains("config.toml` already exists and does not belong to a run"), "{said}");
     let nowhere = dir.path().join("no/such/file.json");
     let mut evaluate = iwol(&[
         "evaluate",

@@ -773,7 +773,7 @@ fn averaged_weights_follow_and_can_be_exchanged() {
                 .expect("a learner");
             let refused =
                 more.load_weights(&end).expect_err("of another number of agents").to_string();
-            assert!(refused.contains("each of 4 agents and cannot be used among 9"), "{refused}");
+            assert!(refused.contains("each of 4 agents and cannot be used with 9"), "{refused}");
         }
         let begun = next.state();
         for ((what, a), b) in begun.iter().filter(|(n, _)| n.starts_with("actor/")).zip(&average) {

@@ -74,7 +74,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         assert_eq!(evaluate(&name(&run), "4"), evaluate(&small, "4"));
         if !any_number {
             let refused = refused(&mut iwol(&["evaluate", &small, "--agents", "16"]));
-            assert!(refused.contains("cannot be used among 16"), "{refused}");
+            assert!(refused.contains("cannot be used with 16"), "{refused}");
         }
         let wide = evaluate(&small, more);
         let reconstruction = wide["metrics"]["reconstruction"].as_array().expect("a list");
@@ -107,11 +107,11 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         let refusals = [
             (
                 refused(&mut train(Path::new(&small), &["--algorithm", algorithm])),
-                "holds a policy; start from it",
+                "contains a policy; start from it",
             ),
             (
                 refused(&mut iwol(&["export", &name(&run), "--out", &small])),
-                "already holds a checkpoint",
+                "already contains a checkpoint",
             ),
             (
                 refused(&mut iwol(&[
@@ -122,7 +122,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                     "--init-from",
                     &small,
                 ])),
-                "leave --init-from out",
+                "omit --init-from",
             ),
             (
                 refused(&mut train(
@@ -140,15 +140,15 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             ),
             (
                 refused(&mut train(&at("x"), &["--algorithm", "icp-dec", "--init-from", &small])),
-                "holds a policy of mappo, and this run trains icp-dec",
+                "contains a policy of mappo, but this run trains icp-dec",
             ),
             (
                 refused(&mut iwol(&["evaluate", &small, "--set", "seed=5"])),
-                "episodes follow from --seed",
+                "--seed determines the episodes",
             ),
             (
                 refused(&mut iwol(&["evaluate", &small, "--out", "x.safetensors"])),
-                "that is a checkpoint's name",
+                "reserved for checkpoints",
             ),
             (
                 refused(&mut iwol(&[
@@ -159,7 +159,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                     "--record",
                     &name("x"),
                 ])),
-                "one would replace the other",
+                "choose two different files",
             ),
             (
                 refused(&mut iwol(&["evaluate", &small, "--set", "network.hidden=16"])),
@@ -174,7 +174,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                     "--set",
                     "network.encoder=gru",
                 ])),
-                "made with another `network.encoder`",
+                "written with another `network.encoder`",
             ),
             (
                 refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])),

@@ -109,7 +109,7 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
             cells.iter().any(|cell| cell.contains('[')),
         );
         assert!(!(over_seeds && brackets), "two units of interval in one table: {table:?}");
-        let named = ["over seeds", "all episodes together", "episodes of its one run"];
+        let named = ["over seeds", "all episodes together", "episodes of a single run"];
         assert_eq!(
             named.iter().filter(|unit| table[0][0].contains(*unit)).count(),
             1,
@@ -136,7 +136,7 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
         pooled[1],
         format!("100.0 [{:.1}, 100.0]", 100.0 * 300.0 / (300.0 + 1.959_964_f64.powi(2)))
     );
-    let alone = titled("episodes of its one run");
+    let alone = titled("episodes of a single run");
     assert_eq!(alone.len(), 2, "MAGIC alone: {alone:?}");
     assert_eq!(row(alone, "magic").expect("a row")[1], "90.0 [87.0, 91.0]");
 }
@@ -200,7 +200,7 @@ fn kilometres_and_knowledge_have_tables() {
         // lower bound.
         "| im-iwol | 0.50 [0.44, 0.57] (240 in 120.0 km) | 0.50 [0.44, 0.57] (240 in 120.0 km) |",
         "| mappo | > 32.53 (0 in 120.0 km) | > 32.53 (0 in 120.0 km) |",
-        "| variance of the world that is explained, % (± t-interval over seeds) |",
+        "| explained variance of the world, % (± t-interval over seeds) |",
         "| im-iwol, 4 | 93.0 ± 0.0 | 90.0 ± 0.0 | 20 of 60 | 43.3 ± 14.3 | 30.0 ± 0.0 |",
         "| magic, 8 | 93.0 | 90.0 | 20 of 60 | 40.0 | 30.0 |",
         "| loitering % at agents (± t-interval over seeds) | 4 | 8 |",

@@ -219,7 +219,7 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         "| success % at communication range (± t-interval over seeds) | 100.0 | 10.0 |",
         "| published | 50.0 | – |",
         // With a single place, all metrics are columns of one table.
-        "| ± t-interval over seeds | success % | safety % | window reward | loitering % |",
+        "| ± t-interval over seeds | success % | safety % | window reward (throughput) | loitering % |",
         "| published, plain | 25.0 | – | 300.0 | – |",
         "km per crash",
         "Evaluated by iwol",
@@ -267,7 +267,7 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
     let found: Value =
         serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
     let delay = found["metrics"]["others"]["delay"]["mean"].as_f64().expect("others lose time");
-    let heading = "| others' delay s at communication range ([interval] over the episodes of its one run) | 100.0 | 10.0 |";
+    let heading = "| background delay s at communication range ([interval] over the episodes of a single run) | 100.0 | 10.0 |";
     let table = markdown.split(heading).nth(1).expect("a table");
     let row = table.lines().find(|line| line.starts_with("| mappo |")).expect("a row");
     assert!(
@@ -307,7 +307,10 @@ fn failures_are_told_and_retried_on_request() {
     );
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
-    assert!(stderr.contains("another `exploration.correlation`: 0.0, and now 0.5"), "{stderr}");
+    assert!(
+        stderr.contains("another `exploration.correlation`: 0.0 in the run, 0.5 in the sweep file"),
+        "{stderr}"
+    );
     // MAPPO does not read MAGIC's settings, so changing them is no change of the run.
     sweep_file(
         folder.path(),
@@ -320,7 +323,11 @@ fn failures_are_told_and_retried_on_request() {
     sweep_file(folder.path(), &broken.replace("steps = 256", "steps = 512"));
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(2));
-    assert!(stderr.contains("holds a run with another `steps`: 256, and now 512"), "{stderr}");
+    assert!(
+        stderr
+            .contains("contains a run with another `steps`: 256 in the run, 512 in the sweep file"),
+        "{stderr}"
+    );
 }
 
 #[test]
@@ -361,7 +368,11 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
     );
     let alone = sweep(&file, &out, &["--cell", "mappo_agents=5/seed_0"]).output().expect("it ran");
     assert_eq!(alone.status.code(), Some(1), "{}", text(&alone.stderr));
-    assert!(text(&alone.stderr).contains("1 cells wait for others"), "{}", text(&alone.stderr));
+    assert!(
+        text(&alone.stderr).contains("1 cells wait for other cells"),
+        "{}",
+        text(&alone.stderr)
+    );
     assert!(
         text(&alone.stdout).contains("waits for mappo_agents=4/seed_0"),
         "{}",

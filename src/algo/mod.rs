@@ -399,8 +399,8 @@ pub enum Error {
     },
     /// A stored state was trained with another number of agents, to which the algorithm is bound.
     #[error(
-        "{algorithm} learned something about each of {trained} agents and cannot be used among {agents}; let as many vehicles learn as in \
-         its training (--agents, env.penetration), or choose a method for any number: {}",
+        "{algorithm} has parameters for each of {trained} agents and cannot be used with {agents}; use the same number of agents as \
+         in its training (--agents, env.penetration), or choose a method for any number of agents: {}",
         METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
     )]
     FixedAgents {
@@ -413,7 +413,7 @@ pub enum Error {
     },
     /// A channel is set for an algorithm whose agents send no messages that it could disturb.
     #[error(
-        "[channel] is for messages that agents send at once and each receiver reads by itself; {algorithm} has none: leave it out"
+        "[channel] applies to messages that agents send at the same time and each receiver reads by itself; {algorithm} has none: omit [channel]"
     )]
     NoMessages {
         /// Name of the algorithm.

@@ -110,7 +110,7 @@ fn check_sumo(findings: &mut Findings) {
             findings.fault(
                 "TraCI",
                 format!("could not write to `{}`: {error}", place.display()),
-                Some("set TMPDIR"),
+                Some("set TMPDIR to a writable folder"),
             );
         }
     }
@@ -154,7 +154,7 @@ fn check_torch(findings: &mut Findings) {
         folder.map_or_else(|| "path unknown".to_owned(), |folder| folder.display().to_string());
     let release = version.split('+').next().unwrap_or_default();
     if release.starts_with(|c: char| c.is_ascii_digit()) && release != TORCH {
-        let what = format!("{place} holds version {version}, and the program is made for {TORCH}");
+        let what = format!("{place} contains version {version}, but the program needs {TORCH}");
         findings.fault("libtorch", what, Some("run `scripts/bootstrap` and build again"));
     } else {
         findings.row("libtorch", format!("{version} ({place})"));
@@ -164,7 +164,7 @@ fn check_torch(findings: &mut Findings) {
         .and_then(|sum| f64::try_from(&sum))
     {
         Ok(3.0) => {}
-        Ok(sum) => findings.fault("arithmetic", format!("libtorch says that 1 + 2 is {sum}"), None),
+        Ok(sum) => findings.fault("arithmetic", format!("libtorch computes 1 + 2 = {sum}"), None),
         Err(error) => findings.fault(
             "arithmetic",
             format!("libtorch could not add two numbers: {error}"),
@@ -176,11 +176,12 @@ fn check_torch(findings: &mut Findings) {
         "device",
         if tch::Cuda::is_available() {
             format!(
-                "cpu (CUDA sees {} devices; use them with `iwol train --device cuda`)",
+                "cpu (CUDA finds {} devices; use them with `iwol train --device cuda`)",
                 tch::Cuda::device_count()
             )
         } else if with_cuda {
-            "cpu (libtorch has CUDA, but sees no device: does `nvidia-smi` list one?)".to_owned()
+            "cpu (libtorch supports CUDA but finds no device: does `nvidia-smi` list one?)"
+                .to_owned()
         } else {
             "cpu".to_owned()
         },

@@ -26,15 +26,16 @@ use toml::Value;
 
 use super::Verdict;
 
-/// Deterministic actions on seeds of its own; means with 95 % intervals.
+/// Policies act deterministically, on seeds that training does not use. Results are means with 95 %
+/// intervals.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Run folder (its best checkpoint) or checkpoint file
     #[arg(value_name = "RUN_OR_CHECKPOINT", required_unless_present = "policy")]
     run: Option<PathBuf>,
-    /// Policy without training: throttle:A with A in -1..1, pursuit:SPEED (of its route, in m/s),
-    /// fcfs:SPEED (the same, giving way first come, first served), gaussian, uniform or sumo; may
-    /// be repeated
+    /// Policy without training: throttle:A (constant throttle A in -1..1), pursuit:SPEED (pure
+    /// pursuit of the route at SPEED in m/s), fcfs:SPEED (pure pursuit that gives way first come,
+    /// first served), gaussian, uniform or sumo; may be repeated
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]
@@ -49,10 +50,10 @@ pub(super) struct Args {
     /// Seed of the evaluation's episodes
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Where the networks are computed, whatever they were trained on
+    /// Device on which the networks are computed; may differ from the device of training
     #[arg(long, value_name = "cpu|cuda", default_value = "cpu")]
     device: String,
-    /// How SUMO is spoken to; results do not depend on it
+    /// Interface to SUMO; results do not depend on it
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
     /// One setting of the task, e.g. --set env.detection_range=20; may be repeated
@@ -61,13 +62,13 @@ pub(super) struct Args {
     /// Record an episode of the first policy, for `iwol replay`
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Which episode to record, from 0
+    /// Index of the episode to record; the first episode is 0
     #[arg(long, value_name = "NUMBER", default_value_t = 0, requires = "record")]
     record_episode: u64,
     /// Print one JSON object (a list for several policies) instead of a table
     #[arg(long)]
     json: bool,
-    /// Write the JSON to a file as well
+    /// Also write the JSON to this file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -142,7 +143,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
             learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
                 algo::Error::State(_) => anyhow::Error::new(unfit).context(
-                    "the checkpoint does not fit the observations and networks that scenario and settings make",
+                    "the checkpoint does not fit the observations and networks that the scenario and the settings define",
                 ),
                 other => other.into(),
             })?;
@@ -158,7 +159,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
     if args.record_episode >= args.episodes {
         bail!(
-            "--record-episode {} is not played: there are episodes 0 to {}",
+            "--record-episode {}: there is no such episode; allowed: 0 to {}",
             args.record_episode,
             args.episodes - 1
         );
@@ -170,11 +171,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         if let Some(path) =
             path.as_ref().filter(|path| path.extension().is_some_and(|end| end == "safetensors"))
         {
-            bail!("--{flag} {}: that is a checkpoint's name", path.display());
+            bail!(
+                "--{flag} {}: names that end in .safetensors are reserved for checkpoints",
+                path.display()
+            );
         }
     }
     if let Some(path) = args.out.as_ref().filter(|_| args.out == args.record) {
-        bail!("--out and --record are both {}: one would replace the other", path.display());
+        bail!("--out and --record are both {}; choose two different files", path.display());
     }
     let stop = super::stop_flag()?;
     let program = Program::current();
@@ -202,7 +206,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let observer =
             EvaluationObserver { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
         let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, observer)
-            .with_context(|| format!("evaluating {name} stopped"))?;
+            .with_context(|| format!("the evaluation of {name} failed"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
             say!(
@@ -221,9 +225,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let recording = recorder.finish(&task, &driver, args.seed, record)?;
             recorded =
-                Some((recording.context("the episode to record was not played to its end")?, path));
+                Some((recording.context("the recorded episode did not reach its end")?, path));
         }
-        let metrics = evaluation.metrics().context("no episode was finished")?;
+        let metrics = evaluation.metrics().context("no episode finished")?;
         rows.push(Row {
             scenario: scenario.name.clone(),
             agents: config.agents,
@@ -265,14 +269,14 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     let path = RunDir::checkpoint(run);
     if run.is_dir() && !path.exists() {
         bail!(
-            "`{}` holds no checkpoint; a run folder has checkpoints/best.safetensors",
+            "`{}` contains no checkpoint; a run folder contains checkpoints/best.safetensors",
             run.display()
         );
     }
     let checkpoint = Checkpoint::load(&path)?;
     if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
         bail!(
-            "`{}` is of the algorithm `{}`, which this program does not have",
+            "`{}` is a checkpoint of the algorithm `{}`, which this program does not support",
             path.display(),
             checkpoint.algorithm
         );
@@ -296,8 +300,10 @@ fn others(
 /// the features that the observation does not determine.
 fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let whole =
-        format!("{} of the {name}'s variance (mean squared error {error:.4})", percent(*explained));
+    let whole = format!(
+        "{} of the variance of the {name} target (mean squared error {error:.4})",
+        percent(*explained)
+    );
     let Some(probe) = probe else {
         return format!(
             "{whole}; there are too few episodes for a linear probe from the observation"
@@ -309,8 +315,8 @@ fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
         return format!("{whole}; the observation determines all {} features", probe.features);
     };
     format!(
-        "{whole}; the observation leaves {} of {} features open (linear probe below {:.0} %), of whose variance the latent \
-         explains {} and a linear probe from the observation {}",
+        "{whole}; the observation does not determine {} of {} features (a linear probe from the observation explains less \
+         than {:.0} % of their variance): of the variance of these features, the latent explains {} and the probe {}",
         probe.undetermined,
         probe.features,
         100.0 * DETERMINED,
@@ -331,9 +337,9 @@ fn table(rows: &[Row]) -> String {
         ("success %", &|m| percent(&m.success)),
         ("safety %", &|m| percent(&m.safety)),
         ("crash %", &|m| percent(&m.crash)),
-        ("out of road %", &|m| percent(&m.out_of_road)),
+        ("off-road %", &|m| percent(&m.out_of_road)),
         ("reward", &|m| number(&m.reward)),
-        ("window reward", &|m| number(&m.window_reward)),
+        ("window reward (throughput)", &|m| number(&m.window_reward)),
         ("episode length", &|m| number(&m.episode_length)),
         ("efficiency", &|m| fine(&m.efficiency)),
         ("collisions", &|m| fine(&m.own_collisions)),
@@ -342,17 +348,17 @@ fn table(rows: &[Row]) -> String {
         ("loitering %", &|m| percent(&m.loitering)),
     ];
     let of_vehicles: [(&str, Cell<'_>); 6] = [
-        ("others", &|m| others(m, |o| Some(o.vehicles), number)),
-        ("others' crash %", &|m| others(m, |o| o.crash, percent)),
-        ("others' delay s", &|m| others(m, |o| o.delay, number)),
-        ("others' braking m/s²", &|m| others(m, |o| o.braking, number)),
-        ("others braking hard %", &|m| others(m, |o| o.hard_braking, percent)),
-        ("others with TTC < 1.5 s %", &|m| others(m, |o| o.close, percent)),
+        ("background vehicles", &|m| others(m, |o| Some(o.vehicles), number)),
+        ("background crash %", &|m| others(m, |o| o.crash, percent)),
+        ("background delay s", &|m| others(m, |o| o.delay, number)),
+        ("background braking m/s²", &|m| others(m, |o| o.braking, number)),
+        ("background hard braking %", &|m| others(m, |o| o.hard_braking, percent)),
+        ("background TTC < 1.5 s %", &|m| others(m, |o| o.close, percent)),
     ];
     let of_pedestrians: [(&str, Cell<'_>); 3] = [
         ("pedestrians", &|m| others(m, |o| Some(o.pedestrians), number)),
         ("pedestrians hit %", &|m| others(m, |o| o.pedestrian_crash, percent)),
-        ("pedestrians with TTC < 1.5 s %", &|m| others(m, |o| o.pedestrian_close, percent)),
+        ("pedestrian TTC < 1.5 s %", &|m| others(m, |o| o.pedestrian_close, percent)),
     ];
     let of_both: [(&str, Cell<'_>); 2] = [
         ("smallest TTC s", &|m| others(m, |o| o.ttc, fine)),
@@ -385,7 +391,10 @@ fn table(rows: &[Row]) -> String {
             first.scenario,
             first.learners.map_or_else(
                 || format!("{} agents", first.agents),
-                |learners| format!("{learners} agents among {} vehicles at places", first.agents)
+                |learners| format!(
+                    "{learners} agents among {} vehicles at spawn places",
+                    first.agents
+                )
             ),
             first.episodes,
             first.seed
@@ -420,14 +429,14 @@ fn table(rows: &[Row]) -> String {
         if !row.audited {
             let _ = writeln!(
                 text,
-                "audit of {}: none, as SUMO did not look into junctions (simulation.audit)",
+                "audit of {}: none, because SUMO did not check for collisions in junctions (simulation.audit)",
                 row.policy
             );
             continue;
         }
         let _ = writeln!(
             text,
-            "audit of {}: {:>5} pairs collide by both reports",
+            "audit of {}: {:>5} colliding pairs are in both reports",
             row.policy, audit.agreed
         );
         let indent = "audit of : ".len() + row.policy.chars().count();

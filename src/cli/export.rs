@@ -9,13 +9,13 @@ use iwol_sumo::train::RunDir;
 
 use super::Verdict;
 
-/// What is left out is what only `iwol train --resume` needs: the optimisers' moments and the
-/// worlds.
+/// The copy lacks the data that only `iwol train --resume` needs: the optimisers' moments and the
+/// state of the worlds.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// A run folder (its best checkpoint) or a checkpoint
+    /// Run folder (its best checkpoint) or checkpoint file
     run: PathBuf,
-    /// The new folder
+    /// Folder to create
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -24,13 +24,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = Checkpoint::load(&RunDir::checkpoint(&args.run))?.weights();
     let dir = RunDir::new(&args.out);
     if dir.best().exists() || dir.last().exists() {
-        bail!("`{}` already holds a checkpoint; choose another --out", args.out.display());
+        bail!("`{}` already contains a checkpoint; choose another --out", args.out.display());
     }
     if dir.config().exists() {
-        bail!("`{}` is there already; choose another --out", dir.config().display());
+        bail!("`{}` already exists; choose another --out", dir.config().display());
     }
     std::fs::create_dir_all(args.out.join("checkpoints"))
-        .with_context(|| format!("cannot make the folder `{}`", args.out.display()))?;
+        .with_context(|| format!("cannot create the folder `{}`", args.out.display()))?;
     record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
     // The record of what the policy was trained with is copied along with the policy.
     let meta = RunDir::of(&args.run).map(|run| run.meta()).filter(|meta| meta.is_file());

@@ -42,10 +42,10 @@ use iwol_sumo::{config, env, scenario as scenarios, sumo};
 struct Cli {
     #[command(subcommand)]
     verb: Verb,
-    /// Say more (-v: information, -vv: details)
+    /// Print more log messages (-v: information, -vv: debugging)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Stop, as if asked to, when the process with this number, which started this one, is gone
+    /// Stop, as after SIGTERM, when the parent process with this id ends
     #[arg(long, global = true, hide = true, value_name = "PID")]
     die_with_parent: Option<i32>,
 }
@@ -56,21 +56,21 @@ enum Verb {
     Train(train::Args),
     /// Evaluate trained and untrained policies, headless
     Evaluate(evaluate::Args),
-    /// Copy a policy into a small folder of its own, which `evaluate` and `train --init-from` take
+    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept
     Export(export::Args),
     /// Train and evaluate a grid of settings and seeds
     Sweep(sweep::Args),
     /// Turn a sweep's results into tables and figures
     Report(report::Args),
-    /// Turn a recorded episode into a player in one HTML file
+    /// Convert a recorded episode to a player in one HTML file, or to a picture
     Replay(replay::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
-    /// Make, build, check and show scenarios
+    /// Create, import, build, check and draw scenarios
     Scenario(scenario::Args),
-    /// Measure speed
+    /// Measure the speed of simulation, decisions and updates
     Bench(bench::Args),
-    /// Show what is installed, and what is wrong
+    /// Check the installation and report problems
     Doctor,
 }
 
@@ -171,7 +171,7 @@ fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
         if raised.swap(true, Ordering::Relaxed) {
             leave(130);
         }
-        say!("\nstopping; once more ends at once");
+        say!("\nstopping in order; a second signal ends the program at once");
     })?;
     if stays {
         ignore_hangup();

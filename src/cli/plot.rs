@@ -15,21 +15,22 @@ use super::Verdict;
 /// Number of intervals at whose bounds a mean curve over time is sampled.
 const TIMES: usize = 60;
 
-/// Learning curves of validation: one run beside its training episodes, or several runs, where
-/// those that differ in their seed alone become one curve, their mean with a 95 % interval.
+/// Draws success, safety and throughput in validation during training: of one run, together with
+/// success in its training episodes, or of several runs. Runs that differ only in their seed become
+/// one curve: their mean with a 95 % interval.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Run folders
     #[arg(value_name = "RUN", required = true)]
     runs: Vec<PathBuf>,
-    /// What lies along the horizontal axis: environment steps, or minutes of training (rollouts and
+    /// Quantity on the horizontal axis: environment steps, or minutes of training (rollouts and
     /// updates)
     #[arg(long, value_enum, default_value_t = Axis::Steps)]
     x: Axis,
     /// Picture to write, or a folder for it [default: learning_curve.png in the first run folder]
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// JSON of `iwol evaluate`; policies without training in it become reference lines
+    /// JSON file of `iwol evaluate`; its policies without training become reference lines
     #[arg(long, value_name = "FILE")]
     reference: Option<PathBuf>,
 }
@@ -161,8 +162,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
 fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
     let path = RunDir::new(run).metrics();
-    let lines: Vec<Value> =
-        read_json_lines(&path).with_context(|| format!("`{}` is no run folder", run.display()))?;
+    let lines: Vec<Value> = read_json_lines(&path)
+        .with_context(|| format!("`{}` is not a run folder", run.display()))?;
     let place = |line: &Value| match x {
         Axis::Steps => line["step"].as_f64(),
         Axis::Time => line["time/total_s"].as_f64().map(|seconds| seconds / 60.0),
@@ -173,7 +174,7 @@ fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
     let exploring = curve("episode/success", 100.0);
     let measures: Vec<_> = MEASURES.iter().map(|m| curve(m.0, m.1)).collect();
     if exploring.is_empty() && measures.iter().all(Vec::is_empty) {
-        bail!("`{}` has no finished episode yet; train longer", run.display());
+        bail!("`{}` contains no finished episode yet; train longer", run.display());
     }
     Ok(Curves { measures, exploring })
 }

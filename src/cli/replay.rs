@@ -7,18 +7,19 @@ use iwol_sumo::replay::Recording;
 
 use super::Verdict;
 
-/// One HTML file that plays a recording in any browser, without a network; or a still.
+/// Writes an HTML file that plays a recording in any browser, without a network connection, or a
+/// picture of one step.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// What `iwol evaluate --record` wrote
+    /// Recording that `iwol evaluate --record` wrote
     recording: PathBuf,
     /// HTML file to write
     #[arg(long, short, value_name = "FILE", required_unless_present = "svg")]
     out: Option<PathBuf>,
-    /// Picture of one step to write
+    /// SVG picture of one step to write
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Step that the picture shows [default: the middle]
+    /// Step that the picture shows [default: the middle of the episode]
     #[arg(long, value_name = "STEP", requires = "svg")]
     at: Option<usize>,
 }

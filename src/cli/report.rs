@@ -7,21 +7,20 @@ use iwol_sumo::sweep::Sweep;
 
 use super::Verdict;
 
-/// Tables, figures, Markdown, HTML and JSON of a sweep, from the files of its runs; may be asked
-/// for while it runs.
+/// Writes the results of a sweep as tables and figures in Markdown, HTML and JSON, from the files
+/// of its runs. The sweep may still be running.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Sweep file
     file: PathBuf,
-    /// Folder of run folders, as in `iwol sweep`
+    /// Folder that contains the run folders, as `--out` of `iwol sweep`
     #[arg(long, value_name = "DIR", default_value = "runs")]
     runs: PathBuf,
-    /// Folder to write [default: results/ and the name of the sweep]
+    /// Folder to write to [default: results/SWEEP]
     #[arg(long, short, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Copy what the report is made from to another folder of run folders: settings, validations
-    /// and evaluations of every trained run, without weights. `--runs DIR` makes the report from
-    /// them
+    /// Also copy the data of the report to this folder: settings, validations and evaluations of
+    /// every trained run, without weights. `--runs DIR` makes the report from this copy
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
 }

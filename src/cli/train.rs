@@ -15,35 +15,36 @@ use toml::Value;
 
 use super::Verdict;
 
-/// Settings: defaults < --config < --set < flags. The resolved file is stored in the run folder.
+/// Settings in rising priority: defaults, `--config`, `--set`, other flags. The resolved settings
+/// are stored in the run folder.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Scenario file, e.g. scenarios/intersection.xml
     #[arg(long)]
     scenario: Option<PathBuf>,
-    /// The method
-    #[arg(long, value_name = "NAME", help = format!("One of {}", algo::NAMES.join(", ")))]
+    /// Learning algorithm
+    #[arg(long, value_name = "NAME", help = format!("Algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
-    /// Number of vehicles under control
+    /// Number of vehicles at spawn places; all are agents unless env.penetration is below 1
     #[arg(long)]
     agents: Option<u32>,
-    /// Seed of everything random
+    /// Seed of all random numbers
     #[arg(long)]
     seed: Option<u64>,
-    /// Environment steps (of one world each), at most, rounded up to whole rollouts
+    /// Maximum number of environment steps, summed over all worlds, rounded up to whole rollouts
     #[arg(long)]
     steps: Option<u64>,
-    /// Start from the weights of a run folder or checkpoint of the same method, of any number of
-    /// vehicles (CommFormer: of as many)
+    /// Start from the weights in a run folder or checkpoint of the same algorithm; the number of
+    /// agents may differ (CommFormer: must be the same)
     #[arg(long, value_name = "CHECKPOINT")]
     init_from: Option<PathBuf>,
-    /// Where the networks are computed
+    /// Device on which the networks are computed
     #[arg(long, value_name = "cpu|cuda")]
     device: Option<String>,
-    /// How SUMO is spoken to; results do not depend on it
+    /// Interface to SUMO; results do not depend on it
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
-    /// Settings in TOML; a run folder's config.toml is one
+    /// TOML file with settings, e.g. the config.toml of a run folder
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// One setting, e.g. --set ppo.gamma=0.995; may be repeated
@@ -52,7 +53,7 @@ pub(super) struct Args {
     /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on from the run folder's last checkpoint, with its settings
+    /// Continue from the last checkpoint in the run folder, with the settings stored there
     #[arg(long)]
     resume: bool,
 }
@@ -99,7 +100,10 @@ fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
     match [dir.config(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
         Some(path) => {
-            bail!("`{}` is there already, and of no run; choose another --out", path.display())
+            bail!(
+                "`{}` already exists and does not belong to a run; choose another --out",
+                path.display()
+            )
         }
         None => Ok(()),
     }
@@ -134,24 +138,24 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if !args.resume && dir.last().exists() {
         bail!(
-            "`{}` already holds a run; add --resume to go on with it, or choose another --out",
+            "`{}` already contains a run; add --resume to continue it, or choose another --out",
             dir.path().display()
         );
     }
     if !args.resume && dir.best().exists() {
         bail!(
-            "`{}` holds a policy; start from it with --init-from, and choose another --out",
+            "`{}` contains a policy; start from it with --init-from, and choose another --out",
             dir.path().display()
         );
     }
     if args.resume && args.init_from.is_some() {
-        bail!("--resume goes on with a run's own weights; leave --init-from out");
+        bail!("--resume continues with the weights of the run; omit --init-from");
     }
     let fingerprint = scenario.fingerprint();
     if args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint) {
         bail!(
-            "`{}` was begun on another scenario, or `{}` has changed since, or a net or route file that it names; go on with that, or \
-             start a new run from this one's policy with --init-from",
+            "`{}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
+             the original scenario, or start a new run from this run's policy with --init-from",
             dir.path().display(),
             config.scenario.display()
         );
@@ -194,7 +198,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         deployed
     );
     for change in changes {
-        say!("goes on with another setting: {change}");
+        say!("the run continues with another setting: {change}");
     }
     let hosting = config.hosting();
     let worlds =
@@ -231,7 +235,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     bar.finish_and_clear();
     let outcome = outcome.with_context(|| {
         let kept = if dir.last().exists() {
-            format!("; go on with: iwol train --resume --out {}", dir.path().display())
+            format!("; continue with: iwol train --resume --out {}", dir.path().display())
         } else {
             String::new()
         };
@@ -244,7 +248,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let progress = trainer.progress();
     let end = match outcome {
         TrainingEnd::Finished => "finished",
-        TrainingEnd::Solved => "stopped, solved",
+        TrainingEnd::Solved => "stopped early (solved)",
         TrainingEnd::Interrupted => "interrupted",
     };
     say!(
@@ -256,7 +260,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     if outcome == TrainingEnd::Interrupted {
-        say!("go on with: iwol train --resume --out {}", dir.path().display());
+        say!("continue with: iwol train --resume --out {}", dir.path().display());
     }
     tell!("{}", dir.path().display());
     Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })

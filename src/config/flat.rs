@@ -31,9 +31,9 @@ pub fn plain(value: &Value) -> String {
 pub struct Change {
     /// Full name of the setting.
     pub key: String,
-    /// The old value, or `nothing`.
+    /// The old value, or `not set`.
     pub was: String,
-    /// The new value, or `nothing`.
+    /// The new value, or `not set`.
     pub is: String,
 }
 
@@ -54,7 +54,7 @@ pub fn changes(was: &str, is: &str) -> Vec<Change> {
 pub(crate) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
     let keys: BTreeSet<_> =
         was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();
-    let show = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), plain);
+    let show = |value: Option<&Value>| value.map_or_else(|| "not set".to_owned(), plain);
     keys.into_iter()
         .map(|key| Change { key: key.clone(), was: show(was.get(key)), is: show(is.get(key)) })
         .collect()
@@ -77,7 +77,7 @@ mod tests {
             found,
             [
                 "algorithm = magic (was mat)",
-                "ppo.epochs = 3 (was nothing)",
+                "ppo.epochs = 3 (was not set)",
                 "ppo.gamma = 0.5 (was 0.99)"
             ]
         );

@@ -268,7 +268,7 @@ fn assign(
             .map(|n| format!("; did you mean `{n}`?"))
             .unwrap_or_default();
         return Err(bad(format!(
-            "there is no algorithm `{}` (there are {}){similar}",
+            "there is no algorithm `{}` (available: {}){similar}",
             config.algorithm,
             algo::NAMES.join(", ")
         )));

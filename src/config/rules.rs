@@ -33,13 +33,13 @@ impl Config {
             (
                 &["train.rollout_steps", "train.batch_growth", "train.envs", "agents"],
                 samples <= 1 << 24,
-                "2^24 samples per rollout (rollout_steps × batch_growth × envs × agents)",
+                "at most 2^24 samples per rollout (rollout_steps × batch_growth × envs × agents)",
             ),
             (&["train.batch_growth"], (1..=64).contains(&t.batch_growth), "1 to 64"),
             (
                 &["train.batch_growth", "algorithm"],
                 t.batch_growth == 1 || able.is_none_or(|able| able.on_policy),
-                "1 with MADDPG, which learns from replayed steps",
+                "1 with MADDPG, which learns from a replay buffer",
             ),
             (&["train.validate_every"], (1..=1 << 50).contains(&t.validate_every), "1 to 2^50"),
             (
@@ -130,7 +130,7 @@ impl Config {
                 &["commformer.graph_every", "ppo.epochs", "algorithm"],
                 (2..=p.epochs.max(2)).contains(&former.graph_every)
                     || self.algorithm != "commformer",
-                "2 to ppo.epochs: in every so many passes over a rollout, one trains the graph",
+                "2 to ppo.epochs: of this number of passes over a rollout, one trains the graph",
             ),
             (
                 &["ppo.target_kl", "algorithm"],
@@ -154,12 +154,12 @@ impl Config {
             (
                 &["network.encoder", "algorithm"],
                 !recurrent || able.is_none_or(|able| able.recurrent),
-                "mlp or attention: this method replays single steps, which have no memory",
+                "mlp or attention: this method learns from single steps of a replay buffer, without memory",
             ),
             (
                 &["exploration.mode", "algorithm"],
                 x.mode == settings::NoiseMode::Schedule || able.is_none_or(|able| able.on_policy),
-                "schedule: nothing in this method learns how much noise to make",
+                "schedule: this method does not learn the amount of noise",
             ),
             (&["channel.bits"], (2..=32).contains(&c.bits), "2 to 32"),
             (&["channel.loss"], share(c.loss), "0 to 1"),

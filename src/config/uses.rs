@@ -7,9 +7,9 @@ use crate::algo;
 pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
     let (key, _) = set.split_once('=')?;
     let where_from = match key.trim() {
-        "seed" => "episodes follow from --seed",
-        "algorithm" => "the method is the checkpoint's",
-        "device" => "the device is --device's",
+        "seed" => "--seed determines the episodes",
+        "algorithm" => "the checkpoint determines the algorithm",
+        "device" => "--device determines the device",
         "init_from" | "steps" => "nothing is trained",
         _ => return None,
     };
@@ -20,7 +20,7 @@ impl Config {
     /// Returns why these settings cannot be used for training, if they cannot.
     pub fn cannot_be_trained(&self) -> Option<&'static str> {
         let disturbed = !self.channel.is_perfect();
-        disturbed.then_some("[channel] is for evaluation; in training messages arrive as they were sent: leave it out")
+        disturbed.then_some("[channel] applies only to evaluation; in training, messages arrive as they were sent: omit [channel]")
     }
 
     /// Returns why the policy of a run with these settings cannot be used with the settings

@@ -119,13 +119,14 @@ impl Failures {
         if crashed > 0 {
             let share = |count: u32| 100.0 * f64::from(count) / f64::from(crashed);
             lines.push(format!(
-                "{crashed} vehicles crashed: {:.0} % crossing another's way, {:.0} % with one on their own, {:.0} % into a wreck",
+                "{crashed} vehicles crashed: {:.0} % with a vehicle on a crossing route, \
+                 {:.0} % with one on their own route, {:.0} % into a wreck",
                 share(self.crossing),
                 share(self.rear_end),
                 share(self.wreck)
             ));
             lines.push(format!(
-                "{:.0} % of them more than {UPSTREAM} m before the first meeting point; on average at step {:.0}, at {:.1} m/s",
+                "{:.0} % of them more than {UPSTREAM} m before the first conflict point; on average at step {:.0}, at {:.1} m/s",
                 share(self.upstream),
                 self.steps as f64 / f64::from(crashed),
                 self.speeds / f64::from(crashed)
@@ -140,11 +141,11 @@ impl Failures {
             } else {
                 format!(": {}", most(&self.off_road))
             };
-            lines.push(format!("{} vehicles left the road{routes}", self.out_of_road));
+            lines.push(format!("{} vehicles went off-road{routes}", self.out_of_road));
         }
         if self.unfinished > 0 {
             lines.push(format!(
-                "{} vehicles had not arrived when their episode was cut off",
+                "{} vehicles had not arrived at the end of their episode",
                 self.unfinished
             ));
         }
@@ -163,8 +164,8 @@ mod tests {
         let mut second = first.clone();
         second.leave("a");
         second.leave("a");
-        assert_eq!(first.plus(&second).describe(), ["4 vehicles left the road: a 2, b 2"]);
+        assert_eq!(first.plus(&second).describe(), ["4 vehicles went off-road: a 2, b 2"]);
         let older = Failures { out_of_road: 3, ..Failures::default() };
-        assert_eq!(older.describe(), ["3 vehicles left the road"]);
+        assert_eq!(older.describe(), ["3 vehicles went off-road"]);
     }
 }

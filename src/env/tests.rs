@@ -368,16 +368,13 @@ fn failures_say_how_a_crash_came_about() {
     let text = failures.describe().join("\n");
     for part in [
         "3 vehicles crashed: 0 % crossing",
-        "67 % with one on their own",
+        "67 % with one on their own route",
         "33 % into a wreck",
         "100 % of them",
     ] {
         assert!(text.contains(part), "{text}");
     }
-    assert!(
-        text.contains("13 vehicles had not arrived") && !text.contains("left the road"),
-        "{text}"
-    );
+    assert!(text.contains("13 vehicles had not arrived") && !text.contains("off-road"), "{text}");
 
     // The first vehicles of two routes that cross.
     let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));

@@ -105,7 +105,7 @@ fn side_by_side(
     metric: &Metric,
     unit: Unit,
 ) -> Panel {
-    const HERE: &str = "here";
+    const HERE: &str = "this sweep";
     // A NaN between two points keeps the plot from joining them by a line.
     let apart = |points: Vec<(f64, f64)>| {
         points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect()
@@ -173,7 +173,7 @@ fn axis_label(key: &str) -> String {
     match key {
         "agents" => "vehicles".to_owned(),
         "env.communication_range" => "communication range (m)".to_owned(),
-        "env.neighbours" => "vehicles seen".to_owned(),
+        "env.neighbours" => "observed vehicles".to_owned(),
         _ => key.rsplit('.').next().unwrap_or(key).replace('_', " "),
     }
 }

@@ -40,7 +40,7 @@ pub const METRICS: [Metric; 3] = [
     Metric { key: "safety", title: "safety %", axis: "agents (%)", factor: 100.0 },
     Metric {
         key: "window_reward",
-        title: "window reward",
+        title: "window reward (throughput)",
         axis: "reward per agent in 1000 steps",
         factor: 1.0,
     },
@@ -52,17 +52,22 @@ pub const OF_DRIVING: [Metric; 1] =
 
 /// Metrics that are tabulated and drawn as well where SUMO drives some vehicles.
 pub const OF_OTHERS: [Metric; 5] = [
-    Metric { key: "others.crash", title: "others' crash %", axis: "others (%)", factor: 100.0 },
+    Metric {
+        key: "others.crash",
+        title: "background crash %",
+        axis: "background vehicles (%)",
+        factor: 100.0,
+    },
     Metric {
         key: "others.delay",
-        title: "others' delay s",
-        axis: "time loss of others (s)",
+        title: "background delay s",
+        axis: "time loss of background vehicles (s)",
         factor: 1.0,
     },
     Metric {
         key: "others.hard_braking",
-        title: "others braking hard %",
-        axis: "others (%)",
+        title: "background hard braking %",
+        axis: "background vehicles (%)",
         factor: 100.0,
     },
     Metric {
@@ -130,8 +135,8 @@ impl Unit {
     fn describe(self) -> &'static str {
         match self {
             Self::Seeds => "± t-interval over seeds",
-            Self::Episodes => "[interval] over the episodes of its one run",
-            Self::Together => "[Wilson interval] of all episodes together",
+            Self::Episodes => "[interval] over the episodes of a single run",
+            Self::Together => "[Wilson interval] over all episodes together",
         }
     }
 }
@@ -297,7 +302,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
             if block.evaluate.panels.is_some() { "success".to_owned() } else { all.join(", ") };
         let whiskers = match block.unit() {
             Unit::Seeds => "over seeds",
-            _ => "over the episodes of the one run of each",
+            _ => "over the episodes of the single run of each line",
         };
         let text =
             format!("{}: {shown}; whiskers are 95 % intervals {whiskers}", heading(sweep, block));
@@ -585,7 +590,7 @@ pub enum Error {
     },
     /// The key of an axis is not one of the keys that vary.
     #[error(
-        "[[evaluate]] `{evaluate}`: {what} = \"{key}\" is no key of a grid that has several values"
+        "[[evaluate]] `{evaluate}`: {what} = \"{key}\" must be a key with several values in a grid"
     )]
     Axis {
         /// The evaluation.

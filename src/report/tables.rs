@@ -30,8 +30,9 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     if failed > 0 {
         let _ = write!(text, ", {failed} failed");
     }
-    text += ". Intervals are 95 %. The heading of a table says over what: trained runs (seeds), or the episodes of \
-             a single run, which say nothing about other seeds. Deterministic policies, episodes that training and validation did not see.";
+    text += ". Intervals are 95 % intervals. The heading of each table names their unit: trained runs (seeds), or the episodes of \
+             a single run, which say nothing about other seeds. Policies act deterministically, in episodes that training \
+             and validation do not use.";
     document.text(text);
 }
 
@@ -68,8 +69,8 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
             metrics.iter().copied().filter(|metric| metric.is_rate()).collect();
         if rates.iter().any(ties) {
             document.text(
-                "Where all seeds give the same, the interval over seeds is a point. This is what the episodes of all \
-                 seeds together leave open about these policies; it says nothing about other seeds:",
+                "Where all seeds have the same result, the interval over seeds is a point. The following table has intervals \
+                 over the episodes of all seeds together. They apply to these policies and say nothing about other seeds:",
             );
             table(document, sweep, block, (&several, &rates, Unit::Together), false);
         }
@@ -210,14 +211,14 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
         }
         let unit =
             if block.unit() == Unit::Seeds { "± t-interval over seeds" } else { "one run each" };
-        let title = format!("variance of the {target} that is explained, % ({unit})");
+        let title = format!("explained variance of the {target}, % ({unit})");
         let header = [
             title.as_str(),
             "by the latent",
             "by a linear probe from the observation",
-            "features that the observation leaves open",
-            "of these by the latent",
-            "of these by the probe",
+            "features that the observation does not determine",
+            "explained variance of these features, by the latent",
+            "explained variance of these features, by the probe",
         ];
         document.table(header.map(str::to_owned).to_vec(), rows);
     }
@@ -232,14 +233,16 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
         return;
     }
     let missing = block.series.len() - lines.len();
-    document.heading(3, "Success over all of them");
+    document.heading(3, "Aggregated success");
     if missing > 0 {
-        document.text(format!("{missing} lines are not complete yet and left out."));
+        document.text(format!(
+            "{missing} lines are left out because not all of their runs are finished."
+        ));
     }
     document.text(
-        "Aggregates over all runs and places as in rliable: interquartile mean (IQM), median and mean of the places' means, \
-         optimality gap to 100 %. Brackets: 95 % stratified bootstrap with the seeds as the unit; with fewer than about five \
-         seeds they are too narrow, and without a second seed there are none.",
+        "Aggregates over all runs and all values of the horizontal axis, as in rliable: interquartile mean (IQM), median and \
+         mean of the means at each value, and optimality gap to 100 %. Brackets contain 95 % intervals of a stratified bootstrap \
+         with seeds as the unit. With fewer than about five seeds the intervals are too narrow; with one seed there are none.",
     );
     let show = |e: Option<Estimate>| e.map_or_else(|| "–".to_owned(), |e| e.to_string());
     let same_runs = block.same_runs();
@@ -260,7 +263,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     if lines.len() < 2 || !lines.iter().all(|line| resamples(line)) {
         return;
     }
-    let header = std::iter::once("probability that the line beats the column".to_owned());
+    let header = std::iter::once("probability that the row is better than the column".to_owned());
     let header = header.chain(lines.iter().map(|line| line.label.clone())).collect();
     let rows = lines.iter().map(|line| {
         let versus = |other: &&&Line<'_>| {

@@ -44,8 +44,7 @@ fn with_base<T: DeserializeOwned>(
     let text = read(&path)?;
     let real = path.canonicalize().map_err(|source| Error::Read { path: path.clone(), source })?;
     if before.contains(&real) {
-        let message =
-            format!("base goes round in a circle: `{}` is built on itself", path.display());
+        let message = format!("base forms a cycle: `{}` is based on itself", path.display());
         return Err(Error::Content { file: file.display().to_string(), message });
     }
     before.push(real);
@@ -143,7 +142,7 @@ mod tests {
             number.contains("line 1") && number.contains("base = 3") && number.contains("a string"),
             "{number}"
         );
-        assert!(refused("round.toml").contains("goes round in a circle"));
+        assert!(refused("round.toml").contains("base forms a cycle"));
         let broken = refused("broken.toml");
         assert!(broken.contains("garbled.toml: ") && broken.contains("line 1"), "{broken}");
         let unknown = refused("unknown.toml");

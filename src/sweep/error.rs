@@ -45,8 +45,8 @@ pub enum Error {
     Record(#[from] crate::record::Error),
     /// A cell's folder contains a run of a scenario that has changed since.
     #[error(
-        "`{}` was trained on `{}` as it was before: that file has changed, or a net or route file that it names; change it back, \
-         or move the run away, or choose another --out",
+        "`{}` was trained with an earlier version of `{}`: this file, or a net or route file that it names, has changed; restore \
+         the files, move the run to another folder, or choose another --out",
         folder.display(), path.display()
     )]
     Scenario {
@@ -56,14 +56,14 @@ pub enum Error {
         path: PathBuf,
     },
     /// The data of a report would replace a run that has its weights.
-    #[error("`{}` holds a run with its weights; choose another folder to keep what reports are made from", folder.display())]
+    #[error("`{}` contains a run with its weights; choose another folder for the data of reports", folder.display())]
     Kept {
         /// The run's folder.
         folder: PathBuf,
     },
     /// A cell's folder contains a run with other settings.
     #[error(
-        "`{}` holds a run with another `{key}`: {was}, and now {is}; move it away, or choose another --out",
+        "`{}` contains a run with another `{key}`: {was} in the run, {is} in the sweep file; move the run to another folder, or choose another --out",
         folder.display()
     )]
     Changed {

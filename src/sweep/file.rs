@@ -85,11 +85,13 @@ impl File {
         for (i, evaluate) in self.evaluate.iter().enumerate() {
             let name = &evaluate.name;
             if self.evaluate[..i].iter().any(|other| other.name == *name) {
-                return Err(format!("two evaluations are called `{name}`; give each a name"));
+                return Err(format!(
+                    "two evaluations have the name `{name}`; give each its own `name`"
+                ));
             }
             if name.is_empty() || name.contains(['/', ' ']) || evaluate.episodes == 0 {
                 return Err(format!(
-                    "[[evaluate]] `{name}`: the name is part of a file name, and episodes are 1 or more"
+                    "[[evaluate]] `{name}`: allowed: a name without spaces and slashes, because it is part of a file name, and 1 or more episodes"
                 ));
             }
             if let Some((key, _)) =
@@ -107,7 +109,7 @@ impl File {
                 if !several(&self.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels
                 {
                     return Err(format!(
-                        "[[evaluate]] `{name}`: {what} = \"{key}\" is no key of a grid that has several values, or is x and panels at once"
+                        "[[evaluate]] `{name}`: {what} = \"{key}\" must be a key with several values in a grid, and x and panels must differ"
                     ));
                 }
             }
@@ -125,7 +127,7 @@ impl File {
                 evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
             if !known || !METRICS.contains(&metric.as_str()) {
                 return Err(format!(
-                    "[[reference]] `{label}`: metric is one of {}, and evaluate the name of an evaluation",
+                    "[[reference]] `{label}`: metric must be one of {}, and evaluate the name of an evaluation",
                     METRICS.join(", ")
                 ));
             }
@@ -217,7 +219,7 @@ impl File {
                     return Err(wrong(
                         file,
                         format!(
-                            "[[evaluate]] `{}`, cell {}: {why}; `when` says which cells it is for",
+                            "[[evaluate]] `{}`, cell {}: {why}; select the cells of this evaluation with `when`",
                             evaluate.name, cell.id
                         ),
                     ));
@@ -254,7 +256,10 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         let begins_with =
             |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
         if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
-            return Err(format!("cell {}: init_from: a [[skip]] leaves {after} out", cell.id));
+            return Err(format!(
+                "cell {}: init_from: a [[skip]] removes the cell {after}",
+                cell.id
+            ));
         }
         if let Some(first) = begins_with(&cell) {
             let (of, trained) = (&first.config.algorithm, &cell.config.algorithm);
@@ -271,7 +276,7 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         // If so many predecessors exist as there are cells, one of them occurs twice.
         if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
             return Err(format!(
-                "cell {}: init_from goes round in a circle: no cell of it can be first",
+                "cell {}: init_from forms a cycle: no cell of the cycle can be trained first",
                 last.id
             ));
         }
@@ -304,7 +309,8 @@ fn other_cell(grid: &Table, values: &[(String, Value)], change: &Table) -> Resul
         .collect();
     if other == values {
         return Err(
-            "init_from names the cell itself; let a [[rule]] say which cells it is for".to_owned()
+            "init_from names the cell itself; select the cells that use it with a [[rule]]"
+                .to_owned(),
         );
     }
     Ok(cell_id(&other))

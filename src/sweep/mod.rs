@@ -349,7 +349,7 @@ mod tests {
             with("agents = 4")
         );
         let circle = parse(&back).expect_err("must be refused").to_string();
-        assert!(circle.contains("init_from goes round in a circle"), "{circle}");
+        assert!(circle.contains("init_from forms a cycle"), "{circle}");
     }
 
     #[test]
@@ -385,7 +385,7 @@ mod tests {
         let broken =
             chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
         let message = parse(&broken).expect_err("must be refused").to_string();
-        assert!(message.contains("a [[skip]] leaves mappo_agents=4/seed_1 out"), "{message}");
+        assert!(message.contains("a [[skip]] removes the cell mappo_agents=4/seed_1"), "{message}");
     }
 
     #[test]
@@ -435,19 +435,19 @@ mod tests {
         refused(
             "[\"mappo\", \"commformer\"]",
             many,
-            "`range`, cell commformer_agents=4/seed_0: commformer learned",
+            "`range`, cell commformer_agents=4/seed_0: commformer has parameters",
         );
         refused(
             "[\"mappo\", \"mat\"]",
             lost,
-            "cell mat_agents=4/seed_0: [channel] is for messages",
+            "cell mat_agents=4/seed_0: [channel] applies to messages",
         );
         refused(
             "[\"mappo\"]",
             "seed = [7, 8]",
-            "seed=7: has no effect in an evaluation: episodes follow from --seed",
+            "seed=7: has no effect in an evaluation: --seed determines the episodes",
         );
-        refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the method is the checkpoint's");
+        refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the checkpoint determines the algorithm");
         assert!(
             with("[\"mappo\", \"magic\"]", many).is_ok()
                 && with("[\"mappo\", \"magic\", \"ex-iwol\"]", lost).is_ok()
@@ -467,11 +467,14 @@ mod tests {
             .replace("\"mappo\"", "\"commformer\"")
             .replace("agents = 48 }", "init_from = { agents = 4 } }");
         let fixed = parse(&file).expect_err("must be refused").to_string();
-        assert!(fixed.contains("each of 4 agents and cannot be used among 8"), "{fixed}");
+        assert!(fixed.contains("each of 4 agents and cannot be used with 8"), "{fixed}");
         let disturbed =
             parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { loss = 0.5 }"))
                 .expect_err("refused");
-        assert!(disturbed.to_string().contains("[channel] is for evaluation"), "{disturbed}");
+        assert!(
+            disturbed.to_string().contains("[channel] applies only to evaluation"),
+            "{disturbed}"
+        );
     }
 
     #[test]
@@ -496,7 +499,7 @@ mod tests {
                 .contains("there is no [grid]; give it a list")
         );
         assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
-        assert!(message(("name = \"range\"", "episodes = 0")).contains("episodes are 1 or more"));
+        assert!(message(("name = \"range\"", "episodes = 0")).contains("1 or more episodes"));
         assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
         assert!(
             message(("agents = [8, 16]", "agents = [16]"))
@@ -507,11 +510,11 @@ mod tests {
         );
         assert!(
             message(("name = \"range\"", "panels = \"agent\""))
-                .contains("panels = \"agent\" is no key of a grid")
+                .contains("panels = \"agent\" must be a key with several values")
         );
         assert!(
             message(("name = \"range\"", "x = \"agents\"\npanels = \"agents\""))
-                .contains("x and panels at once")
+                .contains("x and panels must differ")
         );
         assert!(
             message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]"))

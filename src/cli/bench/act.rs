@@ -24,13 +24,13 @@ pub(super) struct Act {
     /// Algorithms [default: all]
     #[arg(long, value_delimiter = ',')]
     algorithm: Vec<String>,
-    /// Worlds that decide at once
+    /// Number of worlds per decision
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     worlds: u16,
-    /// Timed decisions
+    /// Number of timed decisions
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     decisions: u32,
-    /// Threads of libtorch
+    /// Number of libtorch threads
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
     /// Print JSON lines instead of a table

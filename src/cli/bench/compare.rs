@@ -96,7 +96,7 @@ pub(super) fn run(
         clients.extend([Client::TraciRs("plain"), Client::TraciRs("subscribed")]);
     } else {
         say!(
-            "traci-rs is left out: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml` builds its player"
+            "traci-rs is skipped; build its player with `cargo build --release --manifest-path benches/traci_rs/Cargo.toml`"
         );
     }
     for &(worlds, processes) in layouts {
@@ -109,13 +109,13 @@ pub(super) fn run(
     let config = workload.config(1);
     let arguments: Vec<String> =
         sumo::arguments(&config)?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
-    let folder = tempfile::tempdir().context("could not make a temporary folder")?;
+    let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let file = folder.path().join("workload.json");
     let players = folder.path().join("players.py");
     let write = |path: &Path, bytes: &[u8]| {
         std::fs::File::create(path)
             .and_then(|mut f| f.write_all(bytes))
-            .context("could not write the workload")
+            .context("cannot write the workload")
     };
     write(&file, workload.export(&arguments, WARMUP, steps).to_string().as_bytes())?;
     write(&players, PLAYERS.as_bytes())?;
@@ -150,7 +150,7 @@ pub(super) fn run(
                 None => checksums.push((played.steps, played.checksum, client.name())),
                 Some((_, expected, first)) => ensure!(
                     (played.checksum - expected).abs() <= SAME * expected.abs(),
-                    "{} did not do the same as {first}: its checksum is {}, not {expected}",
+                    "{} did not simulate the same as {first}: its checksum is {}, not {expected}",
                     client.name(),
                     played.checksum
                 ),
@@ -214,7 +214,7 @@ fn play(
 }
 
 fn external(program: &mut Program) -> anyhow::Result<Played> {
-    let output = program.output().with_context(|| format!("could not run {program:?}"))?;
+    let output = program.output().with_context(|| format!("cannot run {program:?}"))?;
     if !output.status.success() {
         bail!(
             "{program:?} failed ({}): {}",
@@ -228,7 +228,7 @@ fn external(program: &mut Program) -> anyhow::Result<Played> {
 /// Formats the results as Markdown, with the rates as multiples of the first client's.
 pub(super) fn table(lines: &[Line]) -> String {
     let mut text = String::from(
-        "| client | vehicles | world steps/s | least to most | × plain Python |\n|---|--:|--:|--:|--:|\n",
+        "| client | vehicles | world steps/s | minimum to maximum | × plain Python |\n|---|--:|--:|--:|--:|\n",
     );
     let mut base = f64::NAN;
     let mut agents = None;

@@ -18,7 +18,7 @@ use serde::Serialize;
 use super::Verdict;
 use workload::{Control, EPISODE, Workload};
 
-/// Measure speed.
+/// Measures the speed of simulation, decisions and updates.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(subcommand)]
@@ -27,11 +27,11 @@ pub(super) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// SUMO and the way to it: steps per second, the share of SUMO, bytes, resets
+    /// Measure the simulation: steps per second, SUMO's share of the time, bytes, respawns
     Sim(Sim),
-    /// A policy's decision: median and 99th percentile, per vehicle, beside the first algorithm's
+    /// Measure decisions: median, 99th percentile, time per vehicle, ratio to the first algorithm
     Act(act::Act),
-    /// Learning from a rollout: milliseconds, per sample, beside the same networks in PyTorch
+    /// Measure updates: time per rollout and per sample, ratio to the same networks in PyTorch
     Update(update::Update),
 }
 
@@ -46,20 +46,20 @@ struct Sim {
     /// Backends [default: all that are built in]
     #[arg(long, value_delimiter = ',')]
     backend: Vec<Backend>,
-    /// What moves the vehicles
+    /// How the vehicles are moved
     #[arg(long, value_enum, default_value_t = Control::Throttle)]
     control: Control,
-    /// Worlds, and over how many SUMO processes they are spread, as WORLDS/PROCESSES; libsumo has
-    /// one process always
+    /// Number of worlds and number of SUMO processes that share them, as WORLDS/PROCESSES; libsumo
+    /// always has one process
     #[arg(long, value_delimiter = ',', default_value = "1/1,16/1,16/2,16/16", value_parser = layout)]
     worlds: Vec<(usize, usize)>,
     /// Seconds per measurement
     #[arg(long, default_value_t = 3.0, value_parser = seconds)]
     seconds: f64,
-    /// Let SUMO look for collisions in junctions, as the environments do for their audit
+    /// Let SUMO check for collisions in junctions, as the environments do for their audit
     #[arg(long, default_value_t = true, action = clap::ArgAction::Set, value_name = "true|false")]
     audit: bool,
-    /// Compare with Python's traci and libsumo and with traci-rs, on the same commands in turn
+    /// Compare with Python's traci and libsumo and with traci-rs, in turn on the same commands
     #[arg(long)]
     compare: bool,
     /// Timed steps of the comparison
@@ -81,7 +81,7 @@ fn layout(text: &str) -> Result<(usize, usize), String> {
     if (1..=1024).contains(&worlds) && (1..=worlds).contains(&processes) {
         return Ok((worlds, processes));
     }
-    Err("allowed: 1 to 1024 worlds, and 1 to as many processes".to_owned())
+    Err("allowed: 1 to 1024 worlds, and 1 process up to one per world".to_owned())
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -169,7 +169,7 @@ fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
             for &(worlds, processes) in &args.worlds {
                 if backend == Backend::Libsumo && processes > 1 {
                     if !args.backend.is_empty() {
-                        say!("libsumo is one process: {worlds}/{processes} is left out");
+                        say!("libsumo always has one process; {worlds}/{processes} is skipped");
                     }
                     continue;
                 }

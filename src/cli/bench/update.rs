@@ -22,7 +22,7 @@ const ACTIVE: usize = 75;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Update {
-    /// Scenario file, for the sizes of observations
+    /// Scenario file, which determines the sizes of observations
     #[arg(long, default_value = "scenarios/intersection.xml")]
     scenario: PathBuf,
     /// Number of vehicles per world
@@ -34,11 +34,11 @@ pub(super) struct Update {
     /// One setting, e.g. --set network.hidden=128; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Timed updates
+    /// Number of timed updates
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repetitions: u32,
-    /// A Python with torch, to run benches/reference_update.py in turn, with as many threads as
-    /// there are shards
+    /// Python interpreter with torch that runs benches/reference_update.py in turn, with one thread
+    /// per shard
     #[arg(long, value_name = "PYTHON")]
     reference: Option<PathBuf>,
     /// Print JSON lines instead of a table
@@ -225,8 +225,8 @@ fn reference(
     };
     ensure!(
         usual == config.settings() && config.device == ComputeDevice::Cpu,
-        "the reference knows network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave the \
-         other settings at their defaults"
+        "the reference supports only network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave \
+         all other settings at their defaults"
     );
     let mut program = Program::new(python);
     program.args(["-c", REFERENCE, "--algorithm", name]);
@@ -238,7 +238,7 @@ fn reference(
     ensure!(
         output.status.success(),
         "the reference failed: {}",
-        errors.lines().last().unwrap_or("it said nothing")
+        errors.lines().last().unwrap_or("it printed no message")
     );
     let last = text.lines().last().unwrap_or_default();
     serde_json::from_str(last).with_context(|| format!("the reference printed `{last}`"))

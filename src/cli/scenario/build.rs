@@ -6,12 +6,12 @@ use iwol_sumo::scenario::author::{State, build};
 
 use super::Verdict;
 
-/// A net is built of the sources that its .netccfg names, when one of them is newer.
+/// Builds each net from the sources that its .netccfg names if one of them is newer than the net.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Scenario file
     scenario: PathBuf,
-    /// Build all nets that have sources, old or not
+    /// Build all nets that have sources, even if they are up to date
     #[arg(long)]
     all: bool,
 }
@@ -19,7 +19,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     for net in build(&args.scenario, args.all)? {
         let done = match net.before {
-            State::NoSources => "has no sources (.netccfg) beside it",
+            State::NoSources => "has no sources (no .netccfg next to it)",
             State::UpToDate if !args.all => "up to date",
             State::UpToDate | State::OutOfDate => "built",
         };

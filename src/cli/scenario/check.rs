@@ -12,10 +12,10 @@ use serde::Serialize;
 
 use super::Verdict;
 
-/// Reads the file and its nets, then runs the scenario for a while with SUMO.
+/// Reads the file and its nets, then runs a trial of the scenario in SUMO.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code: 0 fine, or warnings only; 1 errors in the scenario; 2 a mistake on the command line, no such file, or no SUMO."
+    after_help = "Exit code: 0 no errors (warnings are allowed); 1 errors in the scenario; 2 a wrong command line, a missing file or a missing SUMO."
 )]
 pub(super) struct Args {
     /// Scenario file
@@ -23,7 +23,7 @@ pub(super) struct Args {
     /// Number of vehicles in the trial [default: the scenario's]
     #[arg(long)]
     agents: Option<u32>,
-    /// Steps of the trial; 0: none, and no SUMO is needed
+    /// Number of steps of the trial; 0: no trial, and SUMO is not needed
     #[arg(long, default_value_t = 1000)]
     steps: u32,
     /// Seed of the trial
@@ -47,7 +47,7 @@ struct Report<'a> {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let file = std::fs::metadata(&args.scenario);
     let file = file.with_context(|| format!("cannot read `{}`", args.scenario.display()))?;
-    ensure!(file.is_file(), "`{}` is no file", args.scenario.display());
+    ensure!(file.is_file(), "`{}` is not a file", args.scenario.display());
     let mut findings = Scenario::check(&args.scenario);
     let trial = match &findings.scenario {
         Some(scenario) if args.steps > 0 => {
@@ -124,7 +124,7 @@ fn print(findings: &Findings, trial: Option<&Trial>) {
 }
 
 fn print_trial(trial: &Trial) {
-    tell!("{:<32} {:>8} {:>8}  unit", "observation", "least", "most");
+    tell!("{:<32} {:>8} {:>8}  unit", "observation", "minimum", "maximum");
     for range in &trial.observation {
         tell!(
             "{:<32} {:>8.3} {:>8.3}  {}",

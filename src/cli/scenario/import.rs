@@ -9,29 +9,29 @@ use super::Verdict;
 /// Maximum number of junctions, and of warnings, that are listed.
 const LISTED: usize = 8;
 
-/// The proposal takes one junction, all ways over it that need no lane change, and places on the
-/// lanes before it.
+/// The scenario contains one junction, all routes across it that need no lane change, and spawn
+/// places on the lanes that lead to it.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// OpenStreetMap extract (XML), which netconvert makes a net of
+    /// OpenStreetMap extract (XML), which netconvert converts to a net
     #[arg(long, value_name = "FILE", required_unless_present = "net", conflicts_with = "net")]
     osm: Option<PathBuf>,
     /// SUMO net (.net.xml)
     #[arg(long, value_name = "FILE")]
     net: Option<PathBuf>,
-    /// Name of the scenario, also of its files
+    /// Name of the scenario and of its files
     #[arg(long, value_name = "NAME")]
     out: String,
-    /// Id of the junction [default: the one with the most arms and places]
+    /// Id of the junction [default: the junction with the most arms and spawn places]
     #[arg(long, value_name = "ID")]
     junction: Option<String>,
-    /// Number of vehicles where the user does not say, if there is room
+    /// Default number of vehicles of the scenario, limited by its number of spawn places
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     agents: u32,
-    /// Vehicles steer, instead of following their lanes
+    /// Let vehicles steer instead of following their lanes
     #[arg(long)]
     steering: bool,
-    /// Folder in which scenarios/ and sumo_nets/ are
+    /// Folder for scenarios/ and sumo_nets/
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
 }
@@ -58,7 +58,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("{junction:<32} {kind:<20} {arms:>5} {routes:>7} {places:>7}{chosen}");
     }
     if imported.candidates.len() > LISTED {
-        say!("and {} more; choose with --junction", imported.candidates.len() - LISTED);
+        say!(
+            "and {} more junctions; choose one with --junction",
+            imported.candidates.len() - LISTED
+        );
     }
     super::next(&imported.scenario);
     Ok(Verdict::Good)

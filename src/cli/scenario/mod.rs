@@ -10,7 +10,7 @@ use clap::Subcommand;
 
 use super::Verdict;
 
-/// What is done with a scenario.
+/// Subcommands for scenarios.
 #[derive(Debug, clap::Args)]
 #[command(arg_required_else_help = true)]
 pub(super) struct Args {
@@ -22,11 +22,11 @@ pub(super) struct Args {
 enum Verb {
     /// Write a scenario from a template into scenarios/ and sumo_nets/, and build its net
     New(new::Args),
-    /// Propose a scenario for an OpenStreetMap extract or a SUMO net
+    /// Write a draft scenario for a junction of an OpenStreetMap extract or a SUMO net
     Import(import::Args),
     /// Build the nets of a scenario whose sources have changed
     Build(build::Args),
-    /// Say what is wrong with a scenario, and try it out
+    /// Report errors in a scenario and run a trial of it
     Check(check::Args),
     /// Draw a scenario
     Show(show::Args),

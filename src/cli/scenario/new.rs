@@ -7,32 +7,33 @@ use iwol_sumo::scenario::author::{Sizes, Template, create};
 
 use super::Verdict;
 
-/// SUMO's plain XML, the net built of it, and the scenario, all commented and ready to edit.
+/// Writes SUMO's plain XML, the net that is built from it, and the scenario, with comments and
+/// ready to edit.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Name of the scenario, also of its files
+    /// Name of the scenario and of its files
     name: String,
-    /// cross, tee, roundabout, merge, grid, bottleneck or parking
+    /// Template: cross, tee, roundabout, merge, grid, bottleneck or parking
     #[arg(long, short)]
     template: String,
-    /// Lanes per direction, 1 to 4; of a bottleneck 2 to 4, of a parking lot 1 [default: the
-    /// fewest]
+    /// Lanes per direction: 1 to 4, in a bottleneck 2 to 4, in a parking lot 1 [default: the
+    /// minimum]
     #[arg(long)]
     lanes: Option<u32>,
-    /// Length of the lanes on which vehicles begin, at least, in metres [default: what the agents
-    /// need]
+    /// Minimum length of the lanes on which vehicles start, in metres [default: as long as the
+    /// number of agents requires]
     #[arg(long, value_name = "METRES")]
     arm_length: Option<f64>,
     /// Number of vehicles
     #[arg(long, default_value_t = 8)]
     agents: u32,
-    /// Speed limit and top speed, in m/s
+    /// Speed limit and maximum speed of vehicles, in m/s
     #[arg(long, value_name = "M/S", default_value_t = 13.889)]
     speed: f64,
-    /// Vehicles steer, instead of following their lanes (in a parking lot always)
+    /// Let vehicles steer instead of following their lanes (always on in a parking lot)
     #[arg(long)]
     steering: bool,
-    /// Folder in which scenarios/ and sumo_nets/ are
+    /// Folder for scenarios/ and sumo_nets/
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
 }

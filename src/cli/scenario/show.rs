@@ -11,7 +11,8 @@ use iwol_sumo::sumo::net::Net;
 
 use super::Verdict;
 
-/// Its net, the places, routes and where they meet, and the radio range of one vehicle.
+/// Draws the net, the spawn places, the routes, their conflict points, and the radio range of one
+/// vehicle.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Scenario file
@@ -19,7 +20,7 @@ pub(super) struct Args {
     /// Picture to write: .svg, .png, or .html with a table of the routes
     #[arg(long, short, value_name = "FILE")]
     out: PathBuf,
-    /// Number of vehicles, which chooses the net [default: the scenario's]
+    /// Number of vehicles, which determines the net [default: the scenario's]
     #[arg(long)]
     agents: Option<u32>,
 }
@@ -33,7 +34,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Some("png") => picture(&task, &net).png(&args.out)?,
         Some("html") => write_atomic(&args.out, page(&task, &net).as_bytes())?,
         _ => bail!(
-            "`{}` is no picture: give a name that ends in .svg, .png or .html",
+            "`{}` is not a picture file: give a name that ends in .svg, .png or .html",
             args.out.display()
         ),
     }

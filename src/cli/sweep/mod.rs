@@ -13,36 +13,36 @@ use iwol_sumo::sweep::{Cell, State, Sweep};
 use self::progress::{table, time_left};
 use super::Verdict;
 
-/// Trains and evaluates every cell of a grid, each in a process and a folder of its own. Cells that
-/// are finished are skipped, those that were cut off go on: after a kill, the same command again.
+/// Trains and evaluates every cell of a grid, each in its own process and folder. Finished cells
+/// are skipped and interrupted cells continue, so that the same command resumes a sweep.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Sweep file, e.g. experiments/scalability.toml
     file: PathBuf,
-    /// Cells at a time [default: 1, as each uses all cores while it learns; with --slurm as many as
-    /// Slurm allows]
+    /// Number of cells that run at the same time [default: 1, because a cell uses all cores while
+    /// it learns; with --slurm as many as Slurm allows]
     #[arg(long, short, value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
-    /// Only every n-th cell, beginning with the i-th: a part of the grid for each of n machines
+    /// Run only every N-th cell, starting with the I-th, to divide the grid among N machines
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(usize, usize)>,
-    /// Only cells with this name, or this number, as `--dry-run` shows them; `*` stands for any
-    /// part of a name, e.g. 'mappo*/seed_0'; may be repeated
+    /// Run only the cells with this name or number, as `--dry-run` shows them; `*` matches any part
+    /// of a name, e.g. 'mappo*/seed_0'; may be repeated
     #[arg(long, value_name = "CELL", conflicts_with = "shard")]
     cell: Vec<String>,
-    /// Show the cells, how far they are and how long the rest will take; run nothing
+    /// Show the cells, their progress and the estimated remaining time; run nothing
     #[arg(long)]
     dry_run: bool,
-    /// Run cells again that failed
+    /// Run failed cells again
     #[arg(long)]
     retry: bool,
-    /// Submit the cells that are not finished to Slurm, as a job array
+    /// Submit the unfinished cells to Slurm as a job array
     #[arg(long, conflicts_with_all = ["shard", "cell", "dry_run"])]
     slurm: bool,
     /// An option for Slurm's sbatch, e.g. --slurm-option time=04:00:00; may be repeated
     #[arg(long, value_name = "KEY=VALUE", requires = "slurm")]
     slurm_option: Vec<String>,
-    /// Folder of run folders; the sweep's own below it is called like the file
+    /// Folder for run folders; the sweep gets a subfolder with the name of its file
     #[arg(long, short, value_name = "DIR", default_value = "runs")]
     out: PathBuf,
 }
@@ -83,12 +83,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     if let Some(wanted) = args.cell.iter().find(unknown) {
         bail!(
-            "there is no cell `{wanted}`; the sweep has {count}, from 0 on: --dry-run alone lists them"
+            "there is no cell `{wanted}`; the sweep has {count} cells, numbered from 0; --dry-run without --cell lists them"
         );
     }
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
-        bail!("this shard has no cell: the sweep has only {count}");
+        bail!("this shard contains no cell; the sweep has only {count} cells");
     }
     for (_, cell) in &cells {
         cell.check()?;
@@ -113,20 +113,20 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         cells.iter().zip(states()).filter(|(_, state)| matches!(state, State::Failed(_))).collect();
     for ((_, cell), state) in &failed {
         if let State::Failed(lines) = state {
-            say!("\n{} failed; all that it said is in {}\n{lines}", cell.id, cell.log().display());
+            say!("\n{} failed; its messages are in {}\n{lines}", cell.id, cell.log().display());
         }
     }
     if !failed.is_empty() {
         say!("\n{} of {} cells failed; run them again with --retry", failed.len(), cells.len());
     }
     if stop.load(Ordering::Relaxed) {
-        say!("stopped; the same command goes on");
+        say!("stopped; run the same command again to continue");
         return Ok(Verdict::Interrupted);
     }
     let waiting = cells.iter().filter(|(_, cell)| sweep.waits_for(cell).is_some()).count();
     if waiting > 0 {
         say!(
-            "{waiting} cells wait for others that failed or are not in this part of the grid; the same command goes on"
+            "{waiting} cells wait for other cells that failed or are not in this part of the grid; run the same command again to continue"
         );
         return Ok(Verdict::Bad);
     }
@@ -134,7 +134,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
     if open > 0 {
         say!(
-            "{open} of {} cells are not finished: somebody stopped them, or works on them; the same command goes on",
+            "{open} of {} cells are not finished: they were stopped, or another process works on them; run the same command again to continue",
             cells.len()
         );
         return Ok(Verdict::Bad);

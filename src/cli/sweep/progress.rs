@@ -39,7 +39,7 @@ pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
     if finished + failed < cells.len() {
         let left = time_left(sweep, cells).map_or_else(
             || "unknown until the first cell is trained".to_owned(),
-            |t| human_duration(t) + " of training, one by one",
+            |t| human_duration(t) + " of training, one cell at a time",
         );
         let _ = writeln!(text, "time left: {left}");
     }

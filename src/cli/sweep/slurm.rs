@@ -20,7 +20,7 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
         (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
     if numbers.is_empty() {
         say!(
-            "nothing to submit: all cells are finished or failed (--retry runs the failed ones again)"
+            "nothing to submit: all cells are finished or failed (--retry runs failed cells again)"
         );
         return Ok(Verdict::Good);
     }
@@ -30,13 +30,13 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
             .is_some_and(|(key, _)| !matches!(key, "array" | "job-name" | "output"));
         if !known {
             bail!(
-                "--slurm-option {option}: write it as key=value; array, job-name and output are the sweep's own"
+                "--slurm-option {option}: write it as key=value; the sweep itself sets array, job-name and output"
             );
         }
     }
     let folder = args.out.join(&sweep.name);
     std::fs::create_dir_all(folder.join("slurm"))
-        .with_context(|| format!("cannot make `{}`", folder.display()))?;
+        .with_context(|| format!("cannot create `{}`", folder.display()))?;
     // Queued tasks read this list, so later changes of the sweep file and later submissions do not
     // affect them.
     let stamp = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
@@ -49,11 +49,11 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
         .arg("--parsable")
         .arg(&path)
         .output()
-        .context("cannot run sbatch, which submits jobs to Slurm: run this where Slurm's client is installed")?;
+        .context("cannot run sbatch, which submits jobs to Slurm; use a machine on which Slurm's client is installed")?;
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr);
         bail!(
-            "sbatch refused `{}`: {} ({} tasks; a cluster's MaxArraySize, 1001 unless it was changed, bounds them: see --shard)",
+            "sbatch refused `{}`: {} ({} tasks; the cluster's MaxArraySize, 1001 by default, limits their number: see --shard)",
             path.display(),
             why.trim(),
             numbers.len()
@@ -69,8 +69,8 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
 /// Returns the job script: one task per cell, of which Slurm runs at most `--jobs` at a time if
 /// that option is given.
 fn script(args: &Args, sweep: &Sweep, list: &Path, count: usize) -> anyhow::Result<String> {
-    let here = std::env::current_dir().context("cannot tell the current folder")?;
-    let program = std::env::current_exe().context("cannot find this program's file")?;
+    let here = std::env::current_dir().context("cannot determine the current folder")?;
+    let program = std::env::current_exe().context("cannot find the executable of this program")?;
     let quoted = |path: &Path| -> anyhow::Result<String> {
         let text =
             path.to_str().filter(|text| !text.contains(['\'', '\n'])).with_context(|| {

@@ -135,7 +135,7 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
     let log = cell.log();
     let open = || File::options().create(true).append(true).open(&log);
     let log = open().with_context(|| format!("cannot write `{}`", log.display()))?;
-    let program = std::env::current_exe().context("cannot find this program's file")?;
+    let program = std::env::current_exe().context("cannot find the executable of this program")?;
     let mut command = Command::new(program);
     command.args(["--die-with-parent", &std::process::id().to_string()]).args(&job.arguments);
     command.env("RUST_BACKTRACE", "0");
@@ -226,7 +226,7 @@ impl Screen {
             End::Finished => "finished in",
             End::Failed => "FAILED after",
             End::Interrupted => "interrupted after",
-            End::Busy => "left to another process, after",
+            End::Busy => "left to another process after",
             End::Stopped => return,
         };
         self.all.inc(1);
