@@ -373,11 +373,11 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: give the horizon 248 steps or more, as vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:117:20: warning: with a range of 500 m every vehicle scope every other: the largest net is 122 m across
+    site.xml:117:20: warning: with a range of 500 m every vehicle hears every other: the largest net is 122 m across
       hint: make the range shorter if it is to matter who is near whom
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:117:20: warning: with a range of 5 m no vehicle scope the next one in its row, 8 m away
+    site.xml:117:20: warning: with a range of 5 m no vehicle hears the next one in its row, 8 m away
       hint: make the range longer, unless nobody is to communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"

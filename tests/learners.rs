@@ -150,7 +150,7 @@ fn observations_reach_whom_they_may_and_nobody_else() {
         assert_eq!(
             scope == CommunicationScope::None,
             before[..4] == alone[..4],
-            "{name}: the range matters to who scope"
+            "{name}: the range decides who hears whom"
         );
     });
 }

@@ -367,7 +367,7 @@ fn failures_say_how_a_crash_came_about() {
     assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
     let text = failures.describe().join("\n");
     for part in [
-        "3 vehicles crashed: 0 % crossing",
+        "3 vehicles crashed: 0 % with a vehicle on a crossing route",
         "67 % with one on their own route",
         "33 % into a wreck",
         "100 % of them",

@@ -55,7 +55,7 @@ const OBSERVATION: Names = &[
     "streamVehicles",
     "encounters",
     "foresight",
-    "turns",
+    "priorityDistance",
     "borders",
     "lidarBeams",
     "lidarRange",
@@ -197,10 +197,11 @@ impl<'a, 'input> Reader<'a, 'input> {
                         (0.0..=10.0).contains(&v)
                     })?,
                 },
-                priority_distance: match observation.attribute("turns") {
+                priority_distance: match observation.attribute("priorityDistance") {
                     None => 0.0,
-                    Some(_) => self
-                        .number(observation, "turns", "0 to 100", |v| (0.0..=100.0).contains(&v))?,
+                    Some(_) => self.number(observation, "priorityDistance", "0 to 100", |v| {
+                        (0.0..=100.0).contains(&v)
+                    })?,
                 },
                 borders: match observation.attribute("borders") {
                     None => 0.0,
