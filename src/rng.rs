@@ -5,6 +5,7 @@
 //! `(seed, "episodes", index)` alone. Evaluations in between, another number of worlds or a resumed
 //! run therefore shift no other stream, and a checkpoint needs counters only, no generator state.
 
+use crate::fnv::Fnv;
 use rand::{Rng as _, RngExt as _, SeedableRng};
 
 /// The generator of every stream.
@@ -25,11 +26,10 @@ impl Seed {
     /// Returns the child with a name.
     #[must_use]
     pub fn child(&self, label: &str) -> Self {
-        // FNV-1a. Names set the low bit, which indices do not.
-        let hash = label.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
-            (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3)
-        });
-        self.derive(hash | 1)
+        let mut hash = Fnv::new();
+        hash.bytes(label.as_bytes());
+        // Names set the low bit, which indices do not.
+        self.derive(hash.value() | 1)
     }
 
     /// Returns the child with an index (below 2⁶³).

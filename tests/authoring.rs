@@ -385,8 +385,8 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: make the range longer, or maxSpeed lower
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:96:18: warning: agents see no vehicle that crosses their way
-      hint: give neighbours (nearest) or conflictStreams (conflict) more than 0
+    site.xml:96:18: warning: agents observe no vehicle that crosses their route
+      hint: set neighbours (nearest), conflictStreams (conflict), encounters or lidarBeams above 0
     "#);
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
     site.xml:57:43: warning: agents may drive 20 m/s, but the limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s

@@ -470,9 +470,3 @@ proptest! {
         }
     }
 }
-
-#[test]
-fn the_shipped_scenario_survives_its_xml() {
-    let scenario = shipped();
-    assert_eq!(Scenario::parse(&scenario.to_xml(), &scenario.path).unwrap(), scenario);
-}

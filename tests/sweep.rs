@@ -340,7 +340,6 @@ fn shards_divide_the_grid() {
         stdout
             .lines()
             .filter_map(|line| line.split_whitespace().next()?.parse().ok())
-            .take_while(|_| true)
             .collect::<Vec<usize>>()
     };
     let numbers = |shard: &str| cells(shard)[..cells(shard).len() - 1].to_vec();

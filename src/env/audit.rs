@@ -77,11 +77,11 @@ impl Audit {
             ("only ours: between two steps", self.ours_between_steps),
             ("only ours: off the lane's centre line", self.ours_lateral_offset),
             ("only ours: one front outside the junction", self.ours_junction_edge),
-            ("only ours: an overlap below 0.1 m", self.ours_touching),
+            ("only ours: an overlap below about 0.2 m", self.ours_touching),
             ("only ours: one of several at once", self.ours_one_of_several),
             ("only ours: no known reason", self.ours_other),
             ("only SUMO: with a vehicle that had ended", self.sumo_ended),
-            ("only SUMO: a gap below 0.1 m", self.sumo_touching),
+            ("only SUMO: a gap below about 0.2 m", self.sumo_touching),
             ("only SUMO: a body that it bends along a lane", self.sumo_bent),
             ("only SUMO: no known reason", self.sumo_other),
         ];

@@ -1,4 +1,4 @@
-//! Right of distance by first come, first served, as at a junction that grants passage in the order of
+//! Right of way by first come, first served, as at a junction that grants passage in the order of
 //! requests (Dresner and Stone, JAIR 2008): the vehicles' priorities (`priorities`, the smallest number
 //! goes first), and a rule-based driver.
 
@@ -10,9 +10,9 @@ use super::task::Task;
 
 /// How far ahead the rule predicts motion \[s\].
 const HORIZON: f64 = 5.0;
-/// Closeness ([`passing`]) from which a vehicle gives distance: a predicted gap below 1 m.
+/// Closeness ([`passing`]) from which a vehicle gives way: a predicted gap below 1 m.
 const TOO_CLOSE: f64 = 2.0 / 3.0;
-/// Closeness from which a standing vehicle is in the distance: a gap below 0.3 m.
+/// Closeness from which a standing vehicle is in the way: a gap below 0.3 m.
 const IN_THE_WAY: f64 = 0.9;
 /// Distance that a vehicle's centre keeps, when it stops, from the position where the vehicle would
 /// be too close to another \[m\].
@@ -27,7 +27,7 @@ const BLOCKED: f64 = 3.0;
 const FAR: f64 = 30.0;
 
 /// How far an agent can drive before it comes too close to other vehicles \[m\]; infinite where
-/// nothing is in the distance.
+/// nothing is in the way.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Free {
     /// Distance to a vehicle that has priority, is ahead, or is a wreck, at the agent's speed but
@@ -35,13 +35,13 @@ pub(super) struct Free {
     pub(super) distance: f64,
     /// The same at the agent's speed but at least 3 m/s.
     pub(super) slow: f64,
-    /// Distance to a vehicle without priority whose present position is in the agent's distance, at the
+    /// Distance to a vehicle without priority whose present position is in the agent's way, at the
     /// agent's speed but at least 6 m/s.
     pub(super) blocked: f64,
 }
 
 impl Free {
-    /// Nothing is in the distance.
+    /// Nothing is in the way.
     pub(super) const ALL: Self =
         Self { distance: f64::INFINITY, slow: f64::INFINITY, blocked: f64::INFINITY };
 
@@ -122,7 +122,7 @@ pub(super) fn free(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j:
 }
 
 /// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
-/// ahead, or stands in its distance.
+/// ahead, or stands in its way.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.routes, traffic);
@@ -305,7 +305,7 @@ mod tests {
     }
 
     proptest! {
-        /// Of two vehicles, the one with priority gives distance only where the other blocks it or is
+        /// Of two vehicles, the one with priority gives way only where the other blocks it or is
         /// ahead.
         #[test]
         fn two_do_not_wait_for_each_other(

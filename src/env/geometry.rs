@@ -190,7 +190,7 @@ mod tests {
             let a = Pose { x: 3.0, y: -2.0, heading: h };
             let b = Pose { x: 3.0 + dx, y: -2.0 + dy, heading: g };
             let area = overlap_by_clipping(&a, &b);
-            // Boxes that touch within rounding may count either displacement.
+            // Boxes that touch within rounding may count either way.
             prop_assume!(!(1e-12..1e-6).contains(&area));
             prop_assert_eq!(boxes_overlap((&a, SIZE), (&b, SIZE)), area > 0.0);
             prop_assert_eq!(boxes_overlap((&b, SIZE), (&a, SIZE)), area > 0.0);

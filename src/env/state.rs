@@ -38,8 +38,8 @@ pub(super) fn describe(scenario: &Scenario) -> Features {
         "own",
         1,
         &[
-            ("x", "half the net's width from its middle", -1.0, 1.0),
-            ("y", "half the net's height from its middle", -1.0, 1.0),
+            ("x", "half the width of the routes' bounding box, from its middle", -1.0, 1.0),
+            ("y", "half the height of the routes' bounding box, from its middle", -1.0, 1.0),
             ("heading_cos", "1", -1.0, 1.0),
             ("heading_sin", "1", -1.0, 1.0),
             ("speed", "22.2 m/s", 0.0, 1.0),

@@ -256,18 +256,17 @@ impl Adviser<'_, '_, '_> {
     /// Warns of observations that do not contain the vehicles that an agent must stop for.
     fn sight(&self) -> Option<Finding> {
         let (v, c, o) = (self.scenario.vehicle, &self.scenario.control, self.scenario.observation);
-        let blind = match (o.groups.nearest(), o.groups.conflict()) {
-            (true, false) => o.neighbours == 0,
-            (_, true) => o.conflict_streams == 0 && (!o.groups.nearest() || o.neighbours == 0),
-            (false, false) => true,
-        };
+        let blind = (!o.groups.nearest() || o.neighbours == 0)
+            && (!o.groups.conflict() || o.conflict_streams == 0)
+            && o.encounters == 0
+            && o.lidar.beams == 0;
         if blind {
             return Some(self.warning(
                 "observation",
                 "groups",
                 |_| true,
-                "agents see no vehicle that crosses their way".into(),
-                "give neighbours (nearest) or conflictStreams (conflict) more than 0",
+                "agents observe no vehicle that crosses their route".into(),
+                "set neighbours (nearest), conflictStreams (conflict), encounters or lidarBeams above 0",
             ));
         }
         let hardest = c.brake.last().map_or(c.drag, |point| point.1).max(1e-3);

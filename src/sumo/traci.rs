@@ -363,7 +363,7 @@ impl Sink for StepSink<'_> {
         }
         let of_simulation = report.response == Domain::SIMULATION.subscribe + 0x10;
         match report.variable {
-            TIME if of_simulation => self.fleet.snapshot.time = value.double()?,
+            TIME if of_simulation => self.fleet.snapshot.time = finite(value)?,
             COLLISIONS if of_simulation => read_collisions(value, self.fleet)?,
             ARRIVED | ARRIVED_ON_FOOT if of_simulation => {
                 value.kind(c::TYPE_STRINGLIST, "the vehicles and persons that arrived")?;

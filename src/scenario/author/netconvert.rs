@@ -135,7 +135,7 @@ pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
         return Err(Error::Netconvert { config, message: errors.join(" ") });
     }
     let text = fs::read_to_string(&temporary)
-        .map_err(|source| Error::Read { path: net.into(), source })?;
+        .map_err(|source| Error::Read { path: temporary.to_path_buf(), source })?;
     write_atomic(net, without_comments(&text).as_bytes())?;
     Ok(lines().filter_map(|line| line.strip_prefix("Warning: ")).map(Into::into).collect())
 }
