@@ -5,8 +5,9 @@
 //! `(seed, "episodes", index)` alone. Evaluations in between, another number of worlds or a resumed
 //! run therefore shift no other stream, and a checkpoint needs counters only, no generator state.
 
-use crate::fnv::Fnv;
 use rand::{Rng as _, RngExt as _, SeedableRng};
+
+use crate::fnv::Fnv;
 
 /// The generator of every stream.
 pub type Rng = rand_chacha::ChaCha8Rng;

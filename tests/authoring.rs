@@ -388,6 +388,8 @@ fn a_check_warns_of_what_was_probably_not_meant() {
     site.xml:96:18: warning: agents observe no vehicle that crosses their route
       hint: set neighbours (nearest), conflictStreams (conflict), encounters or lidarBeams above 0
     "#);
+    let encounters = ("conflictStreams=\"6\"", "conflictStreams=\"0\" encounters=\"4\"");
+    assert!(!warned(&[encounters]).contains("observe no vehicle"), "encounters show them");
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
     site.xml:57:43: warning: agents may drive 20 m/s, but the limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s
       hint: nothing holds agents to limits but maxSpeed; lower it if they count
