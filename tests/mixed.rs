@@ -317,7 +317,7 @@ fn tokens<'a>(task: &Task, world: &'a World, group: &str) -> Vec<&'a [f32]> {
 #[test]
 fn others_are_seen_as_the_nearest_vehicles() {
     let nearest = |s: &mut Scenario| {
-        (s.observation.groups, s.observation.neighbours) = (ObservationGroups::Nearest, 5)
+        (s.observation.groups, s.observation.neighbours) = (ObservationGroups::Nearest, 5);
     };
     let (task, world) = stand(nearest, 12);
     let own = world.agents().next().expect("an agent").pose;
@@ -515,7 +515,7 @@ fn metrics_of_others_tell_who_gives_way() {
     );
     // Without background traffic, there are no metrics of it.
     let alone = self::task(|scenario| {
-        (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new())
+        (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new());
     });
     assert_eq!((alone.agents, alone.others), (8, 0));
     assert!(play(&alone, &Policy::Throttle(1.0), 4).metrics().expect("episodes").others.is_none());
@@ -585,7 +585,7 @@ fn trips_take_the_routes_that_lead_there() {
                  <flow id=\"b\" period=\"9\" from=\"south_in\" to=\"north_out\"/>";
     fs::write(&file, format!("<routes>{trips}</routes>")).expect("a file");
     let task = task(|scenario| {
-        (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None)
+        (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None);
     });
     assert_eq!(task.routes.len(), 4, "they are those of the scenario");
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");

@@ -72,10 +72,10 @@ impl Own {
                     self.sumo.vehicle().set_min_gap(&vehicle(slot), 0.0).unwrap();
                 }
                 Command::Remove { slot, .. } => {
-                    self.sumo.vehicle().remove(&vehicle(slot), 3).unwrap()
+                    self.sumo.vehicle().remove(&vehicle(slot), 3).unwrap();
                 }
                 Command::SetSpeed { slot, speed, .. } => {
-                    self.sumo.vehicle().set_speed(&vehicle(slot), speed).unwrap()
+                    self.sumo.vehicle().set_speed(&vehicle(slot), speed).unwrap();
                 }
                 Command::SpeedMode { slot, mode, .. } => {
                     self.sumo.vehicle().set_speed_mode(&vehicle(slot), mode).unwrap();

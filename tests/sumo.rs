@@ -422,7 +422,7 @@ fn what_sumo_says_when_it_dies_is_in_the_error() {
     let arguments = ["--net-file", "no/such.net.xml"].map(Into::into).to_vec();
     match Process::start(&Options { arguments, ..Options::default() }) {
         Err(Error::Exited { stderr_tail, .. }) => {
-            assert!(stderr_tail.contains("such.net.xml"), "{stderr_tail}")
+            assert!(stderr_tail.contains("such.net.xml"), "{stderr_tail}");
         }
         other => panic!("{other:?}"),
     }

@@ -196,7 +196,7 @@ fn a_client_waits_for_a_listener_as_long_as_it_is_told() {
     let start = Instant::now();
     match Client::connect_within(address, Duration::from_millis(100), Duration::from_secs(1)) {
         Err(Error::Connect { port, attempts, .. }) => {
-            assert!(port == address.port() && attempts > 1)
+            assert!(port == address.port() && attempts > 1);
         }
         other => panic!("{other:?}"),
     }

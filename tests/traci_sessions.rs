@@ -53,7 +53,7 @@ fn a_step_goes_to_a_time_in_the_future_or_nowhere() {
     drop(process);
     match client.simulation_step(0.0) {
         Err(error @ Error::Closed { sim_time_s: None, .. }) => {
-            assert!(!error.to_string().contains("time"))
+            assert!(!error.to_string().contains("time"));
         }
         other => panic!("{other:?}"),
     }

@@ -549,7 +549,7 @@ fn neighbours_come_in_the_order_that_is_asked_for() {
     let tasks = orders.map(|order| {
         task(16, |s| {
             (s.observation.groups, s.observation.neighbour_order) =
-                (ObservationGroups::Nearest, order)
+                (ObservationGroups::Nearest, order);
         })
     });
     let groups = tasks.each_ref().map(|task| {

@@ -419,7 +419,7 @@ mod tests {
                         assert!(place.is_none(), "slot {slot} of world {world} holds a vehicle");
                     }
                     Command::Remove { world, slot } => {
-                        self.places[(world * 8 + slot) as usize] = None
+                        self.places[(world * 8 + slot) as usize] = None;
                     }
                     _ => {}
                 }

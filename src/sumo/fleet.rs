@@ -341,7 +341,7 @@ impl Fleet {
                             orders.depart(named, route, kind, [lane, pos, speed]);
                         }
                         Departure::Walk { pos, arrival, .. } => {
-                            orders.walk(named, route, kind, [*pos, *arrival])
+                            orders.walk(named, route, kind, [*pos, *arrival]);
                         }
                     }
                     if let Some(walks) = self.walking.get_mut(vehicle) {

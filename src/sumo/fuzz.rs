@@ -233,7 +233,7 @@ fn damage(rng: &mut Rng, message: &mut Vec<u8>) {
                 drop(message.splice(
                     at..at,
                     (0..below(rng, 300)).map(|_| rng.random()).collect::<Vec<u8>>(),
-                ))
+                ));
             }
             4 => {
                 let few = message[start..end.min(start + 24)].repeat(below(rng, 400));

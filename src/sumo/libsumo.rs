@@ -386,10 +386,10 @@ impl Columns {
                 Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
                 Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
                 Kind::SpeedMode => {
-                    orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?
+                    orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?;
                 }
                 Kind::LaneChangeMode => {
-                    orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?
+                    orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?;
                 }
                 Kind::Move => {
                     orders.append((

@@ -35,7 +35,7 @@ impl Trainer {
         };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
-                store_frames(&self.env, &self.memory, &mut self.rollout, t)
+                store_frames(&self.env, &self.memory, &mut self.rollout, t);
             });
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
@@ -93,7 +93,7 @@ impl Trainer {
             });
         }
         timed(&mut self.timers.copy, || {
-            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps)
+            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps);
         });
         if self.learner.graph_lasts() {
             // The last observation is valued over the same graph as the rollout.
@@ -134,7 +134,9 @@ fn store_graph_noise(rollout: &mut Rollout, t: usize, schedule: f32, mut rng: Rn
     let row = rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs);
     let noise = &mut rollout.graph_noise[row];
     rng::fill_logistic(&mut rng, noise);
-    noise.iter_mut().for_each(|noise| *noise *= schedule.exp());
+    for noise in noise {
+        *noise *= schedule.exp();
+    }
 }
 
 fn copy_out(tensor: &Tensor, to: &mut [f32], t: usize) {

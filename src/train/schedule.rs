@@ -299,7 +299,7 @@ mod tests {
             _ => 0.0,
         };
         play(&config, success, |progress, _| {
-            seen.push((progress.step, correlation(&config, progress)))
+            seen.push((progress.step, correlation(&config, progress)));
         });
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);

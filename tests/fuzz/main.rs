@@ -230,7 +230,7 @@ fn drive(task: Task, rng: &mut Rng) {
         for command in commands {
             match command {
                 Command::Add { slot, depart_pos, .. } => {
-                    vehicles[slot as usize] = Some((depart_pos, 0.0))
+                    vehicles[slot as usize] = Some((depart_pos, 0.0));
                 }
                 Command::Remove { slot, .. } => vehicles[slot as usize] = None,
                 Command::SetSpeed { slot, speed, .. } => {

@@ -115,10 +115,14 @@ impl World {
                                 // SUMO does not have the vehicle any more.
                                 Some(_) if slot.track == Track::Lost => {}
                                 Some(_) if self.driver == Driver::Agents => {
-                                    moves(task, world, at, slot, commands)
+                                    moves(task, world, at, slot, commands);
                                 }
                                 _ => {
-                                    commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 })
+                                    commands.push(Command::SetSpeed {
+                                        world,
+                                        slot: at,
+                                        speed: 0.0,
+                                    });
                                 }
                             }
                         }

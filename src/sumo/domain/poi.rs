@@ -101,7 +101,7 @@ impl<S: Scope> Poi<'_, S> {
     /// Draws a circle around the point in the graphical interface.
     pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
         super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| {
-            highlight.write(w)
+            highlight.write(w);
         })
     }
 }

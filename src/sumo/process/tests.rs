@@ -21,7 +21,7 @@ fn sumo_home_goes_before_path_and_files_must_be_executable() {
     assert_eq!(found, path.join("sumo"));
     match find_in("sumo", Some(OsStr::new("/nowhere")), Some(plain.as_os_str())) {
         Err(Error::NotFound { looked_in, .. }) => {
-            assert_eq!(looked_in, [PathBuf::from("/nowhere/bin"), plain])
+            assert_eq!(looked_in, [PathBuf::from("/nowhere/bin"), plain]);
         }
         other => panic!("{other:?}"),
     }
