@@ -87,7 +87,8 @@ impl Config {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
             agents: scenario.agents.default,
             seed: 0,
-            steps: scaled(600_000).max(600_000) * if steers { 4 } else { 1 },
+            // A limit: without steering, most runs stop long before it.
+            steps: if steers { scaled(2_400_000).max(2_400_000) } else { 1_200_000 },
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
             train,

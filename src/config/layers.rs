@@ -426,8 +426,8 @@ mod tests {
         };
         let samples = |c: &Config| c.train.envs * c.agents as usize;
         let (four, eight, most) = (at(4), at(8), at(48));
-        assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 600_000));
-        assert_eq!((samples(&four), four.steps), (2 * samples(&eight), 2 * eight.steps));
+        assert_eq!((eight.train.clone(), eight.steps), (Train::default(), 1_200_000));
+        assert_eq!((samples(&four), four.steps), (2 * samples(&eight), eight.steps));
         assert!([&four, &most].iter().all(|c| c.ppo.minibatch == eight.ppo.minibatch));
         let replays = resolve("agents = 8", &["algorithm=maddpg"]).unwrap();
         assert_eq!(2 * replays.ppo.minibatch, eight.ppo.minibatch);
