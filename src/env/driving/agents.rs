@@ -6,19 +6,19 @@
 //! (the agent has crashed or is off-road), which is an obstacle for a while before the slot is
 //! empty. No slot becomes active twice in an episode.
 
+use nalgebra::Vector2;
+
 use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
-use super::intention::Intentions;
-use super::loitering::Loitering;
-use super::routes::RouteGeometry;
-use super::steering::Motion;
+use super::vehicle::tyres::Motion;
 
 /// A vehicle whose centre is more than this far past a conflict point has left it with its whole
 /// body \[m\].
-pub(super) const CLEARED: f64 = 7.0;
+pub(crate) const CLEARED: f64 = 7.0;
+
 /// What a slot holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Status {
+pub(crate) enum Status {
     Empty,
     Active,
     Wreck,
@@ -26,7 +26,7 @@ pub(super) enum Status {
 
 /// Where SUMO has an agent that steers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Track {
+pub(crate) enum Track {
     /// On its route.
     Route,
     /// The vehicle has been beside its route, so that SUMO may have given it another.
@@ -37,52 +37,50 @@ pub(super) enum Track {
 
 /// A slot and its vehicle.
 #[derive(Debug, Clone)]
-pub(super) struct Slot {
-    pub(super) status: Status,
-    pub(super) route: usize,
+pub(crate) struct Slot {
+    pub(crate) status: Status,
+    pub(crate) route: usize,
     /// Length and width \[m\].
-    pub(super) size: Size,
+    pub(crate) size: Size,
     /// Pose of the centre.
-    pub(super) pose: Pose,
+    pub(crate) pose: Pose,
     /// Pose of the centre one step before.
-    pub(super) before: Pose,
+    pub(crate) before: Pose,
     /// Position of the centre along the route \[m\].
-    pub(super) s: f64,
+    pub(crate) s: f64,
     /// Forward speed, negative backwards \[m/s\].
-    pub(super) speed: f64,
+    pub(crate) speed: f64,
     /// Offset from the route's path, positive to the left \[m\].
-    pub(super) lateral: f64,
+    pub(crate) lateral: f64,
     /// Last throttle, -1 to 1.
-    pub(super) action: f64,
+    pub(crate) action: f64,
     /// Last steering command, -1 to 1 (left); 0 for a vehicle that does not steer.
-    pub(super) steer: f64,
+    pub(crate) steer: f64,
     /// Pose, velocity and yaw rate of a vehicle that steers, from which its motion is computed.
-    pub(super) motion: Motion,
+    pub(crate) motion: Motion,
     /// Segment of the route's path on which the vehicle was last.
-    pub(super) segment: usize,
+    pub(crate) segment: usize,
     /// Whether SUMO has been given the vehicle and not yet been told to remove it.
-    pub(super) added: bool,
+    pub(crate) added: bool,
     /// Where SUMO has the vehicle, if it steers.
-    pub(super) track: Track,
+    pub(crate) track: Track,
     /// Pose that SUMO was last given for a vehicle that steers, with the speed that went with
     /// it \[m/s\].
-    pub(super) sent: Option<(Pose, f64)>,
+    pub(crate) sent: Option<(Pose, f64)>,
     /// How far along its route SUMO has the front of a vehicle that steers, as a sum of SUMO's
     /// lane lengths \[m\]; `None` where SUMO may have the vehicle elsewhere.
-    pub(super) held: Option<f64>,
+    pub(crate) held: Option<f64>,
     /// Whether SUMO has put the vehicle on the road.
-    pub(super) departed: bool,
+    pub(crate) departed: bool,
     /// Steps for which a wreck remains.
-    pub(super) wreck_steps: u32,
+    pub(crate) wreck_steps: u32,
     /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle
     /// has not come near one yet.
-    pub(super) priority: u32,
+    pub(crate) priority: u32,
     /// How the agent's episode has ended.
-    pub(super) outcome: Outcome,
+    pub(crate) outcome: Outcome,
     /// The agent's first crash.
-    pub(super) crash: Option<Crash>,
-    /// How long the agent has loitered.
-    pub(super) loitering: Loitering,
+    pub(crate) crash: Option<Crash>,
 }
 
 /// How an episode ended for an agent; several may hold at once.
@@ -96,7 +94,7 @@ pub struct Outcome {
     pub out_of_road: bool,
 }
 
-pub(super) const EMPTY: Slot = Slot {
+pub(crate) const EMPTY: Slot = Slot {
     status: Status::Empty,
     route: 0,
     size: [0.0; 2],
@@ -118,54 +116,87 @@ pub(super) const EMPTY: Slot = Slot {
     priority: 0,
     outcome: Outcome { arrived: false, crashed: false, out_of_road: false },
     crash: None,
-    loitering: Loitering { has_moved: false, time: 0.0 },
 };
+
+/// A route that a vehicle may be on, and the vehicle's position on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Candidate {
+    pub(crate) route: usize,
+    /// Position of the vehicle's centre along the route \[m\].
+    pub(crate) s: f64,
+    /// Offset from the route's path, positive to the left \[m\].
+    pub(crate) lateral: f64,
+    /// Segment of the path at which a search for positions begins.
+    pub(crate) segment: usize,
+}
+
+impl Candidate {
+    /// Returns the route that the vehicle is on.
+    pub(crate) fn of(slot: &Slot) -> Self {
+        Self { route: slot.route, s: slot.s, lateral: slot.lateral, segment: slot.segment }
+    }
+}
 
 /// The vehicles of a world and the relations between them, from which observations are made.
 #[derive(Debug, Clone)]
-pub(super) struct Traffic {
-    pub(super) slots: Vec<Slot>,
+pub(crate) struct Traffic {
+    pub(crate) slots: Vec<Slot>,
     /// Slots of the vehicles on the road by route, furthest along first.
-    pub(super) by_route: Vec<Vec<usize>>,
+    pub(crate) by_route: Vec<Vec<usize>>,
     /// Distances between the centres of all slots' vehicles, `[slots, slots]` \[m\].
     distances: Vec<f64>,
-    /// RoutePosition and direction of each slot's vehicle.
+    /// Place and direction of each slot's vehicle.
     stances: Vec<Stance>,
     /// The last priority number that was assigned.
-    priority: u32,
+    pub(crate) last_priority: u32,
 }
 
 impl Traffic {
     /// Creates traffic without any vehicle.
-    pub(super) fn new(slots: usize, routes: usize) -> Self {
+    pub(crate) fn new(slots: usize, routes: usize) -> Self {
         Self {
             slots: vec![EMPTY; slots],
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
             stances: vec![(&EMPTY.pose).into(); slots],
-            priority: 0,
+            last_priority: 0,
         }
     }
 
     /// Returns the distance between the centres of two slots' vehicles \[m\].
-    pub(super) fn distance(&self, i: usize, j: usize) -> f64 {
+    pub(crate) fn distance(&self, i: usize, j: usize) -> f64 {
         self.distances[i * self.slots.len() + j]
     }
 
     /// Returns the place and direction of a slot's vehicle.
-    pub(super) fn stance(&self, slot: usize) -> Stance {
+    pub(crate) fn stance(&self, slot: usize) -> Stance {
         self.stances[slot]
+    }
+
+    /// Returns a point in the frame of a slot's vehicle, forward and to the left of it \[m\].
+    pub(crate) fn relative(&self, slot: usize, point: [f64; 2]) -> Vector2<f64> {
+        self.stances[slot].inverse_transform_point(&point.into()).coords
+    }
+
+    /// Returns the velocity of vehicle `j` relative to that of `slot`, in the frame of the latter
+    /// \[m/s\].
+    pub(crate) fn relative_velocity(&self, slot: usize, j: usize) -> Vector2<f64> {
+        let [own, other] = [slot, j].map(|k| {
+            let direction = self.stances[k].rotation;
+            Vector2::new(self.slots[k].speed * direction.re, self.slots[k].speed * direction.im)
+        });
+        self.stances[slot].inverse_transform_vector(&(other - own))
     }
 
     /// Returns the total distance that the active agents, in the first `agents` slots, moved in
     /// the last step \[m\].
-    pub(super) fn driven_by_agents(&self, agents: usize) -> f64 {
+    pub(crate) fn driven_by_agents(&self, agents: usize) -> f64 {
         let active = self.slots[..agents].iter().filter(|slot| slot.status == Status::Active);
         active.map(|slot| slot.pose.distance(&slot.before)).sum()
     }
 
     /// Recomputes queues, distances and directions from the slots' poses.
-    pub(super) fn refresh(&mut self) {
+    pub(crate) fn refresh(&mut self) {
         let n = self.slots.len();
         self.by_route.iter_mut().for_each(Vec::clear);
         for i in 0..n {
@@ -184,33 +215,6 @@ impl Traffic {
             queue.sort_unstable_by(|&a, &b| {
                 self.slots[b].s.total_cmp(&self.slots[a].s).then(a.cmp(&b))
             });
-        }
-    }
-
-    /// Assigns priority to the vehicles that have come within `near` metres of their first
-    /// conflict point, the closest vehicle first. If a vehicle's route is hidden, its distance is
-    /// the one to the first conflict point on any route that it could still take.
-    pub(super) fn take_turns(
-        &mut self,
-        routes: &[RouteGeometry],
-        intentions: Option<&Intentions>,
-        near: f64,
-    ) {
-        let to_conflict = |j: usize, slot: &Slot| {
-            let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
-            hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))
-        };
-        loop {
-            let waiting = self.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
-                let waits = slot.status != Status::Empty && slot.priority == 0;
-                let distance = if waits { to_conflict(j, slot) } else { f64::INFINITY };
-                (distance <= near).then_some((distance, slot))
-            });
-            let Some((_, next)) = waiting.min_by(|a, b| a.0.total_cmp(&b.0)) else {
-                return;
-            };
-            self.priority += 1;
-            next.priority = self.priority;
         }
     }
 }

@@ -7,9 +7,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::geometry::{Pose, Size, Stance, boxes_overlap, separation};
-use super::slots::{Slot, Status};
-use super::task::{JunctionStretch, Task};
+use super::agents::{Slot, Status};
+use super::geometry::{Pose, Size, beside, boxes_overlap, direction, separation};
+use super::map::{JunctionStretch, Map};
 use crate::sumo::Collision;
 
 /// Change in a box's length and width for tests of near contact \[m\]: half of it on every side.
@@ -95,18 +95,17 @@ fn grown(slot: &Slot, more: f64) -> Size {
 }
 
 /// Whether a part of the vehicle lies in a junction of its route for which `which` returns true.
-fn touches_junction(task: &Task, slot: &Slot, which: fn(&JunctionStretch) -> bool) -> bool {
+fn touches_junction(map: &Map, slot: &Slot, which: fn(&JunctionStretch) -> bool) -> bool {
     let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
-    task.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
+    map.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
 }
 
 /// Whether the body of `a`, bent in any way behind its front, could touch `b`.
 fn bent_meets(a: &Slot, b: &Slot) -> bool {
     let [length, width] = a.size;
-    let at: Stance = (&a.pose).into();
-    let front =
-        [at.middle[0] + at.along[0] * length / 2.0, at.middle[1] + at.along[1] * length / 2.0];
-    let front = Stance { middle: front, ..at };
+    let along = direction(&(&a.pose).into());
+    let front = [a.pose.x + along[0] * length / 2.0, a.pose.y + along[1] * length / 2.0];
+    let front = beside(front, along, 0.0);
     separation((front, [0.0; 2]), ((&b.pose).into(), b.size)) <= length + width / 2.0
 }
 
@@ -126,7 +125,7 @@ impl Ours {
     /// Returns why SUMO would not report that the two vehicles of `pair` overlap. `reported`
     /// contains all collisions that SUMO reports of their world.
     pub(super) fn reason<'a>(
-        task: &Task,
+        map: &Map,
         pair: [(u32, &Slot); 2],
         mut reported: impl Iterator<Item = &'a Collision>,
     ) -> Self {
@@ -138,10 +137,10 @@ impl Ours {
         };
         let front_inside = |slot: &Slot| {
             let front = slot.s + slot.size[0] / 2.0;
-            task.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
+            map.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
         };
         let touches =
-            |slot: &Slot, which: fn(&JunctionStretch) -> bool| touches_junction(task, slot, which);
+            |slot: &Slot, which: fn(&JunctionStretch) -> bool| touches_junction(map, slot, which);
         let of_pair = |slot: u32| pair.iter().any(|(other, _)| *other == slot);
         if touches(a, |j| j.unregulated) || touches(b, |j| j.unregulated) {
             Ours::Unregulated
@@ -174,10 +173,10 @@ pub(super) enum Sumos {
 
 impl Sumos {
     /// Returns why the box test would not see a collision of `a` and `b` that SUMO reports.
-    pub(super) fn reason(task: &Task, a: &Slot, b: &Slot) -> Self {
+    /// `steer`: whether agents steer.
+    pub(super) fn reason(map: &Map, steer: bool, a: &Slot, b: &Slot) -> Self {
         let ended = |slot: &Slot| slot.status != Status::Active;
-        let in_junction = |slot: &Slot| touches_junction(task, slot, |_| true);
-        let steer = task.scenario.control.steering.is_some();
+        let in_junction = |slot: &Slot| touches_junction(map, slot, |_| true);
         if a.status == Status::Empty || b.status == Status::Empty || (ended(a) && ended(b)) {
             Sumos::Ended
         } else if boxes_overlap((&a.pose, grown(a, NEAR)), (&b.pose, grown(b, NEAR))) {

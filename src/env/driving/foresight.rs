@@ -1,13 +1,12 @@
 //! Foresight: how closely two vehicles will pass each other if both keep to their paths and speeds.
 
-use super::geometry::{Size, Stance, separation};
-use super::intention::Candidate;
+use super::agents::{Candidate, Slot};
+use super::geometry::{Size, Stance, beside, separation};
 use super::routes::RouteGeometry;
-use super::slots::Slot;
 use crate::sumo::net::Path;
 
 /// Speed that foresight assumes for an agent that stands or drives slowly \[m/s\].
-pub(super) const DRIVING: f64 = 6.0;
+pub(crate) const DRIVING: f64 = 6.0;
 /// Largest gap between two vehicles that counts as close \[m\].
 const CLOSE: f64 = 3.0;
 /// Time step of the search for vehicles that are close: the distance that both drive in it,
@@ -17,7 +16,7 @@ const LOOK: (f64, f64, f64) = (0.6, 0.1, 0.4);
 /// Predicted motion of a vehicle along its path, at its present lateral offset and a constant speed
 /// \[m/s\].
 #[derive(Clone, Copy)]
-pub(super) struct Course<'a> {
+pub(crate) struct Course<'a> {
     path: &'a Path,
     place: Candidate,
     size: Size,
@@ -26,12 +25,12 @@ pub(super) struct Course<'a> {
 
 impl<'a> Course<'a> {
     /// The course along the vehicle's own route.
-    pub(super) fn new(routes: &'a [RouteGeometry], slot: &Slot, speed: f64) -> Self {
+    pub(crate) fn new(routes: &'a [RouteGeometry], slot: &Slot, speed: f64) -> Self {
         Self::on(routes, Candidate::of(slot), slot.size, speed)
     }
 
     /// The course along a candidate route.
-    pub(super) fn on(
+    pub(crate) fn on(
         routes: &'a [RouteGeometry],
         place: Candidate,
         size: Size,
@@ -45,7 +44,7 @@ impl<'a> Course<'a> {
     fn at(&self, time: f64, segment: &mut usize) -> Stance {
         let (point, on) = self.path.locate_from(self.place.s + self.speed * time, *segment);
         *segment = on;
-        Stance::beside(point, self.path.direction(on), self.place.lateral)
+        beside(point, self.path.direction(on), self.place.lateral)
     }
 
     /// Half the diagonal of the vehicle \[m\].
@@ -59,7 +58,7 @@ impl<'a> Course<'a> {
 ///
 /// The first number is the closeness: 0 for a gap of [`CLOSE`] or more, 1 for contact. The second
 /// is 1 if they are closest, or touch, now, and 0 at the horizon or where they do not pass closely.
-pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
+pub(crate) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let mut closest = Closest::within(horizon);
     closest.look(a, b, 0.0);
     closest.told()
@@ -68,7 +67,7 @@ pub(super) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
 /// The closest passing found so far of a vehicle and another that has several possible courses; of
 /// equally close passings the earliest.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Closest {
+pub(crate) struct Closest {
     /// Smallest gap between the two vehicles \[m\].
     least: f64,
     /// Time of the smallest gap \[s\].
@@ -77,12 +76,12 @@ pub(super) struct Closest {
 }
 
 impl Closest {
-    pub(super) fn within(horizon: f64) -> Self {
+    pub(crate) fn within(horizon: f64) -> Self {
         Self { least: CLOSE, when: horizon, horizon }
     }
 
     /// Searches a course of each vehicle for a closer passing, from time `from` on \[s\].
-    pub(super) fn look(&mut self, a: Course<'_>, b: Course<'_>, from: f64) {
+    pub(crate) fn look(&mut self, a: Course<'_>, b: Course<'_>, from: f64) {
         let (closing, reach) = (a.speed.abs() + b.speed.abs(), a.reach() + b.reach());
         let step = (LOOK.0 / closing).clamp(LOOK.1, LOOK.2);
         let mut segments = [a.place.segment, b.place.segment];
@@ -90,8 +89,7 @@ impl Closest {
         let (mut time, end) = (from, if self.least > 0.0 { self.horizon } else { self.when });
         while time < end {
             let (own, other) = (a.at(time, &mut segments[0]), b.at(time, &mut segments[1]));
-            let [dx, dy] = [0, 1].map(|axis| own.middle[axis] - other.middle[axis]);
-            let far = (dx * dx + dy * dy).sqrt() - reach;
+            let far = (own.translation.vector - other.translation.vector).norm() - reach;
             // The vehicles' orientations matter only for the few pairs that are this close.
             let apart =
                 if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
@@ -107,7 +105,7 @@ impl Closest {
     }
 
     /// Returns the two numbers of [`passing`].
-    pub(super) fn told(self) -> [f64; 2] {
+    pub(crate) fn told(self) -> [f64; 2] {
         [1.0 - self.least / CLOSE, 1.0 - self.when / self.horizon]
     }
 }
@@ -118,8 +116,8 @@ mod tests {
 
     use proptest::prelude::*;
 
-    use super::super::Task;
-    use super::super::slots::EMPTY;
+    use super::super::agents::EMPTY;
+    use super::super::task::Task;
     use super::*;
     use crate::scenario::Scenario;
 
@@ -185,7 +183,7 @@ mod tests {
             let path = File::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
             let task = Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task");
             let slots = [0, 1].map(|i| Slot { route: routes[i], s: s[i], lateral: lateral[i], size: SIZE, ..EMPTY });
-            let [a, b] = [0, 1].map(|i| Course::new(&task.routes, &slots[i], speed[i]));
+            let [a, b] = [0, 1].map(|i| Course::new(&task.map.routes, &slots[i], speed[i]));
             let [close, soon] = passing(a, b, HORIZON);
             prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");
             let (apart, when) = (CLOSE * (1.0 - close), HORIZON * (1.0 - soon));

@@ -1,7 +1,8 @@
 //! What learners and observers get to see of a world.
 
-use crate::env::geometry::{Pose, Size};
-use crate::env::slots::Outcome;
+use super::agents::{Outcome, Slot, Status};
+use super::geometry::{Pose, Size};
+use super::task::Task;
 
 /// What a world gives to agents and learners after an exchange. Reused from step to step.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +32,45 @@ pub struct Frame {
     pub interrupted: bool,
 }
 
+impl Frame {
+    /// Returns the frame of a world without agents.
+    pub(super) fn new(task: &Task) -> Self {
+        let n = task.agents;
+        let shares = task.scenario.reward.share_range.is_finite();
+        Self {
+            observation: vec![0.0; n * task.spec.observation.len()],
+            state: vec![0.0; n * task.spec.state.len()],
+            comm: vec![0.0; n * n],
+            active: vec![0.0; n],
+            start: false,
+            reward: vec![0.0; n],
+            sharing: vec![0.0; if shares { n * n } else { 0 }],
+            terminated: vec![0.0; n],
+            truncated: vec![0.0; n],
+            interrupted: false,
+        }
+    }
+
+    /// Begins the frame after a respawn (`start`) or a step: nobody has ended yet.
+    pub(super) fn begin(&mut self, start: bool) {
+        self.start = start;
+        self.terminated.fill(0.0);
+        self.truncated.fill(0.0);
+    }
+
+    /// Truncates all active agents because the simulation broke off.
+    pub(super) fn interrupt(&mut self) {
+        for (truncated, active) in self.truncated.iter_mut().zip(&mut self.active) {
+            *truncated = *active;
+            *active = 0.0;
+        }
+        self.reward.fill(0.0);
+        self.terminated.fill(0.0);
+        self.start = false;
+        self.interrupted = true;
+    }
+}
+
 /// An agent as an observer sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct AgentView {
@@ -54,6 +94,22 @@ pub struct AgentView {
     pub reward: f64,
 }
 
+impl AgentView {
+    pub(super) fn new(slot: &Slot, reward: f64) -> Self {
+        Self {
+            driving: slot.status == Status::Active,
+            wreck: slot.status == Status::Wreck,
+            outcome: slot.outcome,
+            pose: slot.pose,
+            route: slot.route,
+            position: slot.s,
+            lateral: slot.lateral,
+            speed: slot.speed,
+            reward,
+        }
+    }
+}
+
 /// A background vehicle as an observer sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OtherView {
@@ -69,4 +125,17 @@ pub struct OtherView {
     pub position: f64,
     /// Forward speed \[m/s\].
     pub speed: f64,
+}
+
+impl OtherView {
+    pub(super) fn new(slot: &Slot) -> Self {
+        Self {
+            wreck: slot.status == Status::Wreck,
+            pose: slot.pose,
+            size: slot.size,
+            route: slot.route,
+            position: slot.s,
+            speed: slot.speed,
+        }
+    }
 }

@@ -1,5 +1,7 @@
 //! Oriented boxes and their overlap: the collision test that does not depend on SUMO.
 
+use nalgebra::{Isometry2, Translation2, UnitComplex, Vector2};
+
 /// Pose of a vehicle's centre.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose {
@@ -12,8 +14,13 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// Returns the centre \[m\].
+    pub(crate) fn point(&self) -> [f64; 2] {
+        [self.x, self.y]
+    }
+
     /// Returns the pose `lateral` metres to the left of a point.
-    pub(super) fn beside(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
+    pub(crate) fn beside(point: [f64; 2], heading: f64, lateral: f64) -> Pose {
         let (sin, cos) = heading.sin_cos();
         Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
     }
@@ -38,25 +45,22 @@ impl Pose {
     }
 }
 
-/// Middle of a box \[m\], and the unit vector along its length.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Stance {
-    pub(super) middle: [f64; 2],
-    pub(super) along: [f64; 2],
-}
-
-impl Stance {
-    /// Returns the stance `lateral` metres to the left of a point.
-    pub(super) fn beside(point: [f64; 2], along: [f64; 2], lateral: f64) -> Self {
-        Self { middle: [point[0] - lateral * along[1], point[1] + lateral * along[0]], along }
-    }
-}
+/// Middle and direction of a box or vehicle, with the direction as a unit vector: a rotation and a
+/// translation of the vehicle's own frame (forward, left) into the net.
+pub(crate) type Stance = Isometry2<f64>;
 
 impl From<&Pose> for Stance {
     fn from(pose: &Pose) -> Self {
-        let (sin, cos) = pose.heading.sin_cos();
-        Self { middle: [pose.x, pose.y], along: [cos, sin] }
+        Self::new(Vector2::new(pose.x, pose.y), pose.heading)
     }
+}
+
+/// Returns the stance `lateral` metres to the left of a point, with this unit vector as direction.
+pub(crate) fn beside([x, y]: [f64; 2], [cos, sin]: [f64; 2], lateral: f64) -> Stance {
+    Stance::from_parts(
+        Translation2::new(x - lateral * sin, y + lateral * cos),
+        UnitComplex::from_cos_sin_unchecked(cos, sin),
+    )
 }
 
 /// Length and width of a box \[m\].
@@ -64,14 +68,15 @@ pub type Size = [f64; 2];
 
 /// Returns the largest gap between two boxes along any of the four axes of their sides \[m\]: at
 /// most their distance, and negative where they overlap.
-pub(super) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size)) -> f64 {
-    let (dx, dy) = (b.middle[0] - a.middle[0], b.middle[1] - a.middle[1]);
-    let apart = |[c, s]: [f64; 2], [along, across]: [f64; 2]| {
-        ((dx * c + dy * s).abs() - along).max((dy * c - dx * s).abs() - across)
+pub(crate) fn separation((a, a_size): (Stance, Size), (b, b_size): (Stance, Size)) -> f64 {
+    let between = b.translation.vector - a.translation.vector;
+    let apart = |rotation: UnitComplex<f64>, [along, across]: [f64; 2]| {
+        let between = rotation.inverse_transform_vector(&between);
+        (between.x.abs() - along).max(between.y.abs() - across)
     };
-    let turned = turned(a.along, b.along);
-    apart(a.along, reaches(turned, a_size, b_size))
-        .max(apart(b.along, reaches(turned, b_size, a_size)))
+    let turned = turned(&a, &b);
+    apart(a.rotation, reaches(turned, a_size, b_size))
+        .max(apart(b.rotation, reaches(turned, b_size, a_size)))
 }
 
 /// Whether two boxes overlap (separating axis test).
@@ -81,9 +86,10 @@ pub fn boxes_overlap((a, a_size): (&Pose, Size), (b, b_size): (&Pose, Size)) -> 
     dx * dx + dy * dy <= reach * reach && separation((a.into(), a_size), (b.into(), b_size)) <= 0.0
 }
 
-/// Returns the magnitudes of the cosine and the sine of the angle between two unit vectors.
-fn turned(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    [(a[0] * b[0] + a[1] * b[1]).abs(), (a[0] * b[1] - a[1] * b[0]).abs()]
+/// Returns the magnitudes of the cosine and the sine of the angle between two directions.
+fn turned(a: &Stance, b: &Stance) -> [f64; 2] {
+    let turn = a.rotation.rotation_to(&b.rotation);
+    [turn.re.abs(), turn.im.abs()]
 }
 
 /// Returns the distances between two centres \[m\], along the length and the width of box `own`,
@@ -94,27 +100,33 @@ fn reaches([cos, sin]: [f64; 2], own: Size, other: Size) -> [f64; 2] {
     [own_l + half_l * cos + half_w * sin, own_w + half_l * sin + half_w * cos]
 }
 
+/// Returns the unit vector in which a stance points.
+pub(crate) fn direction(stance: &Stance) -> [f64; 2] {
+    [stance.rotation.re, stance.rotation.im]
+}
+
 /// Returns the time \[s\] until two boxes touch if both go straight on at their speeds \[m/s\]: 0
 /// where they overlap, `None` where they never touch.
-pub(super) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
+pub(crate) fn time_to_contact(a: (&Pose, Size, f64), b: (&Pose, Size, f64)) -> Option<f64> {
     let stances = [a.0, b.0].map(Stance::from);
-    let [own, other] = stances.map(|stance| stance.along);
-    let [dx, dy] = [0, 1].map(|axis| stances[1].middle[axis] - stances[0].middle[axis]);
-    let [vx, vy] = [0, 1].map(|axis| b.2 * other[axis] - a.2 * own[axis]);
-    let onto = |x: f64, y: f64| {
-        let [own, other] = [own, other].map(|[c, s]| [x * c + y * s, y * c - x * s]);
-        [own[0], own[1], other[0], other[1]]
+    let [own, other] = stances.map(|stance| stance.rotation);
+    let between = stances[1].translation.vector - stances[0].translation.vector;
+    let velocity =
+        [0, 1].map(|axis| b.2 * direction(&stances[1])[axis] - a.2 * direction(&stances[0])[axis]);
+    let onto = |vector: Vector2<f64>| {
+        let [own, other] = [own, other].map(|axes| axes.inverse_transform_vector(&vector));
+        [own.x, own.y, other.x, other.y]
     };
-    let turned = turned(own, other);
+    let turned = turned(&stances[0], &stances[1]);
     let ([l, w], [other_l, other_w]) = (reaches(turned, a.1, b.1), reaches(turned, b.1, a.1));
     // Boxes overlap while they do so along all four axes.
-    let [from, to] = stretch(onto(dx, dy), onto(vx, vy), [l, w, other_l, other_w])?;
+    let [from, to] = stretch(onto(between), onto(velocity.into()), [l, w, other_l, other_w])?;
     (to >= 0.0).then_some(from.max(0.0))
 }
 
 /// Returns the first and last time at which a point that starts at `at` and moves by `displacement` per unit
 /// of time is within `half` of zero along every axis; `None` if it never is.
-pub(super) fn stretch<const N: usize>(
+pub(crate) fn stretch<const N: usize>(
     at: [f64; N],
     displacement: [f64; N],
     half: [f64; N],
@@ -132,6 +144,22 @@ pub(super) fn stretch<const N: usize>(
         (from, to) = (from.max(times[0].min(times[1])), to.min(times[0].max(times[1])));
     }
     (from <= to).then_some([from, to])
+}
+
+/// Returns a function that maps a unit vector to the distance from point `from`, in its direction,
+/// to a box with sides `2 · half` \[m\]: 0 from inside the box, `None` where the direction misses
+/// it.
+pub(crate) fn to_box(
+    from: [f64; 2],
+    target: Stance,
+    half: [f64; 2],
+) -> impl Fn([f64; 2]) -> Option<f64> {
+    let at = target.inverse_transform_point(&from.into()).coords.into();
+    move |along| {
+        let along = target.rotation.inverse_transform_vector(&along.into()).into();
+        let [enter, leave] = stretch(at, along, half)?;
+        (leave >= 0.0).then_some(enter.max(0.0))
+    }
 }
 
 #[cfg(test)]

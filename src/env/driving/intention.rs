@@ -7,14 +7,13 @@
 //! feature group reads other vehicles' routes through [`Knowledge::candidates`] and
 //! [`Knowledge::on_route`] only.
 
+use super::agents::{Candidate, Slot, Status, Traffic};
 use super::foresight::{Closest, Course};
-use super::geometry::Stance;
-use super::lidar::to_box;
+use super::forks::{Forks, Passage};
+use super::geometry::{Stance, direction, to_box};
+use super::map::Map;
 use super::routes::RouteGeometry;
-use super::slots::{Slot, Status, Traffic};
-use super::task::Task;
-use crate::scenario::Intention;
-use crate::sumo::net::{EdgeFunction, Net, Path};
+use crate::scenario::{Intention, Observation};
 
 /// A route is open while its path is at most this much farther from the vehicle than the path of
 /// the nearest candidate \[m\].
@@ -22,147 +21,6 @@ const PARTED: f64 = 1.0;
 /// Distance that is added for a path at right angles to the vehicle's heading; a path in the
 /// opposite direction counts as twice as far \[m\].
 const ACROSS: f64 = 3.0;
-
-/// A route that a vehicle may be on, and the vehicle's position on it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Candidate {
-    pub(super) route: usize,
-    /// Position of the vehicle's centre along the route \[m\].
-    pub(super) s: f64,
-    /// Offset from the route's path, positive to the left \[m\].
-    pub(super) lateral: f64,
-    /// Segment of the path at which a search for positions begins.
-    pub(super) segment: usize,
-}
-
-impl Candidate {
-    /// Returns the route that the vehicle is on.
-    pub(super) fn of(slot: &Slot) -> Self {
-        Self { route: slot.route, s: slot.s, lateral: slot.lateral, segment: slot.segment }
-    }
-}
-
-/// What an indicator shows. A U-turn is signalled as a left turn (in left-hand traffic as a right
-/// turn).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Indicator {
-    Off,
-    Left,
-    Right,
-}
-
-impl Indicator {
-    /// Returns the indicator for a connection's `dir` in a SUMO net.
-    fn of(direction: &str) -> Self {
-        match direction {
-            "l" | "L" | "t" => Self::Left,
-            "r" | "R" | "T" => Self::Right,
-            _ => Self::Off,
-        }
-    }
-}
-
-/// A route's passage through a junction, in positions along the route's path \[m\].
-#[derive(Debug, Clone, Copy)]
-struct Passage {
-    /// Index into the net's junctions; `None` where the net does not list the junction.
-    junction: Option<usize>,
-    from: f64,
-    to: f64,
-    indicator: Indicator,
-}
-
-/// Which routes of a task begin alike, and where they part.
-#[derive(Debug, Clone)]
-pub(super) struct Forks {
-    /// For every route: the routes that begin like it, itself included, in ascending order.
-    alike: Vec<Vec<usize>>,
-    /// For every route and each of its `alike`: position up to which both paths have the same
-    /// points \[m\].
-    together: Vec<Vec<f64>>,
-    /// For every route: its junctions, in driving order.
-    passages: Vec<Vec<Passage>>,
-}
-
-impl Forks {
-    pub(super) fn new(net: &Net, routes: &[RouteGeometry]) -> Self {
-        // Routes that begin alike get one label, the smallest of their indices.
-        let mut labels: Vec<usize> = (0..routes.len()).collect();
-        for a in 0..routes.len() {
-            for b in 0..a {
-                if labels[a] != labels[b] && begin_alike(&routes[a], &routes[b]) {
-                    let (kept, gone) = (labels[a].min(labels[b]), labels[a].max(labels[b]));
-                    labels
-                        .iter_mut()
-                        .filter(|label| **label == gone)
-                        .for_each(|label| *label = kept);
-                }
-            }
-        }
-        let like =
-            |a: usize| (0..routes.len()).filter(|&b| labels[b] == labels[a]).collect::<Vec<_>>();
-        let alike: Vec<Vec<usize>> = (0..routes.len()).map(like).collect();
-        let together = |(a, alike): (usize, &Vec<usize>)| {
-            alike.iter().map(|&b| common_length(&routes[a].path, &routes[b].path)).collect()
-        };
-        let together = alike.iter().enumerate().map(together).collect();
-        Self {
-            alike,
-            together,
-            passages: routes.iter().map(|route| passages(net, &route.path)).collect(),
-        }
-    }
-
-    /// Returns how far a vehicle can drive along both candidate routes until their paths part
-    /// \[m\]; 0 where they have parted.
-    fn until_parted(&self, a: &Candidate, b: &Candidate) -> f64 {
-        let same = a.s == b.s && a.lateral == b.lateral;
-        let place = self.alike[a.route].iter().position(|&route| same && route == b.route);
-        place.map_or(0.0, |k| (self.together[a.route][k] - a.s).max(0.0))
-    }
-}
-
-/// Whether one of two routes begins on the other.
-fn begin_alike(a: &RouteGeometry, b: &RouteGeometry) -> bool {
-    if a.is_walked() != b.is_walked() {
-        return false;
-    }
-    let begins_on = |a: &Path, b: &Path| {
-        if let Some(lane) = a.lanes.first() {
-            return b.lanes.contains(lane);
-        }
-        let (_, lateral, segment) = b.nearest(a.points[0]);
-        let ([ax, ay], [bx, by]) = (a.direction(0), b.direction(segment));
-        lateral.abs() < 0.1 && ax * bx + ay * by > 0.99
-    };
-    begins_on(a.lanes(), b.lanes()) || begins_on(b.lanes(), a.lanes())
-}
-
-/// Returns the position up to which two paths have the same points \[m\].
-fn common_length(a: &Path, b: &Path) -> f64 {
-    let common = a.points.iter().zip(&b.points).take_while(|(p, q)| p == q).count();
-    common.checked_sub(1).map_or(0.0, |last| a.cumulative[last])
-}
-
-fn passages(net: &Net, path: &Path) -> Vec<Passage> {
-    let stretches: Vec<(usize, f64, f64)> = path.lane_stretches().collect();
-    let is_road =
-        |k: &usize| net.edges[net.lanes[stretches[*k].0].edge].function == EdgeFunction::Normal;
-    let roads: Vec<usize> = (0..stretches.len()).filter(is_road).collect();
-    let passage = |pair: &[usize]| {
-        let [(lane, _, from), (next, to, _)] = [stretches[pair[0]], stretches[pair[1]]];
-        let via = (pair[1] > pair[0] + 1).then(|| stretches[pair[0] + 1].0);
-        let connection = net.connections_from(lane).find(|c| c.to == next && c.via == via);
-        let id = net.edges[net.lanes[lane].edge].to.as_deref();
-        Passage {
-            junction: net.junctions.iter().position(|junction| Some(junction.id.as_str()) == id),
-            from,
-            to,
-            indicator: connection.map_or(Indicator::Off, |c| Indicator::of(&c.dir)),
-        }
-    };
-    roads.windows(2).map(passage).collect()
-}
 
 /// A candidate route of a vehicle, as of the last update.
 #[derive(Debug, Clone, Copy)]
@@ -186,7 +44,11 @@ struct Queued {
 
 /// The candidates of all vehicles of a world.
 #[derive(Debug, Clone)]
-pub(super) struct Intentions {
+pub(crate) struct Intentions {
+    /// What the scenario lets agents observe.
+    observation: Observation,
+    /// Number of agents, whose slots come first.
+    agents: usize,
     /// Largest number of candidates that a vehicle can have.
     most: usize,
     /// Candidates of all slots, `[slots, most]`.
@@ -202,40 +64,45 @@ pub(super) struct Intentions {
 }
 
 impl Intentions {
-    /// Returns the candidates for a task, before an episode; `None` where all routes are known.
-    pub(super) fn new(task: &Task) -> Option<Self> {
-        let most = task.forks.alike.iter().map(Vec::len).max().unwrap_or(0);
-        if task.scenario.observation.intention == Intention::Seen || most < 2 {
+    /// Returns the candidates of `slots` vehicles, of which the first `agents` are agents, before an
+    /// episode; `None` where all routes are known.
+    pub(crate) fn new(
+        map: &Map,
+        observation: Observation,
+        agents: usize,
+        slots: usize,
+    ) -> Option<Self> {
+        let most = map.forks.alike.iter().map(Vec::len).max().unwrap_or(0);
+        if observation.intention == Intention::Seen || most < 2 {
             return None;
         }
         let none = Candidate { route: 0, s: 0.0, lateral: 0.0, segment: 0 };
-        let slots = task.slots();
+        let none = Tracked { candidate: none, apart: 0.0, open: false, agrees: false };
         Some(Self {
+            observation,
+            agents,
             most,
-            tracked: vec![
-                Tracked { candidate: none, apart: 0.0, open: false, agrees: false };
-                slots * most
-            ],
+            tracked: vec![none; slots * most],
             counts: vec![0; slots],
-            queues: vec![Vec::with_capacity(slots); task.routes.len()],
+            queues: vec![Vec::with_capacity(slots); map.routes.len()],
             sees_indicator: vec![false; slots * slots],
         })
     }
 
     /// Begins a new episode: forgets where vehicles have been.
-    pub(super) fn begin(&mut self) {
+    pub(crate) fn begin(&mut self) {
         self.counts.fill(0);
     }
 
     /// Updates the candidates from the vehicles' poses. `steers`: whether agents steer, so that
     /// they follow their routes' paths; SUMO keeps all other vehicles on lanes.
-    pub(super) fn update(&mut self, task: &Task, traffic: &Traffic, steers: bool) {
-        let seen = &task.scenario.observation;
-        let signals = (seen.intention == Intention::Signalled).then_some(seen.signal_distance);
+    pub(crate) fn update(&mut self, map: &Map, traffic: &Traffic, steers: bool) {
+        let signals = (self.observation.intention == Intention::Signalled)
+            .then_some(self.observation.signal_distance);
         self.queues.iter_mut().for_each(Vec::clear);
         for (j, slot) in traffic.slots.iter().enumerate() {
             let begins = std::mem::take(&mut self.counts[j]) == 0;
-            let alike = &task.forks.alike[slot.route];
+            let alike = &map.forks.alike[slot.route];
             if slot.status == Status::Empty {
                 continue;
             }
@@ -247,19 +114,19 @@ impl Intentions {
             let tracked = &mut self.tracked[j * self.most..][..alike.len()];
             for (entry, &route) in tracked.iter_mut().zip(alike) {
                 let hint = (!begins).then_some(entry.candidate.segment);
-                let geometry = &task.routes[route];
+                let geometry = &map.routes[route];
                 *entry = locate(
                     geometry,
                     route,
                     slot,
                     traffic.stance(j),
                     hint,
-                    steers && j < task.agents,
+                    steers && j < self.agents,
                 );
             }
             close_parted(tracked);
             if let Some(distance) = signals {
-                read_indicator(&task.forks, slot, distance, tracked);
+                read_indicator(&map.forks, slot, distance, tracked);
             }
             for entry in tracked.iter().filter(|entry| entry.open) {
                 let queued = Queued { slot: j, s: entry.candidate.s, agrees: entry.agrees };
@@ -270,7 +137,7 @@ impl Intentions {
             queue.sort_unstable_by(|a, b| b.s.total_cmp(&a.s).then(a.slot.cmp(&b.slot)));
         }
         if signals.is_some() {
-            self.look(task, traffic);
+            self.look(traffic);
         }
     }
 
@@ -282,22 +149,22 @@ impl Intentions {
 
     /// Returns the vehicle's distance to the first conflict point on any open route \[m\]; `None`
     /// where its route is known.
-    pub(super) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
+    pub(crate) fn to_first_conflict(&self, routes: &[RouteGeometry], slot: usize) -> Option<f64> {
         let open = self.of(slot).iter().filter(|entry| entry.open);
         open.map(|entry| routes[entry.candidate.route].to_first_conflict(entry.candidate.s))
             .min_by(f64::total_cmp)
     }
 
     /// Determines which agents see which indicators.
-    fn look(&mut self, task: &Task, traffic: &Traffic) {
+    fn look(&mut self, traffic: &Traffic) {
         let (slots, n) = (&traffic.slots, traffic.slots.len());
         self.sees_indicator.fill(false);
         for j in 0..n {
             if self.of(j).iter().all(|entry| entry.agrees || !entry.open) {
                 continue;
             }
-            for i in (0..task.agents).filter(|&i| i != j && slots[i].status == Status::Active) {
-                let near = traffic.distance(i, j) <= task.scenario.observation.detection_range;
+            for i in (0..self.agents).filter(|&i| i != j && slots[i].status == Status::Active) {
+                let near = traffic.distance(i, j) <= self.observation.detection_range;
                 self.sees_indicator[i * n + j] = near && in_sight(traffic, i, j);
             }
         }
@@ -321,7 +188,7 @@ fn locate(
     let s = if on_path { s } else { geometry.on_way(s) };
     let outside = (-s).max(s - geometry.path.length()) - slot.size[0];
     let candidate = Candidate { route, s, lateral, segment };
-    let ([x, y], [u, v]) = (stance.along, path.direction(segment));
+    let ([x, y], [u, v]) = (direction(&stance), path.direction(segment));
     let apart = lateral.abs() + outside.max(0.0) + ACROSS * (1.0 - x * u - y * v);
     Tracked { candidate, apart, open: true, agrees: true }
 }
@@ -363,14 +230,14 @@ fn read_indicator(forks: &Forks, slot: &Slot, distance: f64, tracked: &mut [Trac
 /// Whether no third vehicle's body is on the line between the centres of two vehicles.
 fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
     let distance = traffic.distance(i, j);
-    let [from, to] = [i, j].map(|k| traffic.stance(k).middle);
-    let along = [0, 1].map(|axis| (to[axis] - from[axis]) / distance.max(f64::MIN_POSITIVE));
+    let [from, to] = [i, j].map(|k| traffic.stance(k).translation.vector);
+    let along = ((to - from) / distance.max(f64::MIN_POSITIVE)).into();
     let hides = |(k, body): (usize, &Slot)| {
         let half = body.size.map(|side| side / 2.0);
         let third = k != i && k != j && body.status != Status::Empty;
         third
             && traffic.distance(i, k) <= distance + half[0] + half[1]
-            && to_box(from, traffic.stance(k), half)(along)
+            && to_box(from.into(), traffic.stance(k), half)(along)
                 .is_some_and(|to_body| to_body < distance)
     };
     !traffic.slots.iter().enumerate().any(hides)
@@ -378,9 +245,9 @@ fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
 
 /// What is known about the vehicles' routes, to one agent or to all.
 #[derive(Clone, Copy)]
-pub(super) struct Knowledge<'a> {
-    pub(super) routes: &'a [RouteGeometry],
-    pub(super) traffic: &'a Traffic,
+pub(crate) struct Knowledge<'a> {
+    pub(crate) routes: &'a [RouteGeometry],
+    pub(crate) traffic: &'a Traffic,
     hidden: Option<(&'a Intentions, &'a Forks)>,
     /// The agent whose sight decides which indicators are known; without an agent, none is.
     reader: Option<usize>,
@@ -388,28 +255,28 @@ pub(super) struct Knowledge<'a> {
 
 impl<'a> Knowledge<'a> {
     /// All routes are known: for the privileged state and for drivers that follow rules.
-    pub(super) fn full(routes: &'a [RouteGeometry], traffic: &'a Traffic) -> Self {
+    pub(crate) fn full(routes: &'a [RouteGeometry], traffic: &'a Traffic) -> Self {
         Self { routes, traffic, hidden: None, reader: None }
     }
 
     /// All routes are known, except for those that the scenario hides: what every agent knows
     /// without seeing indicators.
-    pub(super) fn public(
-        task: &'a Task,
+    pub(crate) fn public(
+        map: &'a Map,
         traffic: &'a Traffic,
         intentions: Option<&'a Intentions>,
     ) -> Self {
-        let hidden = intentions.map(|intentions| (intentions, &task.forks));
-        Self { hidden, ..Self::full(&task.routes, traffic) }
+        let hidden = intentions.map(|intentions| (intentions, &map.forks));
+        Self { hidden, ..Self::full(&map.routes, traffic) }
     }
 
     /// What the agent of slot `reader` knows of the other vehicles.
-    pub(super) fn to(self, reader: usize) -> Self {
+    pub(crate) fn to(self, reader: usize) -> Self {
         Self { reader: Some(reader), ..self }
     }
 
     /// Returns the routes that the vehicle of a slot may take, at least one, in ascending order.
-    pub(super) fn candidates(
+    pub(crate) fn candidates(
         self,
         slot: usize,
     ) -> impl Iterator<Item = Candidate> + Clone + use<'a> {
@@ -422,7 +289,7 @@ impl<'a> Knowledge<'a> {
 
     /// Returns the [`Knowledge::candidates`], each with the distance that it has in common with an
     /// earlier candidate \[m\].
-    pub(super) fn branches(self, slot: usize) -> impl Iterator<Item = (Candidate, f64)> + use<'a> {
+    pub(crate) fn branches(self, slot: usize) -> impl Iterator<Item = (Candidate, f64)> + use<'a> {
         let all = self.candidates(slot);
         let branch = move |(k, one): (usize, Candidate)| {
             let common = |other: Candidate| self.until_parted(&other, &one);
@@ -431,15 +298,21 @@ impl<'a> Knowledge<'a> {
         self.candidates(slot).enumerate().map(branch)
     }
 
-    /// Returns how far a vehicle can drive along two of its candidate routes until they part \[m\].
-    pub(super) fn until_parted(self, a: &Candidate, b: &Candidate) -> f64 {
-        self.hidden.map_or(0.0, |(_, forks)| forks.until_parted(a, b))
+    /// Returns how far a vehicle can drive along two of its candidate routes until their paths part
+    /// \[m\]; 0 where they have parted.
+    pub(crate) fn until_parted(self, a: &Candidate, b: &Candidate) -> f64 {
+        let same = a.s == b.s && a.lateral == b.lateral;
+        let together = self.hidden.and_then(|(_, forks)| {
+            let k = forks.alike[a.route].iter().position(|&route| same && route == b.route)?;
+            Some((forks.together[a.route][k] - a.s).max(0.0))
+        });
+        together.unwrap_or(0.0)
     }
 
     /// Returns the closest passing, as [`passing`](super::foresight::passing) does, of a course and
     /// the vehicle of `slot` at `speed` \[m/s\] on any of its candidate routes, within `horizon`
     /// \[s\].
-    pub(super) fn closest(
+    pub(crate) fn closest(
         self,
         course: Course<'_>,
         slot: usize,
@@ -465,7 +338,7 @@ impl<'a> Knowledge<'a> {
 
     /// Returns positions \[m\] and slots of the vehicles that may be on a route, furthest along
     /// first.
-    pub(super) fn on_route(
+    pub(crate) fn on_route(
         self,
         route: usize,
     ) -> impl Iterator<Item = (f64, usize)> + Clone + use<'a> {

@@ -3,9 +3,10 @@
 //! A policy that is rewarded for being on the road may learn to wait in front of its finish. Such
 //! an agent is safe and arrives in the end, so success, safety and crashes do not reveal it.
 
-use super::geometry::{Pose, Size, boxes_overlap};
-use super::slots::{Slot, Status};
-use super::task::Task;
+use super::agents::{Slot, Status};
+use super::geometry::{Pose, boxes_overlap};
+use super::map::Map;
+use super::routes::RouteGeometry;
 
 /// Largest distance from an agent's centre to its finish line, on either side, at which it can
 /// loiter \[m\].
@@ -39,32 +40,29 @@ impl Loitering {
     }
 }
 
-/// Adds one step to the loitering time of every agent that loiters in it.
-pub(super) fn watch(task: &Task, slots: &mut [Slot]) {
-    for agent in 0..task.agents {
+/// Adds one step of `interval` seconds to the loitering time of every agent that loiters in it.
+/// `agents` are those of the first slots.
+pub(super) fn watch(map: &Map, interval: f64, slots: &[Slot], agents: &mut [Loitering]) {
+    for (agent, loitering) in agents.iter_mut().enumerate() {
         let own = &slots[agent];
         if own.status != Status::Active {
             continue;
         }
-        let has_moved = own.loitering.has_moved || own.speed.abs() > MOVING;
-        let slow = has_moved && own.speed.abs() < SLOW;
-        let near = (task.routes[own.route].arrival - own.s).abs() <= NEAR;
-        let loiters = slow && near && !is_anyone_ahead(task, slots, agent);
-        let loitering = &mut slots[agent].loitering;
-        loitering.has_moved = has_moved;
-        if loiters {
-            loitering.time += task.scenario.control.interval;
+        loitering.has_moved |= own.speed.abs() > MOVING;
+        let slow = loitering.has_moved && own.speed.abs() < SLOW;
+        let route = &map.routes[own.route];
+        let near = (route.arrival - own.s).abs() <= NEAR;
+        if slow && near && !is_anyone_ahead(route, slots, agent) {
+            loitering.time += interval;
         }
     }
 }
 
 /// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's path to its finish: on
 /// a lane that both routes use, or with its body where the agent's body has to pass.
-fn is_anyone_ahead(task: &Task, slots: &[Slot], agent: usize) -> bool {
+fn is_anyone_ahead(route: &RouteGeometry, slots: &[Slot], agent: usize) -> bool {
     let own = &slots[agent];
-    let route = &task.routes[own.route];
     let end = route.arrival + own.size[0] / 2.0;
-    let places: Vec<Pose> = places_to_finish(task, own).collect();
     slots.iter().enumerate().any(|(j, other)| {
         let there = j != agent && other.departed && other.status != Status::Empty;
         let reach = NEAR + own.size[0] + other.size[0];
@@ -72,18 +70,14 @@ fn is_anyone_ahead(task: &Task, slots: &[Slot], agent: usize) -> bool {
             return false;
         }
         let shared = route.shared_position(other.route, other.s);
-        let on_way = shared.is_some_and(|s| s > own.s && s - other.size[0] / 2.0 < end);
-        on_way || places.iter().any(|place| touches((place, own.size), other))
+        let on_path = shared.is_some_and(|s| s > own.s && s - other.size[0] / 2.0 < end);
+        let body = (&other.pose, other.size);
+        on_path || poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
     })
 }
 
-fn touches((pose, size): (&Pose, Size), other: &Slot) -> bool {
-    boxes_overlap((pose, size), (&other.pose, other.size))
-}
-
 /// Returns the agent's poses on the rest of its path, at its present lateral offset.
-fn places_to_finish<'a>(task: &'a Task, own: &'a Slot) -> impl Iterator<Item = Pose> + 'a {
-    let route = &task.routes[own.route];
+fn poses_to_finish(route: &RouteGeometry, own: &Slot) -> impl Iterator<Item = Pose> {
     let steps = ((route.arrival - own.s).max(0.0) / SPACING).ceil() as u32;
     (1..=steps).map(move |k| {
         let (point, heading) = route.path.at((own.s + f64::from(k) * SPACING).min(route.arrival));

@@ -1,70 +1,71 @@
 //! Pure pursuit (Coulter 1992): the front wheels steer onto the circle through a point ahead on the
 //! path.
 
-use std::f64::consts::{FRAC_PI_2, PI};
-
-use super::geometry::Pose;
-use super::steering::least_radius;
+use super::fcfs::giving_way;
+use crate::env::driving::agents::Status;
+use crate::env::driving::geometry::Pose;
+use crate::env::driving::world::World;
 use crate::scenario::Steering;
 use crate::sumo::net::Path;
 
 /// Distance along the path to the point ahead \[m\].
 const LOOK_AHEAD: f64 = 4.0;
-/// Radius of the U-turn arc in multiples of the vehicle's least turning radius, where the path's
-/// own U-turn is too narrow. With this and [`SWING`] the vehicle stays on the road at 6 m/s.
-const BACK: f64 = 1.5;
-/// Radius of the arcs that swing out for the U-turn and back, in the same unit.
-const SWING: f64 = 2.5;
+
+/// A rule-based policy that follows its route by pure pursuit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pursuit {
+    /// Speed \[m/s\].
+    pub speed: f64,
+    /// Whether the policy gives way by the rule first come, first served; otherwise it ignores
+    /// other vehicles.
+    pub gives_way: bool,
+}
+
+impl World {
+    /// Writes the actions of such a policy for all slots, `[N, A]`.
+    ///
+    /// # Panics
+    /// If the policy gives way and the world does not keep the right of way ([`Driver::Rules`](crate::env::Driver::Rules)).
+    pub fn pursue(&self, Pursuit { speed, gives_way }: Pursuit, actions: &mut [f32]) {
+        let (task, n) = (self.task(), self.task().agents);
+        let reverses = task.scenario.control.steering.is_some_and(|steering| steering.reverse);
+        let waits = if gives_way {
+            assert!(self.keeps_right_of_way(), "the world knows no priorities");
+            giving_way(task, self.traffic())
+        } else {
+            vec![false; n]
+        };
+        for (i, action) in actions.chunks_mut(task.spec.actions.len()).enumerate() {
+            let [steer, throttle] = self.pursuit(i, if waits[i] { 0.0 } else { speed });
+            // Where full brake does not drive backwards, it stops the vehicle fastest.
+            let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
+            // A vehicle that does not steer has the throttle as its only action.
+            action
+                .iter_mut()
+                .zip(&wanted[2 - task.spec.actions.len()..])
+                .for_each(|(to, from)| *to = *from as f32);
+        }
+    }
+
+    /// Returns steering and throttle with which the agent of a slot follows its route at
+    /// `speed` \[m/s\]. Steering is by pure pursuit; the throttle closes a gap in speed within
+    /// half a second.
+    pub fn pursuit(&self, slot: usize, speed: f64) -> [f64; 2] {
+        let (task, own) = (self.task(), &self.traffic().slots[slot]);
+        let control = &task.scenario.control;
+        let throttle = ((speed - own.speed) / (0.5 * control.accel)).clamp(-1.0, 1.0);
+        let Some(steering) = control.steering.filter(|_| own.status == Status::Active) else {
+            return [0.0, throttle];
+        };
+        [steer(&steering, &task.map.routes[own.route].path, own.s, &own.pose), throttle]
+    }
+}
 
 /// Returns the steering command, -1 to 1 (left), of a vehicle at position `s` on a path.
-pub(super) fn steer(steering: &Steering, path: &Path, s: f64, pose: &Pose) -> f64 {
+pub(crate) fn steer(steering: &Steering, path: &Path, s: f64, pose: &Pose) -> f64 {
     let ([x, y], _) = path.at(s + LOOK_AHEAD);
     let (dx, dy) = (x - pose.x, y - pose.y);
     let bearing = dy.atan2(dx) - pose.heading;
     let wheel = (2.0 * steering.wheelbase() * bearing.sin() / dx.hypot(dy).max(1.0)).atan();
     (wheel / steering.max_angle.to_radians()).clamp(-1.0, 1.0)
-}
-
-/// Returns the path that a vehicle follows on a `route` with a U-turn too sharp for it: out to the
-/// other side first, then back along the outline of a bulb.
-///
-/// Only the first such U-turn is replaced; `None` if there is none. Whether the new path lies on
-/// the road is not checked.
-pub(super) fn path_around(route: &Path, steering: &Steering) -> Option<Path> {
-    let least = least_radius(steering);
-    let heading = |i: usize| {
-        let ([x, y], [u, v]) = (route.points[i], route.points[i + 1]);
-        (v - y).atan2(u - x)
-    };
-    let segments = route.points.len().saturating_sub(1);
-    // The route makes a U-turn between the end of segment `i` and the start of segment `j`.
-    let turns = |&(i, j): &(usize, usize)| {
-        (heading(j) - heading(i)).cos() < -0.99
-            && route.cumulative[j] - route.cumulative[i + 1] < PI * least
-    };
-    let (i, j) = (0..segments).flat_map(|i| (i + 1..segments).map(move |j| (i, j))).find(turns)?;
-    let ([x, y], [u, v], heading) = (route.points[i + 1], route.points[j], heading(i));
-    let (sin, cos) = heading.sin_cos();
-    // The bulb begins and ends level with the farther of the U-turn's two ends.
-    let begin = ((u - x) * cos + (v - y) * sin).max(0.0);
-    let across = (v - y) * cos - (u - x) * sin;
-    let (half, side) = (across.abs() / 2.0, across.signum());
-    let (back, swing) = (BACK * least, SWING * least);
-    let out = ((half + swing) / (back + swing)).min(1.0).acos();
-    // Arcs as (centre ahead, centre to the side of the U-turn, radius, first angle, angle),
-    // relative to where the U-turn begins.
-    let arcs = [
-        (begin, -swing, swing, FRAC_PI_2, -out),
-        (begin + (back + swing) * out.sin(), half, back, -FRAC_PI_2 - out, PI + 2.0 * out),
-        (begin, 2.0 * half + swing, swing, out - FRAC_PI_2, -out),
-    ];
-    let arc = |(ahead, beside, radius, first, angle): (f64, f64, f64, f64, f64)| {
-        let steps = (radius * angle.abs()).ceil().max(1.0);
-        (1..=steps as u32).map(move |k| {
-            let (sine, cosine) = (first + angle * f64::from(k) / steps).sin_cos();
-            let (ahead, left) = (ahead + radius * cosine, side * (beside + radius * sine));
-            [x + ahead * cos - left * sin, y + ahead * sin + left * cos]
-        })
-    };
-    Some(route.detoured(i + 1, j, arcs.into_iter().flat_map(arc)))
 }

@@ -3,30 +3,40 @@
 
 use std::f64::consts::TAU;
 
-use super::Features;
-use super::geometry::{Size, Stance, stretch};
-use super::road::Road;
-use super::slots::{Status, Traffic};
+use nalgebra::Vector2;
+
+use super::group::{FeatureGroup, View, Writer};
+use crate::env::driving::agents::Status;
+use crate::env::driving::geometry::{Size, Stance, direction, stretch, to_box};
+use crate::env::driving::road::Road;
+use crate::env::spec::Described;
 use crate::scenario::Lidar;
 
-pub(super) fn describe(lidar: Lidar, features: &mut Features) {
-    features.push("lidar", lidar.beams, &[("distance", "the lidar's range", 0.0, 1.0)]);
-}
+const BEAM: [Described; 1] = [("distance", "the lidar's range", 0.0, 1.0)];
+
+/// In scenarios with lidar beams.
+pub const GROUP: FeatureGroup = FeatureGroup {
+    describe: |scenario, features| {
+        features.push("lidar", scenario.observation.lidar.beams, &BEAM);
+    },
+    write,
+};
 
 /// Writes one distance per beam in units of the range, counter-clockwise from straight ahead; 1
 /// where a beam hits nothing.
-pub(super) fn write(lidar: Lidar, road: &Road, traffic: &Traffic, slot: usize, out: &mut [f32]) {
-    let own = traffic.stance(slot);
+fn write(view: &View<'_>, w: &mut Writer<'_>) {
+    let (traffic, lidar) = (view.traffic, view.scenario.observation.lidar);
+    let own = traffic.stance(view.slot);
     let (mut along, mut ends) = ([[0.0; 2]; Lidar::MOST], [0.0; Lidar::MOST]);
     let mut beams = Beams::new(lidar, own, &mut along[..lidar.beams], &mut ends[..lidar.beams]);
-    beams.end_with_road(road);
+    beams.end_with_road(view.map.road());
     for (j, other) in traffic.slots.iter().enumerate() {
-        if j == slot || other.status == Status::Empty {
+        if j == view.slot || other.status == Status::Empty {
             continue;
         }
         beams.end_with_body(traffic.stance(j), other.size);
     }
-    for (seen, distance) in out.iter_mut().zip(ends) {
+    for (seen, distance) in w.rest().iter_mut().zip(ends) {
         *seen = (distance / lidar.range) as f32;
     }
 }
@@ -47,7 +57,7 @@ impl<'a> Beams<'a> {
     fn new(lidar: Lidar, from: Stance, along: &'a mut [[f64; 2]], ends: &'a mut [f64]) -> Self {
         ends.fill(lidar.range);
         let density = lidar.beams as f64 / TAU;
-        let ((sin, cos), [mut x, mut y]) = (density.recip().sin_cos(), from.along);
+        let ((sin, cos), [mut x, mut y]) = (density.recip().sin_cos(), direction(&from));
         for along in &mut *along {
             *along = [x, y];
             (x, y) = (x * cos - y * sin, y * cos + x * sin);
@@ -56,9 +66,8 @@ impl<'a> Beams<'a> {
     }
 
     /// Returns the angle of a vector, counter-clockwise from straight ahead \[rad\].
-    fn bearing(&self, [x, y]: [f64; 2]) -> f64 {
-        let [cos, sin] = self.from.along;
-        bearing([x * cos + y * sin, y * cos - x * sin])
+    fn bearing(&self, vector: Vector2<f64>) -> f64 {
+        bearing(self.from.rotation.inverse_transform_vector(&vector).into())
     }
 
     /// Ends beams at the distance that `hit` returns for their direction. Only beams within `wide`
@@ -92,8 +101,8 @@ impl<'a> Beams<'a> {
     fn end_with_body(&mut self, body: Stance, size: Size) {
         let half = size.map(|side| side / 2.0);
         let reach = (half[0] * half[0] + half[1] * half[1]).sqrt();
-        let there = [0, 1].map(|axis| body.middle[axis] - self.from.middle[axis]);
-        let apart = (there[0] * there[0] + there[1] * there[1]).sqrt();
+        let there = body.translation.vector - self.from.translation.vector;
+        let apart = there.norm();
         if apart > self.range + reach {
             return;
         }
@@ -107,7 +116,7 @@ impl<'a> Beams<'a> {
             middle - wide,
             2.0 * wide,
             apart - reach,
-            to_box(self.from.middle, body, half),
+            to_box(self.from.translation.vector.into(), body, half),
         );
     }
 
@@ -116,7 +125,7 @@ impl<'a> Beams<'a> {
         /// Share of a line's length by which it is extended at both ends, so that rounding lets no
         /// beam pass through an end.
         const EDGE: f64 = 1e-9;
-        let own = self.from.middle;
+        let own: [f64; 2] = self.from.translation.vector.into();
         for (end, along) in self.ends.iter_mut().zip(self.along) {
             *end = road.to_kerb(own, *along, self.range);
         }
@@ -133,7 +142,7 @@ impl<'a> Beams<'a> {
             }
             // From the left of a directed line, its end is counter-clockwise of its start.
             let [first, last] =
-                if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end));
+                if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end.into()));
             let wide = last - first + SLACK;
             let wide = if wide < 0.0 { wide + TAU } else { wide };
             self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
@@ -166,32 +175,15 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// Returns a function that maps a unit vector to the distance from point `from`, in its direction,
-/// to a box with sides `2 · half` \[m\]: 0 from inside the box, `None` where the direction misses
-/// it.
-pub(super) fn to_box(
-    from: [f64; 2],
-    target: Stance,
-    half: [f64; 2],
-) -> impl Fn([f64; 2]) -> Option<f64> {
-    let [cos, sin] = target.along;
-    let own = move |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
-    let at = own([from[0] - target.middle[0], from[1] - target.middle[1]]);
-    move |along| {
-        let [enter, leave] = stretch(at, own(along), half)?;
-        (leave >= 0.0).then_some(enter.max(0.0))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;
 
     use proptest::prelude::*;
 
-    use super::super::geometry::Pose;
-    use super::super::routes::crossing;
     use super::*;
+    use crate::env::driving::geometry::Pose;
+    use crate::env::driving::routes::crossing;
     use crate::scenario::{Border, Termination};
     use crate::sumo::net::Net;
 
@@ -254,7 +246,7 @@ mod tests {
                 found.end_with_body(stance(body), HALF.map(|half| 2.0 * half));
             }
             for (along, end) in along.iter().zip(&ends) {
-                let hits = bodies.iter().filter_map(|&body| to_box(own.middle, stance(body), HALF)(*along));
+                let hits = bodies.iter().filter_map(|&body| to_box(own.translation.vector.into(), stance(body), HALF)(*along));
                 let nearest = hits.fold(range, f64::min);
                 prop_assert!((end - nearest).abs() < 1e-9, "{end} instead of {nearest}");
             }

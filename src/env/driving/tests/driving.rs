@@ -21,7 +21,7 @@ fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
         let mut actions = [0.0; 16];
         for (&i, stop) in lane.iter().zip(stops) {
             let Some((route, front, speed)) = rails.vehicles[i] else { continue };
-            let left = stop.map(|stop| task.routes[route].arrival + half - stop - front);
+            let left = stop.map(|stop| task.map.routes[route].arrival + half - stop - front);
             // Brakes so that the vehicle stops at the wanted position.
             let wanted = left.map_or(f64::INFINITY, |left| (8.0 * left.max(0.0)).sqrt());
             actions[i] = if speed >= wanted { -0.3 } else { 1.0 };
@@ -65,7 +65,7 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
     };
     let (seed, route, front) = (0..).find_map(begin).expect("there is one");
     let mut close = Task::clone(&task);
-    close.routes[route].arrival = front - half + 8.0;
+    close.map.routes[route].arrival = front - half + 8.0;
     let close = Arc::new(close);
     // Returns the share of agents that loiter if agent 0 drives for this number of steps and then
     // stands.

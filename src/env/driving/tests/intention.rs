@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-use super::super::fcfs::inherit;
-use super::super::intention::{Candidate, Intentions, Knowledge};
-use super::super::observation;
-use super::super::slots::{EMPTY, Slot, Status, Traffic};
+use super::super::agents::{Candidate, EMPTY, Slot, Status, Traffic};
+use super::super::intention::{Intentions, Knowledge};
+use super::super::observation::View;
+use super::super::right_of_way::{assign, inherit};
 use super::*;
 use crate::scenario::{Intention, Lidar, Observation, SpawnRow};
 
@@ -61,17 +61,17 @@ fn place() -> impl Strategy<Value = RoutePosition> {
 fn send(task: &Task, slot: &mut Slot, route: usize) {
     slot.route = route;
     (slot.s, slot.lateral, slot.segment) =
-        task.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
+        task.map.routes[route].path.nearest([slot.pose.x, slot.pose.y]);
 }
 
 /// Returns traffic with a vehicle at each of these places.
 fn scene(task: &Task, places: &[RoutePosition]) -> Traffic {
-    let mut traffic = Traffic::new(places.len(), task.routes.len());
+    let mut traffic = Traffic::new(places.len(), task.map.routes.len());
     for (k, (slot, &(route, at, lateral, turned, speed))) in
         traffic.slots.iter_mut().zip(places).enumerate()
     {
-        let route = (route * task.routes.len() as f64) as usize;
-        let path = &task.routes[route].path;
+        let route = (route * task.map.routes.len() as f64) as usize;
+        let path = &task.map.routes[route].path;
         let (point, heading) = path.at(at * path.length());
         let pose = Pose { heading: heading + turned, ..Pose::beside(point, heading, lateral) };
         // One in eight is a wreck.
@@ -82,26 +82,38 @@ fn scene(task: &Task, places: &[RoutePosition]) -> Traffic {
     traffic
 }
 
+fn intentions_of(task: &Task) -> Option<Intentions> {
+    Intentions::new(&task.map, task.scenario.observation, task.agents, task.slots())
+}
+
+fn view<'a>(
+    task: &'a Task,
+    traffic: &'a Traffic,
+    knowledge: Knowledge<'a>,
+    priorities: &'a [u32],
+    slot: usize,
+) -> View<'a> {
+    let (scenario, map, knowledge) = (&task.scenario, &task.map, knowledge.to(slot));
+    View { scenario, map, traffic, knowledge, priorities, time_left: 1.0, slot }
+}
+
 /// Returns all agents' observations, as a world makes them in the first step of an episode.
 fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
     let mut traffic = traffic.clone();
     traffic.refresh();
-    let mut intentions = Intentions::new(task);
+    let mut intentions = intentions_of(task);
     if let Some(intentions) = &mut intentions {
-        intentions.update(task, &traffic, true);
+        intentions.update(&task.map, &traffic, true);
     }
-    traffic.take_turns(
-        &task.routes,
-        intentions.as_ref(),
-        task.scenario.observation.priority_distance,
-    );
-    let knowledge = Knowledge::public(task, &traffic, intentions.as_ref());
+    let near = task.scenario.observation.priority_distance;
+    assign(&mut traffic, &task.map.routes, intentions.as_ref(), near);
+    let knowledge = Knowledge::public(&task.map, &traffic, intentions.as_ref());
     let (mut priorities, mut seen) =
         (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
     inherit(knowledge, &mut priorities, &mut Vec::new());
-    seen.iter_mut()
-        .enumerate()
-        .for_each(|(i, seen)| observation::write(task, knowledge, &priorities, i, seen));
+    for (i, seen) in seen.iter_mut().enumerate() {
+        task.observation.write(&view(task, &traffic, knowledge, &priorities, i), seen);
+    }
     seen
 }
 
@@ -119,8 +131,8 @@ fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<Str
 
 /// Returns the other routes that begin on the same lane as `route`.
 fn alike(task: &Task, route: usize) -> Vec<usize> {
-    let begin = |k: usize| task.routes[k].path.lanes.first();
-    (0..task.routes.len()).filter(|&k| k != route && begin(k) == begin(route)).collect()
+    let begin = |k: usize| task.map.routes[k].path.lanes.first();
+    (0..task.map.routes.len()).filter(|&k| k != route && begin(k) == begin(route)).collect()
 }
 
 proptest! {
@@ -141,7 +153,7 @@ proptest! {
             let mut other = traffic.clone();
             send(&task, &mut other.slots[sent], route);
             let differ = differing(&task, &before, &observe(&task, &other), sent);
-            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.route_id(route));
+            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.map.route_id(route));
         }
     }
 
@@ -158,7 +170,7 @@ proptest! {
         // The vehicle is on its first lane, farther from the next junction than the signal
         // distance.
         let slot = &mut traffic.slots[sent];
-        let path = &task.routes[slot.route].path;
+        let path = &task.map.routes[slot.route].path;
         let end = path.lane_stretches().next().map_or(0.0, |(_, _, end)| end);
         let (point, heading) = path.at(places[sent].1 * (end - slot.size[0] / 2.0 - 3.0));
         slot.pose = Pose::beside(point, heading, places[sent].2 / 5.0);
@@ -168,7 +180,7 @@ proptest! {
             let mut other = traffic.clone();
             send(&task, &mut other.slots[sent], route);
             let differ = differing(&task, &before, &observe(&task, &other), sent);
-            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.route_id(route));
+            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.map.route_id(route));
         }
     }
 
@@ -183,9 +195,9 @@ proptest! {
         let places: Vec<RoutePosition> = places.iter().map(|&(r, at, lateral, h, v)| (r, at, lateral / 5.0, h, v)).collect();
         let mut traffic = scene(&task, &places);
         traffic.refresh();
-        let mut intentions = Intentions::new(&task).expect("something is hidden");
-        intentions.update(&task, &traffic, true);
-        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
+        let mut intentions = intentions_of(&task).expect("something is hidden");
+        intentions.update(&task.map, &traffic, true);
+        let knowledge = Knowledge::public(&task.map, &traffic, Some(&intentions));
         for (j, slot) in traffic.slots.iter().enumerate() {
             let own = Candidate::of(slot);
             prop_assert!(knowledge.candidates(j).any(|one| one == own), "{own:?} of {name}");
@@ -206,7 +218,7 @@ proptest! {
             Task::new(&scenario, VEHICLES as u32).expect("a task")
         };
         let [seen, hidden] = [Intention::Seen, Intention::Hidden].map(of);
-        prop_assert!(Intentions::new(&hidden).is_some() && Intentions::new(&seen).is_none());
+        prop_assert!(intentions_of(&hidden).is_some() && intentions_of(&seen).is_none());
         // The vehicles are on one of the first three routes.
         let places: Vec<RoutePosition> = places.iter().map(|&(r, at, lateral, h, v)| (0.59 * r, at, lateral, h, v)).collect();
         let traffic = scene(&seen, &places);
@@ -269,11 +281,12 @@ fn a_seen_route_changes_what_depends_on_it() {
 #[test]
 fn an_indicator_is_seen_past_nobody() {
     let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
-    let route =
-        |id: &str| (0..task.routes.len()).find(|&k| task.route_id(k) == id).expect("a route");
-    let mut traffic = Traffic::new(VEHICLES, task.routes.len());
+    let route = |id: &str| {
+        (0..task.map.routes.len()).find(|&k| task.map.route_id(k) == id).expect("a route")
+    };
+    let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
     let mut put = |k: usize, id: &str, at: f64| {
-        let path = &task.routes[route(id)].path;
+        let path = &task.map.routes[route(id)].path;
         let ([x, y], heading) = path.at(at);
         let status = Status::Active;
         traffic.slots[k] = Slot {
@@ -285,7 +298,7 @@ fn an_indicator_is_seen_past_nobody() {
         };
         send(&task, &mut traffic.slots[k], route(id));
     };
-    let end = task.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
+    let end = task.map.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
     // Vehicle 0 is behind vehicle 1, vehicle 2 comes towards both, and vehicle 3 is behind vehicle
     // 0.
     put(0, "west_straight", end - 20.0);
@@ -293,26 +306,27 @@ fn an_indicator_is_seen_past_nobody() {
     put(2, "east_straight", 20.0);
     put(3, "west_right", end - 29.0);
     traffic.refresh();
-    let mut intentions = Intentions::new(&task).expect("something is hidden");
-    intentions.update(&task, &traffic, true);
+    let mut intentions = intentions_of(&task).expect("something is hidden");
+    intentions.update(&task.map, &traffic, true);
     let known = |to: usize, of: usize| {
-        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions)).to(to);
-        knowledge.candidates(of).map(|one| task.route_id(one.route)).collect::<Vec<_>>()
+        let knowledge = Knowledge::public(&task.map, &traffic, Some(&intentions)).to(to);
+        knowledge.candidates(of).map(|one| task.map.route_id(one.route)).collect::<Vec<_>>()
     };
     let all = ["west_straight", "west_left", "west_right"];
     assert_eq!(known(0, 1), ["west_left"]);
     assert_eq!(known(2, 1), ["west_left"], "from the front as well");
     assert_eq!(known(3, 1), all, "the first is in between");
     assert_eq!(known(1, 0), ["west_straight"], "an indicator that is off");
-    let everybody = Knowledge::public(&task, &traffic, Some(&intentions));
+    let everybody = Knowledge::public(&task.map, &traffic, Some(&intentions));
     assert_eq!(everybody.candidates(1).count(), 3, "nobody's sight");
     // Beyond the detection range, and before the indicator is on.
     for (signal_distance, detection_range) in [(30.0, 5.0), (4.0, 100.0)] {
         let mut task = Task::clone(&task);
         task.scenario.observation.signal_distance = signal_distance;
         task.scenario.observation.detection_range = detection_range;
-        intentions.update(&task, &traffic, true);
-        let knowledge = Knowledge::public(&task, &traffic, Some(&intentions)).to(0);
+        let mut intentions = intentions_of(&task).expect("something is hidden");
+        intentions.update(&task.map, &traffic, true);
+        let knowledge = Knowledge::public(&task.map, &traffic, Some(&intentions)).to(0);
         assert_eq!(knowledge.candidates(1).count(), 3);
     }
 }
@@ -322,21 +336,22 @@ fn an_indicator_is_seen_past_nobody() {
 #[test]
 fn routes_close_where_they_part() {
     let task = task_of("intersection_turns_small", Intention::Hidden, 30.0);
-    let left = (0..task.routes.len()).find(|&k| task.route_id(k) == "west_left").expect("a route");
-    let path = &task.routes[left].path;
+    let left =
+        (0..task.map.routes.len()).find(|&k| task.map.route_id(k) == "west_left").expect("a route");
+    let path = &task.map.routes[left].path;
     let end = path.lane_stretches().next().expect("a lane").2;
-    let mut intentions = Intentions::new(&task).expect("something is hidden");
+    let mut intentions = intentions_of(&task).expect("something is hidden");
     let mut open = Vec::new();
     for k in 0..60 {
-        let mut traffic = Traffic::new(VEHICLES, task.routes.len());
+        let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
         let ([x, y], heading) = path.at(end - 10.0 + f64::from(k) / 2.0);
         let pose = Pose { x, y, heading };
         traffic.slots[0] =
             Slot { status: Status::Active, size: [4.5, 1.8], pose, departed: true, ..EMPTY };
         send(&task, &mut traffic.slots[0], left);
         traffic.refresh();
-        intentions.update(&task, &traffic, true);
-        open.push(Knowledge::public(&task, &traffic, Some(&intentions)).candidates(0).count());
+        intentions.update(&task.map, &traffic, true);
+        open.push(Knowledge::public(&task.map, &traffic, Some(&intentions)).candidates(0).count());
     }
     assert!(open.is_sorted_by(|a, b| a >= b), "{open:?}");
     assert!(
@@ -348,7 +363,7 @@ fn routes_close_where_they_part() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
         let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
         assert_eq!(scenario.observation.intention, Intention::Hidden);
-        assert!(Intentions::new(&Task::new(&scenario, 8).expect("a task")).is_none(), "{name}");
+        assert!(intentions_of(&Task::new(&scenario, 8).expect("a task")).is_none(), "{name}");
     }
 }
 
@@ -360,7 +375,7 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
     for (seed, name) in (0..4).flat_map(|seed| FORKED.map(|name| (seed, name))) {
         for (k, intention) in [Intention::Seen, Intention::Hidden].into_iter().enumerate() {
             let task = task_of(name, intention, 30.0);
-            let mut worlds = [0, 1].map(|_| world(&task, seed));
+            let mut worlds = [0, 1].map(|_| ruled_world(&task, seed));
             let snapshot = Snapshot {
                 vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 }); VEHICLES],
                 ..Snapshot::default()
@@ -417,17 +432,19 @@ fn what_is_hidden_takes_no_memory_in_a_step() {
         let places: Vec<RoutePosition> =
             (0..VEHICLES).map(|k| (k as f64 / 8.5, 0.1 + k as f64 / 20.0, 0.0, 0.0, 5.0)).collect();
         let mut traffic = scene(&task, &places);
-        let mut intentions = Intentions::new(&task).expect("something is hidden");
+        let mut intentions = intentions_of(&task).expect("something is hidden");
         let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
         let mut seen = vec![0.0; task.spec.observation.len()];
         let mut step = || {
             traffic.refresh();
-            intentions.update(&task, &traffic, true);
-            traffic.take_turns(&task.routes, Some(&intentions), 20.0);
-            let knowledge = Knowledge::public(&task, &traffic, Some(&intentions));
+            intentions.update(&task.map, &traffic, true);
+            assign(&mut traffic, &task.map.routes, Some(&intentions), 20.0);
+            let knowledge = Knowledge::public(&task.map, &traffic, Some(&intentions));
             inherit(knowledge, &mut priorities, &mut blocked);
-            (0..VEHICLES)
-                .for_each(|i| observation::write(&task, knowledge, &priorities, i, &mut seen));
+            for i in 0..VEHICLES {
+                task.observation
+                    .write(&view(&task, &traffic, knowledge, &priorities, i), &mut seen);
+            }
         };
         step();
         assert_eq!(allocation_counter::measure(step).count_total, 0, "{intention:?}");

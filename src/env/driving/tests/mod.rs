@@ -13,8 +13,9 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 
-use super::slots::CLEARED;
+use super::agents::CLEARED;
 use super::*;
+use crate::env::Pursuit;
 use crate::rng::Seed;
 use crate::scenario::{NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::{Body, Command, Snapshot, VehicleState};
@@ -55,13 +56,14 @@ impl Rails {
                 }
                 Command::Depart { slot, departure, .. } => {
                     assert!(
-                        slot as usize >= self.task.agents + self.task.placed(),
+                        slot as usize >= self.task.agents + self.task.placed,
                         "slot {slot} is not theirs"
                     );
                     let vehicle = &mut self.vehicles[slot as usize];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
-                    let route =
-                        self.task.demand_routes[self.task.demand.sources[departure as usize].route];
+                    let route = self.task.map.demand_routes
+                        [self.task.demand.sources[departure as usize].route]
+                        .route;
                     *vehicle = Some((route, 5.0, 10.0));
                 }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
@@ -70,7 +72,7 @@ impl Rails {
         let step = self.task.scenario.control.interval;
         let mut snapshot = Snapshot::default();
         for (slot, vehicle) in self.vehicles.iter_mut().enumerate() {
-            let route = |route: usize| &self.task.routes[route].path;
+            let route = |route: usize| &self.task.map.routes[route].path;
             if slot >= self.task.agents && vehicle.is_some_and(|(r, s, _)| s > route(r).length()) {
                 *vehicle = None;
             }
@@ -89,7 +91,7 @@ impl Rails {
     /// Returns the centre of a slot's vehicle on its route's path.
     fn centre(&self, slot: usize) -> Option<[f64; 2]> {
         let half = self.task.scenario.vehicle.length / 2.0;
-        self.vehicles[slot].map(|(route, s, _)| self.task.routes[route].path.at(s - half).0)
+        self.vehicles[slot].map(|(route, s, _)| self.task.map.routes[route].path.at(s - half).0)
     }
 }
 
@@ -102,6 +104,11 @@ fn task(agents: u32, change: impl FnOnce(&mut Scenario)) -> Arc<Task> {
 
 fn world(task: &Arc<Task>, seed: u64) -> World {
     World::new(Arc::clone(task), Driver::Agents, Seed::new(seed), 0, 1, u64::MAX)
+}
+
+/// Returns a world for a driver that gives way.
+fn ruled_world(task: &Arc<Task>, seed: u64) -> World {
+    World::new(Arc::clone(task), Driver::Rules, Seed::new(seed), 0, 1, u64::MAX)
 }
 
 fn exchange(world: &mut World, rails: &mut Rails, actions: &[f32]) {
@@ -678,7 +685,7 @@ proptest! {
                     expected.push([gap, 0.0]);
                     continue;
                 }
-                let met = task.routes[own.route].conflicts.iter().find(|conflict| conflict.route == other.route);
+                let met = task.map.routes[own.route].conflicts.iter().find(|conflict| conflict.route == other.route);
                 let distances = met.map(|met| [met.own - own.position, met.other - other.position]);
                 expected.extend(distances.filter(|distances| distances.iter().all(|distance| *distance >= -CLEARED)));
             }
@@ -716,7 +723,7 @@ proptest! {
 fn first_come_first_served_brings_all_home() {
     for (agents, gives_way) in [(4, true), (8, true), (16, true), (48, true), (8, false)] {
         let task = task(agents, |s| s.termination.horizon = 5000);
-        let (mut world, mut rails) = (world(&task, 7), Rails::new(&task));
+        let (mut world, mut rails) = (ruled_world(&task, 7), Rails::new(&task));
         world.reset(0);
         let (mut actions, mut records) = (vec![0.0; agents as usize], Vec::new());
         while records.len() < 10 {

@@ -2,7 +2,7 @@
 
 use super::super::geometry::{Pose, boxes_overlap};
 use super::super::routes::RouteGeometry;
-use super::super::steering::Motion;
+use super::super::vehicle::tyres::Motion;
 use super::*;
 
 /// Behind a fork, a vehicle on the other route counts as ahead as long as vehicles on both would
@@ -12,9 +12,9 @@ fn who_waits_behind_a_fork_is_still_ahead() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
     let scenario = Scenario::load(&path).expect("a scenario");
     let task = Task::new(&scenario, 8).expect("a task");
-    let route = |id: &str| task.route_ids.iter().position(|own| own == id).expect("a route");
+    let route = |id: &str| task.map.route_ids.iter().position(|own| own == id).expect("a route");
     let (left, right) = (route("west_left"), route("west_right"));
-    let (own, other) = (&task.routes[left], &task.routes[right]);
+    let (own, other) = (&task.map.routes[left], &task.map.routes[right]);
     let fork = other.path.arc(0, -1e-6).expect("the end of its first edge");
     for s in [fork - 10.0, fork - 0.1, fork + 2.0] {
         let there = own.shared_position(right, s).unwrap_or_else(|| panic!("{s} of {fork}"));
@@ -22,16 +22,16 @@ fn who_waits_behind_a_fork_is_still_ahead() {
     }
     assert_eq!(own.shared_position(right, other.path.length() - 1.0), None);
     // A vehicle that counts as ahead is close to the path.
-    for (a, own) in task.routes.iter().enumerate() {
-        for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
+    for (a, own) in task.map.routes.iter().enumerate() {
+        for (b, other) in task.map.routes.iter().enumerate().filter(|(b, _)| *b != a) {
             for s in (0..other.path.length() as u32).map(f64::from) {
                 let Some(there) = own.shared_position(b, s) else { continue };
                 let ([x, y], [u, v]) = (other.path.at(s).0, own.path.at(there).0);
                 assert!(
                     (x - u).hypot(y - v) < 5.0,
                     "{} at {s} is not ahead of {}",
-                    task.route_ids[b],
-                    task.route_ids[a]
+                    task.map.route_ids[b],
+                    task.map.route_ids[a]
                 );
             }
         }
@@ -52,8 +52,8 @@ fn who_is_in_the_way_is_an_encounter() {
             Pose { x, y, heading }
         };
         let mut unseen = Vec::new();
-        for (a, own) in task.routes.iter().enumerate() {
-            for (b, other) in task.routes.iter().enumerate().filter(|(b, _)| *b != a) {
+        for (a, own) in task.map.routes.iter().enumerate() {
+            for (b, other) in task.map.routes.iter().enumerate().filter(|(b, _)| *b != a) {
                 // Positions up to the arrival.
                 let samples = |route: &RouteGeometry| {
                     (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0)
@@ -73,7 +73,7 @@ fn who_is_in_the_way_is_an_encounter() {
                     if let Some(t) = samples(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
                         unseen.push(format!(
                             "{name}: {} at {s} for {} at {t}",
-                            task.route_ids[b], task.route_ids[a]
+                            task.map.route_ids[b], task.map.route_ids[a]
                         ));
                         break;
                     }
@@ -93,9 +93,9 @@ fn pursuit_stays_on_the_road_of_every_route() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
         let scenario = Scenario::load(&path).expect("a scenario");
         let task = Task::new(&scenario, 8).expect("a task");
-        let (control, road) = (&scenario.control, task.road.as_ref().expect("vehicles steer"));
+        let (control, road) = (&scenario.control, task.map.road());
         let steering = control.steering.as_ref().expect("vehicles steer");
-        for (route, id) in task.routes.iter().zip(&task.route_ids) {
+        for (route, id) in task.map.routes.iter().zip(&task.map.route_ids) {
             around += usize::from(route.avoided.is_some());
             let ([x, y], heading) = route.path.at(6.0);
             let mut motion = Motion::at(Pose { x, y, heading });
@@ -109,7 +109,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
                     lateral.abs() < 1.0,
                     "{name}: {id} is {lateral} m from its path, at {at:?}"
                 );
-                let steer = pursuit::steer(steering, &route.path, s, &motion.pose);
+                let steer = crate::env::expert::steer(steering, &route.path, s, &motion.pose);
                 motion = motion.advance(
                     control,
                     steering,
@@ -140,7 +140,7 @@ fn an_agent_that_steers_arrives_on_any_lane() {
     let scenario = Scenario::load(&path).expect("a scenario");
     let task = Task::new(&scenario, 8).expect("a task");
     let mut ends = HashSet::new();
-    for route in &task.routes {
+    for route in &task.map.routes {
         let [right, left] = route.finish;
         let width = route.path.widths.last().expect("a path has segments");
         // The finish spans two lanes: the route's own and the one beside it.
@@ -158,16 +158,16 @@ fn routes_meet_where_the_lanes_cross() {
         (route("eastbound"), route("westbound"), route("southbound"), route("northbound"));
     // Eastbound (y = 0, from x = 0) has conflicts with southbound at x = 40 and with northbound at
     // x = 43.5, and none with westbound.
-    let conflicts = &task.routes[east].conflicts;
+    let conflicts = &task.map.routes[east].conflicts;
     assert_eq!(conflicts.iter().map(|c| c.route).collect::<Vec<_>>(), [south, north]);
     assert!((conflicts[0].own - 40.0).abs() < 1e-6 && (conflicts[1].own - 43.5).abs() < 1e-6);
     // Southbound starts at y = 43.5 and reaches y = 0 after 43.5 m.
     assert!((conflicts[0].other - 43.5).abs() < 1e-6);
-    assert_eq!(task.routes[east].apart, [west]);
-    for (a, own) in task.routes.iter().enumerate() {
+    assert_eq!(task.map.routes[east].apart, [west]);
+    for (a, own) in task.map.routes.iter().enumerate() {
         for c in &own.conflicts {
             let back =
-                task.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
+                task.map.routes[c.route].conflicts.iter().find(|d| d.route == a).expect("mutual");
             assert!((back.own - c.other).abs() < 1e-9 && (back.other - c.own).abs() < 1e-9);
         }
     }
@@ -180,7 +180,7 @@ fn ways_that_lie_on_each_other_meet() {
     let task = Task::new(&scenario, 5).expect("a task");
     let index =
         |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
-    let meeting = |a: &str, b: &str| task.routes[index(a)].meeting(index(b));
+    let meeting = |a: &str, b: &str| task.map.routes[index(a)].meeting(index(b));
     // A route into a space and a route out of it share the space and the last metres before it.
     let met = meeting("west_space1", "space1_north").expect("they meet");
     assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");
@@ -193,7 +193,7 @@ fn ways_that_lie_on_each_other_meet() {
         // common stretch, where the vehicle is out of the space. The space is 7 m long.
         let met = meeting(leaves, enters).expect("they meet");
         assert!((2.0..12.0).contains(&met.own), "{leaves}, {enters}: {met:?}");
-        let place = |id: &str, s: f64| task.routes[index(id)].path.at(s).0;
+        let place = |id: &str, s: f64| task.map.routes[index(id)].path.at(s).0;
         let (a, b) = (place(leaves, met.own), place(enters, met.other));
         assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.2, "one place for both: {a:?} {b:?}");
         let back = meeting(enters, leaves).expect("they meet");
