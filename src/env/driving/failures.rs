@@ -10,7 +10,7 @@ pub(super) const UPSTREAM: f64 = 6.0;
 
 /// How an agent crashed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Crash {
+pub(crate) struct Crash {
     /// Route of the vehicle that the agent overlapped with in the step of the crash; the one with
     /// the lowest slot if there are several.
     pub(super) other: usize,

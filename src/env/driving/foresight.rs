@@ -112,14 +112,12 @@ impl Closest {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path as File;
-
     use proptest::prelude::*;
 
     use super::super::agents::EMPTY;
     use super::super::task::Task;
+    use super::super::tests::scenario;
     use super::*;
-    use crate::scenario::Scenario;
 
     const SIZE: [f64; 2] = [4.5, 1.85];
     const HORIZON: f64 = 4.0;
@@ -180,8 +178,7 @@ mod tests {
             speed in [-1.0..12.0, 0.0..12.0],
             lateral in [-0.4..0.4, -0.4..0.4],
         ) {
-            let path = File::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
-            let task = Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task");
+            let task = Task::new(&scenario("intersection_turns_small"), 8).expect("a task");
             let slots = [0, 1].map(|i| Slot { route: routes[i], s: s[i], lateral: lateral[i], size: SIZE, ..EMPTY });
             let [a, b] = [0, 1].map(|i| Course::new(&task.map.routes, &slots[i], speed[i]));
             let [close, soon] = passing(a, b, HORIZON);

@@ -154,9 +154,9 @@ pub(crate) fn to_box(
     target: Stance,
     half: [f64; 2],
 ) -> impl Fn([f64; 2]) -> Option<f64> {
-    let at = target.inverse_transform_point(&from.into()).coords.into();
+    let at: [f64; 2] = target.inverse_transform_point(&from.into()).coords.into();
     move |along| {
-        let along = target.rotation.inverse_transform_vector(&along.into()).into();
+        let along: [f64; 2] = target.rotation.inverse_transform_vector(&along.into()).into();
         let [enter, leave] = stretch(at, along, half)?;
         (leave >= 0.0).then_some(enter.max(0.0))
     }

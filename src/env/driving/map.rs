@@ -15,7 +15,7 @@ use crate::sumo::net::{EdgeFunction, Net, Path};
 
 /// A part of a route that lies in a junction.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct JunctionStretch {
+pub(super) struct JunctionStretch {
     /// Beginning of the part, as arc length along the route \[m\].
     pub(super) from: f64,
     /// End of the part, as arc length along the route \[m\].
@@ -141,7 +141,7 @@ impl Map {
     ///
     /// # Panics
     /// If agents neither steer nor have a lidar nor observe the road's borders.
-    pub(crate) fn road(&self) -> &Road {
+    pub(super) fn road(&self) -> &Road {
         self.road.as_ref().expect("the task needs the road surface")
     }
 

@@ -36,7 +36,7 @@ mod vehicle;
 pub(super) mod world;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub use agents::Outcome;
 pub use audit::Audit;

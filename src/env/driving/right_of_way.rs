@@ -131,7 +131,7 @@ pub(crate) fn to_entry(map: &Map, slot: &Slot) -> Option<f64> {
 
 /// Whether the vehicle at `behind` will come to the position of the vehicle at `ahead` on its
 /// route.
-fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
+pub(crate) fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
     routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
 }
 

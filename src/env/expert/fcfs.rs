@@ -32,20 +32,16 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use proptest::prelude::*;
 
     use super::*;
     use crate::env::driving::agents::{Candidate, EMPTY};
     use crate::env::driving::geometry::{Pose, separation};
     use crate::env::driving::right_of_way::{assign, is_behind};
-    use crate::scenario::Scenario;
+    use crate::env::driving::tests::scenario;
 
     fn task() -> Task {
-        let path =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
-        Task::new(&Scenario::load(&path).expect("a scenario"), 8).expect("a task")
+        Task::new(&scenario("intersection_turns_small"), 8).expect("a task")
     }
 
     /// Traffic with one vehicle per entry, on the named route and the given distance \[m\] before
@@ -53,7 +49,8 @@ mod tests {
     fn traffic(task: &Task, vehicles: &[(&str, f64)]) -> Traffic {
         let mut traffic = Traffic::new(vehicles.len(), task.map.routes.len());
         for (slot, (name, distance)) in traffic.slots.iter_mut().zip(vehicles) {
-            let route = task.map.route_ids.iter().position(|id| id == name).expect("a route");
+            let is_named = |route: &usize| task.map.route_id(*route) == *name;
+            let route = (0..task.map.routes.len()).find(is_named).expect("a route");
             *slot = at(task, route, task.map.routes[route].to_first_conflict(0.0) - distance);
         }
         traffic.refresh();
@@ -144,7 +141,7 @@ mod tests {
             speed in [0.0..8.0, 0.0..8.0],
         ) {
             let task = task();
-            let names = routes.map(|route| task.map.route_ids[route].clone());
+            let names = routes.map(|route| task.map.route_id(route).to_owned());
             let mut traffic = traffic(&task, &[(&names[0], distance[0]), (&names[1], distance[1])]);
             for (k, slot) in traffic.slots.iter_mut().enumerate() {
                 (slot.priority, slot.speed) = (1 + k as u32, speed[k]);

@@ -63,7 +63,8 @@ impl<'a> View<'a> {
 
     /// Returns the slots of the other vehicles within the detection range.
     pub fn detected(&self) -> impl Iterator<Item = usize> + '_ {
-        let here = |&j: &usize| self.traffic.slots[j].status != Status::Empty && self.detects(j);
+        let here =
+            move |&j: &usize| self.traffic.slots[j].status != Status::Empty && self.detects(j);
         (0..self.traffic.slots.len()).filter(here)
     }
 }
@@ -108,7 +109,8 @@ impl<'a> Writer<'a> {
 
     /// Returns the slice of all features that are left, for another function to fill.
     pub fn rest(&mut self) -> &mut [f32] {
-        &mut self.out[std::mem::replace(&mut self.at, self.out.len())..]
+        let from = std::mem::replace(&mut self.at, self.out.len());
+        &mut self.out[from..]
     }
 
     /// Ends the writing.

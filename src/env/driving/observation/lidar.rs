@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 
 use super::group::{FeatureGroup, View, Writer};
 use crate::env::driving::agents::Status;
-use crate::env::driving::geometry::{Size, Stance, direction, stretch, to_box};
+use crate::env::driving::geometry::{Size, Stance, direction, to_box};
 use crate::env::driving::road::Road;
 use crate::env::spec::Described;
 use crate::scenario::Lidar;
@@ -177,15 +177,12 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use proptest::prelude::*;
 
     use super::*;
     use crate::env::driving::geometry::Pose;
     use crate::env::driving::routes::crossing;
     use crate::scenario::{Border, Termination};
-    use crate::sumo::net::Net;
 
     const HALF: [f64; 2] = [2.2575, 0.926];
 
@@ -203,8 +200,7 @@ mod tests {
             kerb in any::<bool>(), place in 0_usize..1000, t in 0.0..1.0f64, heading in -4.0..4.0f64, beams in 1_usize..90, range in 2.0..60.0f64,
         ) {
             let (net, border) = if kerb { ("parking_lot/parking_lot", Border::Kerb) } else { ("intersection/arm30", Border::Line) };
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sumo_nets/{net}.net.xml"));
-            let net = Net::load(&path).unwrap();
+            let net = crate::env::driving::tests::net(net);
             let termination = Termination { horizon: 1, wreck_time: 0.0, border, broken_lines: Vec::new() };
             let road = Road::new(&net, HALF.map(|half| 2.0 * half), &termination).unwrap();
             let shape = &net.lanes[place % net.lanes.len()].shape;

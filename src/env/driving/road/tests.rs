@@ -1,10 +1,10 @@
 //! Tests of the road surface on shipped nets.
 
-use std::path::Path;
-
 use proptest::prelude::*;
 
 use super::*;
+use crate::env::driving::tests::net;
+use crate::sumo::net::Lane;
 
 const LENGTH: f64 = 4.515;
 const WIDTH: f64 = 1.852;
@@ -14,13 +14,8 @@ fn ends_at(border: Border) -> Termination {
 }
 
 fn road() -> Road {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-    Road::new(
-        &Net::load(&path).expect("the shipped net is valid"),
-        [LENGTH, WIDTH],
-        &ends_at(Border::Line),
-    )
-    .expect("a small net")
+    Road::new(&net("intersection/arm30"), [LENGTH, WIDTH], &ends_at(Border::Line))
+        .expect("a small net")
 }
 
 #[test]
@@ -28,8 +23,7 @@ fn a_vehicle_may_stray_as_far_as_measured() {
     let road = road();
     // Eastbound, in the middle of the arm. The centre line is y = 0 plus an offset in the
     // net's coordinates.
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-    let net = Net::load(&path).unwrap();
+    let net = net("intersection/arm30");
     let edge = net.edge_index("west_in").unwrap();
     let lane = &net.lanes[net.edges[edge].lanes.start];
     let y = lane.shape[0][1];
@@ -46,9 +40,7 @@ fn a_vehicle_may_stray_as_far_as_measured() {
 /// lanes has its lines to the right of the right lane and to the left of the left lane.
 #[test]
 fn margins_tell_on_which_side_a_line_is_and_how_close() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("sumo_nets/intersection_turns/two_lanes.net.xml");
-    let net = Net::load(&path).expect("the shipped net is valid");
+    let net = net("intersection_turns/two_lanes");
     let road = Road::new(&net, [LENGTH, WIDTH], &ends_at(Border::Line)).expect("a small net");
     let edge = &net.edges[net.edge_index("west_in").unwrap()];
     let [right, left] = [0, 1].map(|k| &net.lanes[edge.lanes.start + k]);
@@ -96,8 +88,7 @@ fn no_line_is_there_twice() {
 #[test]
 fn no_line_crosses_a_way_over_the_junction() {
     let road = road();
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/intersection/arm30.net.xml");
-    let net = Net::load(&path).unwrap();
+    let net = net("intersection/arm30");
     for [from, to] in [["west_in", "east_out"], ["south_in", "north_out"]] {
         let path = net.route_path(&[from.to_owned(), to.to_owned()]).unwrap();
         for k in 0..=(path.length() / 0.5) as usize {
@@ -112,9 +103,7 @@ fn no_line_crosses_a_way_over_the_junction() {
 
 #[test]
 fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
-    let net = Net::load(&path).unwrap();
+    let net = net("parking_lot/parking_lot");
     let [kerbs, lines] = [Border::Kerb, Border::Line]
         .map(|border| Road::new(&net, [LENGTH, WIDTH], &ends_at(border)).unwrap());
     let up = std::f64::consts::FRAC_PI_2;
@@ -140,9 +129,7 @@ fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
 /// The parking lot is bordered as measured on the paper's simulator.
 #[test]
 fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("sumo_nets/parking_lot/parking_lot.net.xml");
-    let net = Net::load(&path).unwrap();
+    let net = net("parking_lot/parking_lot");
     let broken = ["east_in", "east_out"].map(String::from).to_vec();
     let whole = ends_at(Border::Kerb);
     let measured = Termination { broken_lines: broken, ..whole.clone() };

@@ -17,8 +17,7 @@ const VEHICLES: usize = 8;
 
 /// Returns a scenario with every feature group in its agents' observations.
 fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-    let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    let mut scenario = scenario(name);
     scenario.observation = Observation {
         groups: ObservationGroups::Both,
         neighbours: 8,
@@ -360,8 +359,7 @@ fn routes_close_where_they_part() {
     );
     // Hiding has no effect if the route of every vehicle is the only one from its lane.
     for name in ["intersection", "mixed_cross", "pedestrians_cross"] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-        let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+        let scenario = scenario(name);
         assert_eq!(scenario.observation.intention, Intention::Hidden);
         assert!(intentions_of(&Task::new(&scenario, 8).expect("a task")).is_none(), "{name}");
     }

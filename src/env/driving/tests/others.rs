@@ -4,8 +4,7 @@ use super::*;
 
 /// Returns the intersection with background traffic of `scenarios/mixed_cross.xml`.
 fn mixed(penetration: f64, capacity: u32, horizon: u32) -> Arc<Task> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/mixed_cross.xml");
-    let mut scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    let mut scenario = scenario("mixed_cross");
     (scenario.traffic.penetration, scenario.traffic.capacity) = (penetration, capacity);
     (scenario.termination.horizon, scenario.observation.groups) =
         (horizon, ObservationGroups::Both);

@@ -9,8 +9,7 @@ use super::*;
 /// touch.
 #[test]
 fn who_waits_behind_a_fork_is_still_ahead() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns_small.xml");
-    let scenario = Scenario::load(&path).expect("a scenario");
+    let scenario = scenario("intersection_turns_small");
     let task = Task::new(&scenario, 8).expect("a task");
     let route = |id: &str| task.map.route_ids.iter().position(|own| own == id).expect("a route");
     let (left, right) = (route("west_left"), route("west_right"));
@@ -43,8 +42,7 @@ fn who_waits_behind_a_fork_is_still_ahead() {
 #[test]
 fn who_is_in_the_way_is_an_encounter() {
     for name in ["intersection_turns_small", "intersection_turns", "parking_lot"] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-        let scenario = Scenario::load(&path).expect("a scenario");
+        let scenario = scenario(name);
         let task = Task::new(&scenario, scenario.agents.default).expect("a task");
         let size = [scenario.vehicle.length, scenario.vehicle.width];
         let pose = |path: &crate::sumo::net::Path, s: f64| {
@@ -90,8 +88,7 @@ fn who_is_in_the_way_is_an_encounter() {
 fn pursuit_stays_on_the_road_of_every_route() {
     let mut around = 0;
     for name in ["intersection_turns_small", "intersection_turns"] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.xml"));
-        let scenario = Scenario::load(&path).expect("a scenario");
+        let scenario = scenario(name);
         let task = Task::new(&scenario, 8).expect("a task");
         let (control, road) = (&scenario.control, task.map.road());
         let steering = control.steering.as_ref().expect("vehicles steer");
@@ -136,8 +133,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
 /// of the other direction.
 #[test]
 fn an_agent_that_steers_arrives_on_any_lane() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection_turns.xml");
-    let scenario = Scenario::load(&path).expect("a scenario");
+    let scenario = scenario("intersection_turns");
     let task = Task::new(&scenario, 8).expect("a task");
     let mut ends = HashSet::new();
     for route in &task.map.routes {
@@ -175,8 +171,7 @@ fn routes_meet_where_the_lanes_cross() {
 
 #[test]
 fn ways_that_lie_on_each_other_meet() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
-    let scenario = Scenario::load(&path).expect("the shipped scenario is valid");
+    let scenario = scenario("parking_lot");
     let task = Task::new(&scenario, 5).expect("a task");
     let index =
         |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
@@ -213,8 +208,7 @@ fn ways_that_lie_on_each_other_meet() {
 /// is rewarded as well.
 #[test]
 fn the_reward_for_speed_is_for_its_magnitude() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/parking_lot.xml");
-    let scenario = Scenario::load(&path).expect("a scenario");
+    let scenario = scenario("parking_lot");
     let task = Arc::new(Task::new(&scenario, 1).expect("a task"));
     let there = Snapshot {
         vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })],

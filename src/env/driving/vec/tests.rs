@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::*;
-use crate::scenario::Scenario;
+use crate::env::driving::tests::scenario;
 use crate::sumo::{Meter, Snapshot, VehicleState};
 
 /// What the scripted simulator does in one exchange.
@@ -76,8 +76,7 @@ impl Simulation for Scripted {
 }
 
 fn scripted(script: &[Answer]) -> VecEnv {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
-    let task = Arc::new(Task::new(&Scenario::load(&path).unwrap(), 8).unwrap());
+    let task = Arc::new(Task::new(&scenario("intersection"), 8).unwrap());
     let worlds = (0..2).map(|e| {
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(0), e, 2, u64::MAX);
         world.reset(e);

@@ -1,6 +1,68 @@
-//! Tests of what an episode's record says about driving: distance, crashes, loitering.
+//! Tests of what an episode's record says about driving: causes of failures, distance, crashes, loitering.
 
 use super::*;
+
+/// Plays an episode in which the slots that `drives` picks, by route and place in its queue (0:
+/// first), drive at full throttle and the others stand. Returns the episode's record and the task.
+fn failures_of(agents: u32, drives: impl Fn(usize, usize) -> bool) -> (EpisodeRecord, Arc<Task>) {
+    let task = task(agents, |s| s.termination.horizon = 60);
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    exchange(&mut world, &mut rails, &vec![0.0; agents as usize]);
+    let start: Vec<(usize, f64)> =
+        rails.vehicles.iter().flatten().map(|(route, s, _)| (*route, *s)).collect();
+    let place = |(route, s): (usize, f64)| {
+        start.iter().filter(|other| other.0 == route && other.1 > s).count()
+    };
+    let actions: Vec<f32> =
+        start.iter().map(|&at| f32::from(u8::from(drives(at.0, place(at))))).collect();
+    loop {
+        exchange(&mut world, &mut rails, &actions);
+        if let Some(record) = world.take_finished() {
+            return (record, task);
+        }
+    }
+}
+
+#[test]
+fn failures_say_how_a_crash_came_about() {
+    // On one lane, the second vehicle hits the first, which stands, and the third hits the wreck;
+    // the fourth stands.
+    let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
+    let failures = &record.failures;
+    assert_eq!((failures.rear_end, failures.wreck, failures.crossing), (2, 1, 0), "{failures:?}");
+    assert_eq!((failures.upstream, failures.unfinished, failures.out_of_road), (3, 13, 0));
+    assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
+    let text = failures.describe().join("\n");
+    for part in [
+        "3 vehicles crashed: 0 % with a vehicle on a crossing route",
+        "67 % with one on their own route",
+        "33 % into a wreck",
+        "100 % of them",
+    ] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(text.contains("13 vehicles had not arrived") && !text.contains("off-road"), "{text}");
+
+    // The first vehicles of two routes that cross.
+    let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));
+    let failures = &record.failures;
+    let names = [2, 1].map(|route| task.scenario.routes[route].id.clone());
+    assert_eq!(
+        failures.routes.keys().collect::<Vec<_>>(),
+        [&format!("{} × {}", names[0], names[1])],
+        "{failures:?}"
+    );
+    assert_eq!(
+        (failures.crossing, failures.rear_end, failures.wreck, failures.upstream),
+        (2, 0, 0, 0)
+    );
+    assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
+
+    let both = failures.clone().plus(failures);
+    assert_eq!((both.crossing, both.unfinished, both.steps), (4, 12, 2 * failures.steps));
+    assert_eq!(both.routes.values().sum::<u32>(), 4);
+}
 
 /// Plays an episode in which agent `k` of one lane, counted from the first, stops `stops[k]`
 /// metres before the finish, or drives through at full throttle if there is no stop; all other
