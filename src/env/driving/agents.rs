@@ -8,7 +8,6 @@
 
 use nalgebra::Vector2;
 
-use super::failures::Crash;
 use super::geometry::{Pose, Size, Stance};
 use super::vehicle::tyres::Motion;
 
@@ -17,17 +16,19 @@ use super::vehicle::tyres::Motion;
 pub(crate) const CLEARED: f64 = 7.0;
 
 /// What a slot holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Status {
+    #[default]
     Empty,
     Active,
     Wreck,
 }
 
 /// Where SUMO has an agent that steers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Track {
     /// On its route.
+    #[default]
     Route,
     /// The vehicle has been beside its route, so that SUMO may have given it another.
     Astray,
@@ -35,8 +36,8 @@ pub(crate) enum Track {
     Lost,
 }
 
-/// A slot and its vehicle.
-#[derive(Debug, Clone)]
+/// A slot and its vehicle; empty by default.
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Slot {
     pub(crate) status: Status,
     pub(crate) route: usize,
@@ -83,6 +84,23 @@ pub(crate) struct Slot {
     pub(crate) crash: Option<Crash>,
 }
 
+/// How an agent crashed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Crash {
+    /// Route of the vehicle that the agent overlapped with in the step of the crash; the one with
+    /// the lowest slot if there are several.
+    pub(crate) other: usize,
+    /// Whether one of the two vehicles was ahead of the other on the other's route.
+    pub(crate) same_way: bool,
+    /// Whether the other vehicle was already a wreck.
+    pub(crate) wreck: bool,
+    pub(crate) step: u32,
+    /// Speed of the agent \[m/s\].
+    pub(crate) speed: f64,
+    /// Whether the agent was more than 6 m before the first conflict point of its route.
+    pub(crate) upstream: bool,
+}
+
 /// How an episode ended for an agent; several may hold at once.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Outcome {
@@ -93,30 +111,6 @@ pub struct Outcome {
     /// The agent was off-road.
     pub out_of_road: bool,
 }
-
-pub(crate) const EMPTY: Slot = Slot {
-    status: Status::Empty,
-    route: 0,
-    size: [0.0; 2],
-    pose: Pose { x: 0.0, y: 0.0, heading: 0.0 },
-    before: Pose { x: 0.0, y: 0.0, heading: 0.0 },
-    s: 0.0,
-    speed: 0.0,
-    lateral: 0.0,
-    action: 0.0,
-    steer: 0.0,
-    motion: Motion::at(Pose { x: 0.0, y: 0.0, heading: 0.0 }),
-    segment: 0,
-    added: false,
-    track: Track::Route,
-    sent: None,
-    held: None,
-    departed: false,
-    wreck_steps: 0,
-    priority: 0,
-    outcome: Outcome { arrived: false, crashed: false, out_of_road: false },
-    crash: None,
-};
 
 /// A route that a vehicle may be on, and the vehicle's position on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -155,10 +149,10 @@ impl Traffic {
     /// Creates traffic without any vehicle.
     pub(crate) fn new(slots: usize, routes: usize) -> Self {
         Self {
-            slots: vec![EMPTY; slots],
+            slots: vec![Slot::default(); slots],
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
-            stances: vec![(&EMPTY.pose).into(); slots],
+            stances: vec![Stance::identity(); slots],
             last_priority: 0,
         }
     }

@@ -8,7 +8,7 @@
 
 use rand::RngExt as _;
 
-use super::agents::{EMPTY, Slot, Status};
+use super::agents::{Slot, Status};
 use super::collisions::Collisions;
 use super::effects::Effects;
 use super::geometry::Pose;
@@ -69,11 +69,11 @@ impl Background {
             if slot.added {
                 commands.push(Command::Remove { world, slot: i });
             }
-            *slot = EMPTY;
+            *slot = Slot::default();
         }
         for ((slot, i), &(route, s)) in slots.iter_mut().zip(task.agents as u32..).zip(places) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
-            *slot = Slot { route, size, added: true, ..EMPTY };
+            *slot = Slot { route, size, added: true, ..Slot::default() };
             commands.push(Command::Add {
                 world,
                 slot: i,
@@ -102,7 +102,7 @@ impl Background {
             let at = (task.agents + i) as u32;
             if slot.wreck_steps == 0 {
                 self.effects.dismiss(i, task.map.routes[slot.route].is_walked());
-                *slot = EMPTY;
+                *slot = Slot::default();
                 commands.push(Command::Remove { world, slot: at });
                 continue;
             }
@@ -139,7 +139,7 @@ impl Background {
                 clock.left -= 1;
                 let (vehicle_type, size) = task.demand_type(kind);
                 let route = task.map.demand_routes[source.route].route;
-                slots[i] = Slot { route, size, added: true, ..EMPTY };
+                slots[i] = Slot { route, size, added: true, ..Slot::default() };
                 commands.push(Command::Depart {
                     world,
                     slot: (task.agents + i) as u32,
@@ -167,7 +167,7 @@ impl Background {
                 if slot.departed {
                     // The vehicle came to the end of its route.
                     self.effects.dismiss(i, route.is_walked());
-                    *slot = EMPTY;
+                    *slot = Slot::default();
                 }
                 continue;
             };

@@ -1,8 +1,8 @@
 //! Collisions, by our own test of the vehicles' boxes several times per step.
 
-use super::agents::{Slot, Status};
-use super::audit::{Ours, Pairs, Sumos};
-use super::failures::{Crash, UPSTREAM};
+use super::agents::{Crash, Slot, Status};
+use super::audit::{Pairs, reason_of_ours, reason_of_sumo};
+use super::failures::UPSTREAM;
 use super::geometry::boxes_overlap;
 use super::map::Map;
 use super::routes::RouteGeometry;
@@ -98,7 +98,7 @@ impl Collisions {
                 // SUMO gives pedestrians other shapes, so that their collisions cannot be compared.
                 if j < agents && !map.routes[slots[i].route].is_walked() {
                     let pair = [i, j].map(|k| (k as u32, &slots[k]));
-                    self.pairs.ours(j as u32, i as u32, || Ours::reason(map, pair, reported()));
+                    self.pairs.ours(j as u32, i as u32, || reason_of_ours(map, pair, reported()));
                 }
             }
         }
@@ -116,7 +116,7 @@ impl Collisions {
         for &Collision { collider, victim, .. } in reported {
             if (collider.min(victim) as usize) < agents {
                 let (a, b) = (&slots[collider as usize], &slots[victim as usize]);
-                self.pairs.sumo(collider, victim, || Sumos::reason(map, steer, a, b));
+                self.pairs.sumo(collider, victim, || reason_of_sumo(map, steer, a, b));
             }
         }
     }

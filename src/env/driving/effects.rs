@@ -189,14 +189,13 @@ fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::agents::EMPTY;
     use super::super::geometry::Pose;
     use super::*;
 
     /// Returns a vehicle of 4 m length with its centre at `s` and with this speed.
     fn at(s: f64, speed: f64) -> Slot {
         let pose = Pose { x: s, y: 0.0, heading: 0.0 };
-        Slot { size: [4.0, 2.0], s, speed, pose, ..EMPTY }
+        Slot { size: [4.0, 2.0], s, speed, pose, ..Slot::default() }
     }
 
     /// Returns the post-encroachment time of two vehicles at 10 m/s whose routes cross 50 m from

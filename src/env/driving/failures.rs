@@ -4,26 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::agents::{Crash, Slot, Status};
+
 /// A crash counts as upstream when the first conflict point of the agent's route is farther ahead
 /// than this \[m\].
 pub(super) const UPSTREAM: f64 = 6.0;
-
-/// How an agent crashed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Crash {
-    /// Route of the vehicle that the agent overlapped with in the step of the crash; the one with
-    /// the lowest slot if there are several.
-    pub(super) other: usize,
-    /// Whether one of the two vehicles was ahead of the other on the other's route.
-    pub(super) same_way: bool,
-    /// Whether the other vehicle was already a wreck.
-    pub(super) wreck: bool,
-    pub(super) step: u32,
-    /// Speed of the agent \[m/s\].
-    pub(super) speed: f64,
-    /// Whether the agent was more than [`UPSTREAM`] before the first conflict point of its route.
-    pub(super) upstream: bool,
-}
 
 /// Counts of agents that did not arrive, by cause.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -70,8 +55,23 @@ fn most(counts: &BTreeMap<String, u32>) -> String {
 }
 
 impl Failures {
+    /// Returns why agents have not arrived. `routes` are the names of the routes.
+    pub(super) fn of(agents: &[Slot], routes: &[String]) -> Self {
+        let mut failures = Self::default();
+        for slot in agents {
+            failures.unfinished += u32::from(slot.status == Status::Active);
+            if slot.outcome.out_of_road && slot.crash.is_none() {
+                failures.leave(&routes[slot.route]);
+            }
+            if let Some(crash) = slot.crash.filter(|_| !slot.outcome.arrived) {
+                failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
+            }
+        }
+        failures
+    }
+
     /// Adds an agent that crashed. `routes`: names of the agent's route and of the other vehicle's.
-    pub(super) fn add(&mut self, crash: &Crash, routes: [&str; 2]) {
+    fn add(&mut self, crash: &Crash, routes: [&str; 2]) {
         let count = |flag: bool| u32::from(flag);
         self.wreck += count(crash.wreck);
         self.rear_end += count(!crash.wreck && crash.same_way);
@@ -86,7 +86,7 @@ impl Failures {
     }
 
     /// Adds an agent that went off-road on `route` without a crash.
-    pub(super) fn leave(&mut self, route: &str) {
+    fn leave(&mut self, route: &str) {
         self.out_of_road += 1;
         *self.off_road.entry(route.to_owned()).or_default() += 1;
     }

@@ -112,12 +112,10 @@ impl Closest {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
-    use super::super::agents::EMPTY;
     use super::super::task::Task;
     use super::super::tests::scenario;
     use super::*;
+    use proptest::prelude::*;
 
     const SIZE: [f64; 2] = [4.5, 1.85];
     const HORIZON: f64 = 4.0;
@@ -179,7 +177,7 @@ mod tests {
             lateral in [-0.4..0.4, -0.4..0.4],
         ) {
             let task = Task::new(&scenario("intersection_turns_small"), 8).expect("a task");
-            let slots = [0, 1].map(|i| Slot { route: routes[i], s: s[i], lateral: lateral[i], size: SIZE, ..EMPTY });
+            let slots = [0, 1].map(|i| Slot { route: routes[i], s: s[i], lateral: lateral[i], size: SIZE, ..Slot::default() });
             let [a, b] = [0, 1].map(|i| Course::new(&task.map.routes, &slots[i], speed[i]));
             let [close, soon] = passing(a, b, HORIZON);
             prop_assert_eq!([close, soon], passing(b, a, HORIZON), "the same for both");

@@ -1,7 +1,11 @@
 //! What learners and observers get to see of a world.
 
+use rayon::prelude::*;
+
 use super::agents::{Outcome, Slot, Status};
 use super::geometry::{Pose, Size};
+use super::intention::Knowledge;
+use super::observation::View;
 use super::task::Task;
 
 /// What a world gives to agents and learners after an exchange. Reused from step to step.
@@ -56,6 +60,33 @@ impl Frame {
         self.start = start;
         self.terminated.fill(0.0);
         self.truncated.fill(0.0);
+    }
+
+    /// Writes the observations and privileged states of the agents that are `present`; `view` is
+    /// that of any of them.
+    pub(super) fn write_views(&mut self, task: &Task, view: &View<'_>, present: &[bool]) {
+        let full = Knowledge::full(&task.map.routes, view.traffic);
+        let write = |(slot, (seen, known)): (usize, (&mut [f32], &mut [f32]))| {
+            if present[slot] {
+                let view = View { slot, knowledge: view.knowledge.to(slot), ..*view };
+                task.observation.write(&view, seen);
+                task.state.write(&View { knowledge: full, ..view }, known);
+            } else {
+                seen.fill(0.0);
+                known.fill(0.0);
+            }
+        };
+        let (o, s) = (task.spec.observation.len(), task.spec.state.len());
+        let looks = &task.scenario.observation;
+        if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.priority_distance > 0.0 {
+            let seen = self.observation.par_chunks_exact_mut(o);
+            let views = seen.zip(self.state.par_chunks_exact_mut(s)).enumerate();
+            // Fewer than 16 agents are not worth another core.
+            views.with_min_len(16).for_each(write);
+        } else {
+            let seen = self.observation.chunks_exact_mut(o);
+            seen.zip(self.state.chunks_exact_mut(s)).enumerate().for_each(write);
+        }
     }
 
     /// Truncates all active agents because the simulation broke off.

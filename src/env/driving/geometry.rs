@@ -2,6 +2,8 @@
 
 use nalgebra::{Isometry2, Translation2, UnitComplex, Vector2};
 
+use crate::sumo::net::Path;
+
 /// Pose of a vehicle's centre.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose {
@@ -17,6 +19,12 @@ impl Pose {
     /// Returns the centre \[m\].
     pub(crate) fn point(&self) -> [f64; 2] {
         [self.x, self.y]
+    }
+
+    /// Returns the pose at position `s` of a path.
+    pub(crate) fn on(path: &Path, s: f64) -> Self {
+        let ([x, y], heading) = path.at(s);
+        Self { x, y, heading }
     }
 
     /// Returns the pose `lateral` metres to the left of a point.

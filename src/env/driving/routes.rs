@@ -204,18 +204,14 @@ fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec
     /// Margin added to the length and width of the vehicle on the other route, since no vehicle
     /// keeps to the centre line exactly \[m\].
     const MARGIN: f64 = 0.3;
-    let pose = |path: &Path, s: f64| {
-        let ([x, y], heading) = path.at(s);
-        Pose { x, y, heading }
-    };
     let in_the_way = |s: f64, shift: f64| {
-        let (there, grown) = (pose(other, s), size.map(|x| x + MARGIN));
+        let (there, grown) = (Pose::on(other, s), size.map(|x| x + MARGIN));
         let reach = (2.0 * size[0] / STEP) as i32;
         (-reach..=reach).any(|k| {
-            boxes_overlap((&pose(own, s + shift + f64::from(k) * STEP), size), (&there, grown))
+            boxes_overlap((&Pose::on(own, s + shift + f64::from(k) * STEP), size), (&there, grown))
         })
     };
-    let one = |s: f64, shift: f64| pose(other, s).distance(&pose(own, s + shift)) < CLOSE;
+    let one = |s: f64, shift: f64| Pose::on(other, s).distance(&Pose::on(own, s + shift)) < CLOSE;
     let (end, own_end) = (other.length(), own.length());
     let extend = |mut stretch: Shared| {
         while stretch.to < end
@@ -289,24 +285,21 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
 fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
     /// Distance between the places of one stretch, in steps of [`STEP`].
     const SPACING: usize = (4.0 / STEP) as usize;
-    let pose = |path: &Path, s: f64| {
-        let ([x, y], heading) = path.at(s);
-        Pose { x, y, heading }
-    };
     let diagonal = size[0].hypot(size[1]);
     let reach = (diagonal / STEP) as i32;
     // `stretch` holds the gaps and places of the current stretch. A stretch that begins at a fork
     // is no conflict.
     let (mut found, mut stretch, mut forked) = (Vec::new(), Vec::new(), false);
     for s in (0..=(own.length() / STEP) as u32).map(|k| f64::from(k) * STEP) {
-        let here = pose(own, s);
+        let here = Pose::on(own, s);
         let (at, gap, _) = other.nearest([here.x, here.y]);
         let gap = gap.abs();
         let common = shared
             .iter()
             .any(|k| (k.from..=k.to).contains(&at) && (at + k.shift - s).abs() < 2.0 * STEP);
-        let touch =
-            |k: i32| boxes_overlap((&here, size), (&pose(other, at + f64::from(k) * STEP), size));
+        let touch = |k: i32| {
+            boxes_overlap((&here, size), (&Pose::on(other, at + f64::from(k) * STEP), size))
+        };
         let near = gap < APART || gap < diagonal && (-reach..=reach).any(touch);
         forked = common || forked && near;
         if near && !forked {

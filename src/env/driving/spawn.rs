@@ -1,6 +1,6 @@
 //! The beginning of an episode: draws the agents' routes and positions.
 
-use super::agents::{EMPTY, Slot, Status};
+use super::agents::{Slot, Status};
 use super::geometry::Pose;
 use super::motion::NO_CHECKS;
 use super::task::{AGENT_TYPE, Driver, SUMO_TYPE, Task};
@@ -56,7 +56,7 @@ pub(super) fn spawn(
             commands.push(Command::Remove { world, slot: at });
         }
         if i >= active_agents {
-            *slot = EMPTY;
+            *slot = Slot::default();
             continue;
         }
         let (route, s) = draw(i, rng);
@@ -75,7 +75,7 @@ pub(super) fn spawn(
             lateral,
             held: Some(s + half),
             added: true,
-            ..EMPTY
+            ..Slot::default()
         };
         commands.push(Command::Add {
             world,

@@ -8,8 +8,6 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::agents::{Slot, Status, Traffic};
 use super::background::Background;
 use super::collisions::Collisions;
@@ -393,37 +391,20 @@ impl World {
         acting
     }
 
-    /// Writes the observations and privileged states of the agents that are present to the frame.
+    /// Writes the observations and privileged states of the agents to the frame.
     fn write_views(&mut self) {
-        let (task, map, traffic) = (&*self.task, &self.task.map, &self.traffic);
-        let (scenario, present) = (&task.scenario, &self.present);
-        let priorities = &self.priorities[..];
-        let horizon = f64::from(scenario.termination.horizon);
-        let time_left = 1.0 - f64::from(self.episode.step) / horizon;
-        let public = Knowledge::public(map, traffic, self.intentions.as_ref());
-        let full = Knowledge::full(&map.routes, traffic);
-        let write = |(slot, (seen, known)): (usize, (&mut [f32], &mut [f32]))| {
-            if present[slot] {
-                let knowledge = public.to(slot);
-                let view = View { scenario, map, traffic, knowledge, priorities, time_left, slot };
-                task.observation.write(&view, seen);
-                task.state.write(&View { knowledge: full, priorities: &[], ..view }, known);
-            } else {
-                seen.fill(0.0);
-                known.fill(0.0);
-            }
+        let (task, traffic) = (&*self.task, &self.traffic);
+        let horizon = f64::from(task.scenario.termination.horizon);
+        let view = View {
+            scenario: &task.scenario,
+            map: &task.map,
+            traffic,
+            knowledge: Knowledge::public(&task.map, traffic, self.intentions.as_ref()),
+            priorities: &self.priorities,
+            time_left: 1.0 - f64::from(self.episode.step) / horizon,
+            slot: 0,
         };
-        let (o, s) = (task.spec.observation.len(), task.spec.state.len());
-        let (seen, known) = (&mut self.frame.observation, &mut self.frame.state);
-        let looks = &scenario.observation;
-        if looks.lidar.beams > 0 || looks.foresight > 0.0 || looks.priority_distance > 0.0 {
-            let views = seen.par_chunks_exact_mut(o).zip(known.par_chunks_exact_mut(s));
-            // Fewer than 16 agents are not worth another core.
-            views.enumerate().with_min_len(16).for_each(write);
-        } else {
-            let views = seen.chunks_exact_mut(o).zip(known.chunks_exact_mut(s));
-            views.enumerate().for_each(write);
-        }
+        self.frame.write_views(task, &view, &self.present);
     }
 
     /// Returns the record of the current episode.
@@ -451,26 +432,11 @@ impl World {
             crashes: self.collisions.crashes,
             loitering: loitering as f64 / n,
             audit: self.collisions.pairs.audit(),
-            failures: failures(agents, &self.task.map.route_ids),
+            failures: Failures::of(agents, &self.task.map.route_ids),
             others: (self.task.others > 0).then(background),
             interrupted,
             replayed: self.episode.is_replayed(),
             step_rewards: std::mem::take(&mut self.rewards.steps),
         }
     }
-}
-
-/// Returns why agents did not arrive. `routes` are the names of the routes.
-fn failures(agents: &[Slot], routes: &[String]) -> Failures {
-    let mut failures = Failures::default();
-    for slot in agents {
-        failures.unfinished += u32::from(slot.status == Status::Active);
-        if slot.outcome.out_of_road && slot.crash.is_none() {
-            failures.leave(&routes[slot.route]);
-        }
-        if let Some(crash) = slot.crash.filter(|_| !slot.outcome.arrived) {
-            failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
-        }
-    }
-    failures
 }

@@ -35,7 +35,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::env::driving::agents::{Candidate, EMPTY};
+    use crate::env::driving::agents::Candidate;
     use crate::env::driving::geometry::{Pose, separation};
     use crate::env::driving::right_of_way::{assign, is_behind};
     use crate::env::driving::tests::scenario;
@@ -68,7 +68,7 @@ mod tests {
             segment,
             pose: Pose { x, y, heading },
             size: [4.5, 1.85],
-            ..EMPTY
+            ..Slot::default()
         }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-use super::super::agents::{Candidate, EMPTY, Slot, Status, Traffic};
+use super::super::agents::{Candidate, Slot, Status, Traffic};
 use super::super::intention::{Intentions, Knowledge};
 use super::super::observation::View;
 use super::super::right_of_way::{assign, inherit};
@@ -75,7 +75,8 @@ fn scene(task: &Task, places: &[RoutePosition]) -> Traffic {
         let pose = Pose { heading: heading + turned, ..Pose::beside(point, heading, lateral) };
         // One in eight is a wreck.
         let status = if k % 8 == 7 { Status::Wreck } else { Status::Active };
-        *slot = Slot { status, size: [4.515, 1.852], pose, speed, departed: true, ..EMPTY };
+        *slot =
+            Slot { status, size: [4.515, 1.852], pose, speed, departed: true, ..Slot::default() };
         send(task, slot, route);
     }
     traffic
@@ -293,7 +294,7 @@ fn an_indicator_is_seen_past_nobody() {
             size: [4.5, 1.8],
             pose: Pose { x, y, heading },
             departed: true,
-            ..EMPTY
+            ..Slot::default()
         };
         send(&task, &mut traffic.slots[k], route(id));
     };
@@ -343,10 +344,14 @@ fn routes_close_where_they_part() {
     let mut open = Vec::new();
     for k in 0..60 {
         let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
-        let ([x, y], heading) = path.at(end - 10.0 + f64::from(k) / 2.0);
-        let pose = Pose { x, y, heading };
-        traffic.slots[0] =
-            Slot { status: Status::Active, size: [4.5, 1.8], pose, departed: true, ..EMPTY };
+        let pose = Pose::on(path, end - 10.0 + f64::from(k) / 2.0);
+        traffic.slots[0] = Slot {
+            status: Status::Active,
+            size: [4.5, 1.8],
+            pose,
+            departed: true,
+            ..Slot::default()
+        };
         send(&task, &mut traffic.slots[0], left);
         traffic.refresh();
         intentions.update(&task.map, &traffic, true);

@@ -45,10 +45,6 @@ fn who_is_in_the_way_is_an_encounter() {
         let scenario = scenario(name);
         let task = Task::new(&scenario, scenario.agents.default).expect("a task");
         let size = [scenario.vehicle.length, scenario.vehicle.width];
-        let pose = |path: &crate::sumo::net::Path, s: f64| {
-            let ([x, y], heading) = path.at(s);
-            Pose { x, y, heading }
-        };
         let mut unseen = Vec::new();
         for (a, own) in task.map.routes.iter().enumerate() {
             for (b, other) in task.map.routes.iter().enumerate().filter(|(b, _)| *b != a) {
@@ -65,9 +61,9 @@ fn who_is_in_the_way_is_an_encounter() {
                     let ahead =
                         |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
                     let past = |t: f64| own.meeting(b).is_some() && !ahead(t);
-                    let there = pose(&other.path, s);
+                    let there = Pose::on(&other.path, s);
                     let touched =
-                        |t: &f64| boxes_overlap((&pose(&own.path, *t), size), (&there, size));
+                        |t: &f64| boxes_overlap((&Pose::on(&own.path, *t), size), (&there, size));
                     if let Some(t) = samples(own).find(|t| touched(t) && !live(*t) && !past(*t)) {
                         unseen.push(format!(
                             "{name}: {} at {s} for {} at {t}",
@@ -94,8 +90,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
         let steering = control.steering.as_ref().expect("vehicles steer");
         for (route, id) in task.map.routes.iter().zip(&task.map.route_ids) {
             around += usize::from(route.avoided.is_some());
-            let ([x, y], heading) = route.path.at(6.0);
-            let mut motion = Motion::at(Pose { x, y, heading });
+            let mut motion = Motion::at(Pose::on(&route.path, 6.0));
             let (mut s, mut segment) = (6.0, 0);
             for _ in 0..500 {
                 let throttle = (6.0 - motion.velocity.x) / (0.5 * control.accel);
