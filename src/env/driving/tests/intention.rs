@@ -82,6 +82,19 @@ fn scene(task: &Task, places: &[RoutePosition]) -> Traffic {
     traffic
 }
 
+fn route(task: &Task, id: &str) -> usize {
+    (0..task.map.routes.len()).find(|&k| task.map.route_id(k) == id).expect("a route")
+}
+
+/// Returns a vehicle at this position of a route.
+fn vehicle(task: &Task, route: usize, at: f64) -> Slot {
+    let pose = Pose::on(&task.map.routes[route].path, at);
+    let mut slot = Slot { status: Status::Active, size: [4.5, 1.8], pose, ..Slot::default() };
+    slot.departed = true;
+    send(task, &mut slot, route);
+    slot
+}
+
 fn intentions_of(task: &Task) -> Option<Intentions> {
     Intentions::new(&task.map, task.scenario.observation, task.agents, task.slots())
 }
@@ -129,6 +142,20 @@ fn differing(task: &Task, a: &[Vec<f32>], b: &[Vec<f32>], but: usize) -> Vec<Str
     names
 }
 
+/// Checks that the other agents' observations do not depend on which of the routes that begin alike
+/// the vehicle of slot `sent` is on.
+fn hides(task: &Task, traffic: &Traffic, sent: usize) -> Result<(), TestCaseError> {
+    let before = observe(task, traffic);
+    for route in alike(task, traffic.slots[sent].route) {
+        let mut other = traffic.clone();
+        send(task, &mut other.slots[sent], route);
+        let differ = differing(task, &before, &observe(task, &other), sent);
+        let name = task.map.route_id(route);
+        prop_assert!(differ.is_empty(), "vehicle {sent} on {name}: {differ:?}");
+    }
+    Ok(())
+}
+
 /// Returns the other routes that begin on the same lane as `route`.
 fn alike(task: &Task, route: usize) -> Vec<usize> {
     let begin = |k: usize| task.map.routes[k].path.lanes.first();
@@ -148,13 +175,7 @@ proptest! {
     ) {
         let task = task_of(name, Intention::Hidden, 30.0);
         let traffic = scene(&task, &places);
-        let before = observe(&task, &traffic);
-        for route in alike(&task, traffic.slots[sent].route) {
-            let mut other = traffic.clone();
-            send(&task, &mut other.slots[sent], route);
-            let differ = differing(&task, &before, &observe(&task, &other), sent);
-            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.map.route_id(route));
-        }
+        hides(&task, &traffic, sent)?;
     }
 
     /// While a vehicle's indicator is not yet on, the other agents' observations do not depend on
@@ -175,13 +196,7 @@ proptest! {
         let (point, heading) = path.at(places[sent].1 * (end - slot.size[0] / 2.0 - 3.0));
         slot.pose = Pose::beside(point, heading, places[sent].2 / 5.0);
         send(&task, slot, slot.route);
-        let before = observe(&task, &traffic);
-        for route in alike(&task, traffic.slots[sent].route) {
-            let mut other = traffic.clone();
-            send(&task, &mut other.slots[sent], route);
-            let differ = differing(&task, &before, &observe(&task, &other), sent);
-            prop_assert!(differ.is_empty(), "{name}, vehicle {sent} on {}: {differ:?}", task.map.route_id(route));
-        }
+        hides(&task, &traffic, sent)?;
     }
 
     /// The candidates of a vehicle that is on its route contain that route, at the vehicle's
@@ -281,24 +296,12 @@ fn a_seen_route_changes_what_depends_on_it() {
 #[test]
 fn an_indicator_is_seen_past_nobody() {
     let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
-    let route = |id: &str| {
-        (0..task.map.routes.len()).find(|&k| task.map.route_id(k) == id).expect("a route")
-    };
     let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
     let mut put = |k: usize, id: &str, at: f64| {
-        let path = &task.map.routes[route(id)].path;
-        let ([x, y], heading) = path.at(at);
-        let status = Status::Active;
-        traffic.slots[k] = Slot {
-            status,
-            size: [4.5, 1.8],
-            pose: Pose { x, y, heading },
-            departed: true,
-            ..Slot::default()
-        };
-        send(&task, &mut traffic.slots[k], route(id));
+        traffic.slots[k] = vehicle(&task, route(&task, id), at);
     };
-    let end = task.map.routes[route("west_left")].path.lane_stretches().next().expect("a lane").2;
+    let end =
+        task.map.routes[route(&task, "west_left")].path.lane_stretches().next().expect("a lane").2;
     // Vehicle 0 is behind vehicle 1, vehicle 2 comes towards both, and vehicle 3 is behind vehicle
     // 0.
     put(0, "west_straight", end - 20.0);
@@ -336,23 +339,14 @@ fn an_indicator_is_seen_past_nobody() {
 #[test]
 fn routes_close_where_they_part() {
     let task = task_of("intersection_turns_small", Intention::Hidden, 30.0);
-    let left =
-        (0..task.map.routes.len()).find(|&k| task.map.route_id(k) == "west_left").expect("a route");
+    let left = route(&task, "west_left");
     let path = &task.map.routes[left].path;
     let end = path.lane_stretches().next().expect("a lane").2;
     let mut intentions = intentions_of(&task).expect("something is hidden");
     let mut open = Vec::new();
     for k in 0..60 {
         let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
-        let pose = Pose::on(path, end - 10.0 + f64::from(k) / 2.0);
-        traffic.slots[0] = Slot {
-            status: Status::Active,
-            size: [4.5, 1.8],
-            pose,
-            departed: true,
-            ..Slot::default()
-        };
-        send(&task, &mut traffic.slots[0], left);
+        traffic.slots[0] = vehicle(&task, left, end - 10.0 + f64::from(k) / 2.0);
         traffic.refresh();
         intentions.update(&task.map, &traffic, true);
         open.push(Knowledge::public(&task.map, &traffic, Some(&intentions)).candidates(0).count());
