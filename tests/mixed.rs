@@ -144,7 +144,7 @@ fn who_walks_the_same_way_is_one_stream() {
 fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait() {
     let task = task_of("pedestrians_cross.xml", |_| {});
     let over_north = task.map.routes.len() - 1;
-    let meets = |route: usize| task.map.routes[route].meeting(over_north).is_some();
+    let meets = |route: usize| task.map.routes[route].conflict_with(over_north).is_some();
     assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who uses the northern arm");
     let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes");
     // Several speeds, so that some vehicles reach the crossing when a pedestrian is on it.

@@ -91,7 +91,7 @@ pub(crate) struct Crash {
     /// the lowest slot if there are several.
     pub(crate) other: usize,
     /// Whether one of the two vehicles was ahead of the other on the other's route.
-    pub(crate) same_way: bool,
+    pub(crate) same_path: bool,
     /// Whether the other vehicle was already a wreck.
     pub(crate) wreck: bool,
     pub(crate) step: u32,

@@ -182,7 +182,7 @@ impl Background {
             } else {
                 route.lanes().nearest(front)
             };
-            (slot.s, slot.segment) = (route.on_way(s - half), segment);
+            (slot.s, slot.segment) = (route.on_path(s - half), segment);
             if slot.departed {
                 slot.before = slot.pose;
                 if slot.status == Status::Active {

@@ -18,7 +18,7 @@ pub(super) struct Partner {
     /// Route of the other vehicle.
     route: usize,
     /// Whether one of the two is ahead of the other on its route.
-    same_way: bool,
+    same_path: bool,
     /// Whether the other vehicle is a wreck.
     wreck: bool,
 }
@@ -26,9 +26,9 @@ pub(super) struct Partner {
 impl Partner {
     /// Returns the crash of an agent on `route` with this vehicle.
     pub(super) fn crash(&self, route: &RouteGeometry, agent: &Slot, step: u32) -> Crash {
-        let Self { route: other, same_way, wreck } = *self;
+        let Self { route: other, same_path, wreck } = *self;
         let upstream = route.conflicts.first().is_some_and(|c| c.own - agent.s > UPSTREAM);
-        Crash { other, same_way, wreck, step, speed: agent.speed, upstream }
+        Crash { other, same_path, wreck, step, speed: agent.speed, upstream }
     }
 }
 
@@ -90,10 +90,10 @@ impl Collisions {
                     let shared = route.shared_position(slots[b].route, slots[b].s);
                     shared.is_some_and(|s| s >= slots[a].s)
                 };
-                let same_way = follows(i, j) || follows(j, i);
+                let same_path = follows(i, j) || follows(j, i);
                 for (own, other) in [(i, j), (j, i)] {
                     let (route, wreck) = (slots[other].route, !moving(other));
-                    self.partners[own].get_or_insert(Partner { route, same_way, wreck });
+                    self.partners[own].get_or_insert(Partner { route, same_path, wreck });
                 }
                 // SUMO gives pedestrians other shapes, so that their collisions cannot be compared.
                 if j < agents && !map.routes[slots[i].route].is_walked() {

@@ -109,7 +109,7 @@ impl Effects {
             let ttc = time_to_collision(agent, other);
             self.ttc = self.ttc.min(ttc);
             self.road_users[road_user].close |= ttc < CLOSE;
-            let Some(met) = map.routes[agent.route].meeting(other.route) else { continue };
+            let Some(met) = map.routes[agent.route].conflict_with(other.route) else { continue };
             let pass = &mut self.passes[i * count + road_user];
             note(&mut pass.agent, agent, met.own, other.size[1], now);
             note(&mut pass.other, other, met.other, agent.size[1], now);

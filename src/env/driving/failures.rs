@@ -74,8 +74,8 @@ impl Failures {
     fn add(&mut self, crash: &Crash, routes: [&str; 2]) {
         let count = |flag: bool| u32::from(flag);
         self.wreck += count(crash.wreck);
-        self.rear_end += count(!crash.wreck && crash.same_way);
-        if !crash.wreck && !crash.same_way {
+        self.rear_end += count(!crash.wreck && crash.same_path);
+        if !crash.wreck && !crash.same_path {
             self.crossing += 1;
             let [a, b] = if routes[0] <= routes[1] { routes } else { [routes[1], routes[0]] };
             *self.routes.entry(format!("{a} × {b}")).or_default() += 1;
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_leaves_the_road_is_told_by_route() {
+    fn off_road_agents_are_counted_by_route() {
         let mut first = Failures::default();
         first.leave("b");
         let mut second = first.clone();

@@ -61,7 +61,7 @@ impl<'a> Course<'a> {
 pub(crate) fn passing(a: Course<'_>, b: Course<'_>, horizon: f64) -> [f64; 2] {
     let mut closest = Closest::within(horizon);
     closest.look(a, b, 0.0);
-    closest.told()
+    closest.numbers()
 }
 
 /// The closest passing found so far of a vehicle and another that has several possible courses; of
@@ -105,7 +105,7 @@ impl Closest {
     }
 
     /// Returns the two numbers of [`passing`].
-    pub(crate) fn told(self) -> [f64; 2] {
+    pub(crate) fn numbers(self) -> [f64; 2] {
         [1.0 - self.least / CLOSE, 1.0 - self.when / self.horizon]
     }
 }
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crossing_is_foreseen_from_the_ways_that_are_left() {
+    fn a_crossing_is_foreseen_from_the_distances_that_are_left() {
         // Contact happens when both vehicles are 3 m from the crossing.
         let touching = [
             ([27.0, 27.0], [10.0, 10.0], 2.0),
@@ -170,7 +170,7 @@ mod tests {
         /// On all routes of an intersection with turns, foresight agrees with a search in steps of
         /// 0.01 s.
         #[test]
-        fn what_is_foreseen_is_what_a_close_look_finds(
+        fn foresight_agrees_with_a_fine_search(
             routes in [0usize..12, 0usize..12],
             s in [5.0..60.0, 5.0..60.0],
             speed in [-1.0..12.0, 0.0..12.0],

@@ -185,7 +185,7 @@ fn locate(
     let centre = [slot.pose.x, slot.pose.y];
     let (s, lateral, segment) =
         hint.map_or_else(|| path.nearest(centre), |hint| path.project(centre, hint));
-    let s = if on_path { s } else { geometry.on_way(s) };
+    let s = if on_path { s } else { geometry.on_path(s) };
     let outside = (-s).max(s - geometry.path.length()) - slot.size[0];
     let candidate = Candidate { route, s, lateral, segment };
     let ([x, y], [u, v]) = (direction(&stance), path.direction(segment));
@@ -333,7 +333,7 @@ impl<'a> Knowledge<'a> {
                 from,
             );
         }
-        closest.told()
+        closest.numbers()
     }
 
     /// Returns positions \[m\] and slots of the vehicles that may be on a route, furthest along

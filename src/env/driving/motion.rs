@@ -195,7 +195,7 @@ pub(super) fn place(
         let (sin, cos) = heading.sin_cos();
         slot.pose =
             Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
-        slot.s = route.on_way(front - half);
+        slot.s = route.on_path(front - half);
         slot.segment = segment;
     }
     Ok(())

@@ -27,7 +27,7 @@ pub struct RouteGeometry {
     pub apart: Vec<usize>,
     /// Conflicts with every route, in the order in which they lie along this route. The first of
     /// each route is its entry in [`RouteGeometry::conflicts`].
-    meetings: Vec<Vec<Conflict>>,
+    by_route: Vec<Vec<Conflict>>,
     /// For every route, the stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
 }
@@ -66,7 +66,7 @@ impl RouteGeometry {
     }
 
     /// Converts a position on [`RouteGeometry::lanes`] into a position on [`RouteGeometry::path`].
-    pub fn on_way(&self, s: f64) -> f64 {
+    pub fn on_path(&self, s: f64) -> f64 {
         self.avoided.as_ref().map_or(s, |lanes| self.path.arc_of_distance(lanes.distance_of_arc(s)))
     }
 
@@ -83,13 +83,13 @@ impl RouteGeometry {
     }
 
     /// Returns the first conflict with `route`, in the order of this route.
-    pub fn meeting(&self, route: usize) -> Option<Conflict> {
-        self.meetings[route].first().copied()
+    pub fn conflict_with(&self, route: usize) -> Option<Conflict> {
+        self.by_route[route].first().copied()
     }
 
     /// Returns the next conflict between a vehicle at `own` on this route and one at `other` on
     /// `route`. A conflict counts until one of the two is more than `cleared` metres past it.
-    pub fn next_meeting(
+    pub fn next_conflict(
         &self,
         own: f64,
         route: usize,
@@ -97,7 +97,7 @@ impl RouteGeometry {
         cleared: f64,
     ) -> Option<Conflict> {
         let ahead = |met: &&Conflict| met.own - own >= -cleared && met.other - other >= -cleared;
-        self.meetings[route].iter().find(ahead).copied()
+        self.by_route[route].iter().find(ahead).copied()
     }
 
     /// Returns the distance from `s` to the first conflict point, or to the arrival if the route
@@ -122,24 +122,24 @@ pub(super) fn geometry(
     let arrival = arrival.unwrap_or_else(|| path.length());
     let shared: Vec<Vec<Shared>> =
         (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
-    let mut meetings = vec![Vec::new(); paths.len()];
+    let mut by_route = vec![Vec::new(); paths.len()];
     for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
         let met = if detoured[a] || detoured[b] {
-            meetings_around(path, other, &shared[b], size)
+            conflicts_around(path, other, &shared[b], size)
         } else {
-            let first = first_meeting(path, other, &shared[b]);
+            let first = first_conflict(path, other, &shared[b]);
             first.or_else(|| near_miss(path, other, &shared[b])).into_iter().collect()
         };
-        meetings[b] =
+        by_route[b] =
             met.into_iter().map(|(own, other)| Conflict { route: b, own, other }).collect();
     }
     let mut conflicts: Vec<Conflict> =
-        meetings.iter().filter_map(|met| met.first().copied()).collect();
-    let apart = (0..paths.len()).filter(|&b| b != a && meetings[b].is_empty()).collect();
+        by_route.iter().filter_map(|met| met.first().copied()).collect();
+    let apart = (0..paths.len()).filter(|&b| b != a && by_route[b].is_empty()).collect();
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    let pairs = shared.into_iter().zip(paths).zip(&meetings);
-    let shared = pairs.map(|((mut stretches, other), meetings)| {
-        stretches.extend(meetings.first().and_then(|met| one_way(path, other, *met)));
+    let pairs = shared.into_iter().zip(paths).zip(&by_route);
+    let shared = pairs.map(|((mut stretches, other), met)| {
+        stretches.extend(met.first().and_then(|met| coinciding_stretch(path, other, *met)));
         extended(path, other, stretches, size)
     });
     let shared = shared.collect();
@@ -152,14 +152,14 @@ pub(super) fn geometry(
         finish: [-half, half],
         conflicts,
         apart,
-        meetings,
+        by_route,
         shared,
     }
 }
 
 /// Returns the first metre of a stretch on which the two centre lines coincide although they
 /// belong to different lanes, if the conflict `met` is the beginning of such a stretch.
-fn one_way(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
+fn coinciding_stretch(own: &Path, other: &Path, met: Conflict) -> Option<Shared> {
     let together = |distance: f64| {
         let ([x, y], [u, v]) = (other.at(met.other + distance).0, own.at(met.own + distance).0);
         (x - u).hypot(y - v) < 0.1
@@ -247,9 +247,9 @@ fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
 
 /// Returns the first point, in driving order of `own`, where the centre line of `other` crosses or
 /// touches it outside the lanes that both use, as positions on `own` and `other`.
-fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
-    if let Some(way_out) = way_out(own, other) {
-        return Some(way_out);
+fn first_conflict(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
+    if let Some(exit_conflict) = exit_conflict(own, other) {
+        return Some(exit_conflict);
     }
     for i in 1..own.points.len() {
         let mut best: Option<(f64, f64)> = None;
@@ -282,7 +282,7 @@ fn first_meeting(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f6
 /// `own`, as positions on `own` and `other`. Such paths may come near each other several times.
 /// Each stretch on which vehicles of this size would touch gives the place where the paths are
 /// nearest and, if the stretch is long, further places before and behind it.
-fn meetings_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
+fn conflicts_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
     /// Distance between the places of one stretch, in steps of [`STEP`].
     const SPACING: usize = (4.0 / STEP) as usize;
     let diagonal = size[0].hypot(size[1]);
@@ -323,7 +323,7 @@ fn spaced(places: &[(f64, (f64, f64))], spacing: usize) -> impl Iterator<Item = 
 /// route out of a parking space that `other` ends in. The conflict is at the end of their common
 /// stretch, where the vehicle on `own` is out and the one on `other` is not yet in. It is not at
 /// the start of `own`, which that vehicle would have passed at once.
-fn way_out(own: &Path, other: &Path) -> Option<(f64, f64)> {
+fn exit_conflict(own: &Path, other: &Path) -> Option<(f64, f64)> {
     /// Common stretches whose distance is at most this are one stretch \[m\].
     const GAP: f64 = 0.1;
     let mut end: Option<(f64, f64)> = None;

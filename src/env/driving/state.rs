@@ -43,7 +43,7 @@ const COUNTS: [Described; 2] =
     [("moving", "12 vehicles", 0.0, 1.0), ("wrecks", "4 vehicles", 0.0, 1.0)];
 
 /// The feature groups, in their order in the state.
-pub(super) static GROUPS: [FeatureGroup; 5] = [
+pub(super) static GROUPS: &[FeatureGroup] = &[
     FeatureGroup { describe: |_, features| features.push("own", 1, &OWN), write: write_own },
     FeatureGroup {
         describe: |_, features| {

@@ -159,7 +159,7 @@ fn draw_all(net: &Net, broken: &[String], lines: &mut Lines) {
             draw(&parallel(&left.shape, left.width / 2.0), lines);
         }
     }
-    for lane in outer_ways(net) {
+    for lane in outer_lanes(net) {
         draw(&parallel(&lane.shape, -lane.width / 2.0), lines);
     }
 }
@@ -188,7 +188,7 @@ fn draw_between_directions(net: &Net, broken: &[String], lines: &mut Lines) {
 
 /// Returns the lanes over junctions that follow the outside of the junction, with the road's
 /// border to their right.
-fn outer_ways(net: &Net) -> impl Iterator<Item = &Lane> {
+fn outer_lanes(net: &Net) -> impl Iterator<Item = &Lane> {
     let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
     let joins =
         net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));

@@ -78,8 +78,8 @@ impl Task {
         let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
         let reserved =
             scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
-        let (observation, observed) = Layout::new(&observation::GROUPS, scenario);
-        let (state, known) = Layout::new(&state::GROUPS, scenario);
+        let (observation, observed) = Layout::new(observation::GROUPS, scenario);
+        let (state, known) = Layout::new(state::GROUPS, scenario);
         Ok(Self {
             agents: agents as usize,
             others: (vehicles - agents + capacity) as usize,

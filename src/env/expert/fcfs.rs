@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_go_to_whoever_comes_near_first() {
+    fn priority_goes_to_the_vehicle_that_comes_near_first() {
         let task = task();
         let at = [
             ("west_straight", 25.0),
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_in_the_way_has_the_turn_of_the_one_that_it_blocks() {
+    fn a_blocking_vehicle_inherits_the_priority_of_the_vehicle_that_it_blocks() {
         let task = task();
         // The second vehicle stands in the path of the first, which has priority over it; the third
         // waits outside and blocks nobody.
@@ -114,7 +114,7 @@ mod tests {
             &[("west_straight", 0.0), ("south_straight", 0.0), ("east_straight", 6.0)],
         );
         let routes = [0, 1].map(|i| traffic.slots[i].route);
-        let met = task.map.routes[routes[0]].meeting(routes[1]).expect("they cross");
+        let met = task.map.routes[routes[0]].conflict_with(routes[1]).expect("they cross");
         traffic.slots[0] = at(&task, routes[0], met.own - 7.0);
         traffic.slots[1] = at(&task, routes[1], met.other);
         traffic.refresh();

@@ -66,7 +66,7 @@ pub struct Encounters {
 
 /// Where an agent next meets another vehicle.
 #[derive(Clone, Copy)]
-struct Meeting {
+struct Encounter {
     /// The agent's distance to the conflict point; the gap to a vehicle ahead \[m\].
     own: f64,
     /// The other vehicle's distance to the conflict point; 0 for a vehicle ahead \[m\].
@@ -75,8 +75,8 @@ struct Meeting {
     ahead: bool,
 }
 
-impl Meeting {
-    /// Returns the distance by which meetings are ordered \[m\].
+impl Encounter {
+    /// Returns the distance by which encounters are ordered \[m\].
     fn distance(&self) -> f64 {
         self.own.max(self.other)
     }
@@ -89,7 +89,7 @@ impl Meeting {
             let gap = distance - f64::midpoint(own.size[0], other.size[0]);
             return Some(Self { own: gap, other: 0.0, ahead: true });
         }
-        let met = route.next_meeting(own.s, candidate.route, candidate.s, CLEARED)?;
+        let met = route.next_conflict(own.s, candidate.route, candidate.s, CLEARED)?;
         Some(Self { own: met.own - own.s, other: met.other - candidate.s, ahead: false })
     }
 }
@@ -117,7 +117,7 @@ impl Encounters {
     /// with the nearest encounter counts; foresight uses the one with the closest passing.
     pub fn write(self, view: &View<'_>, seen: impl Fn(usize) -> bool, w: &mut Writer<'_>) {
         let (own, slots) = (view.own(), &view.traffic.slots);
-        let mut soonest: [Option<(Meeting, usize)>; MOST] = [None; MOST];
+        let mut soonest: [Option<(Encounter, usize)>; MOST] = [None; MOST];
         let soonest = &mut soonest[..self.count];
         for (j, other) in slots.iter().enumerate() {
             if j == view.slot || other.status == Status::Empty || !seen(j) {
@@ -126,11 +126,11 @@ impl Encounters {
             let met = view
                 .knowledge
                 .candidates(j)
-                .filter_map(|candidate| Meeting::of(view.route(), own, &candidate, other));
+                .filter_map(|candidate| Encounter::of(view.route(), own, &candidate, other));
             // `min_by` returns the first of equal elements, so the route with the smallest number.
             let first = met.min_by(|a, b| a.distance().total_cmp(&b.distance()));
             let Some(met) = first else { continue };
-            let sooner = |other: &Option<(Meeting, usize)>| {
+            let sooner = |other: &Option<(Encounter, usize)>| {
                 other.is_some_and(|(other, _)| other.distance() <= met.distance())
             };
             let at = soonest.partition_point(sooner);

@@ -30,7 +30,7 @@ mod streams;
 pub use group::{FeatureGroup, View, Writer};
 
 /// The feature groups, in their order in the observation.
-pub static GROUPS: [FeatureGroup; 11] = [
+pub static GROUPS: &[FeatureGroup] = &[
     ego::GROUP,
     steering::GROUP,
     preview::GROUP,

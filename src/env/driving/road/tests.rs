@@ -39,7 +39,7 @@ fn a_vehicle_may_stray_as_far_as_measured() {
 /// Margins show on which side of a vehicle a line is, and how close it is. A road with two
 /// lanes has its lines to the right of the right lane and to the left of the left lane.
 #[test]
-fn margins_tell_on_which_side_a_line_is_and_how_close() {
+fn margins_show_on_which_side_a_line_is_and_how_close() {
     let net = net("intersection_turns/two_lanes");
     let road = Road::new(&net, [LENGTH, WIDTH], &ends_at(Border::Line)).expect("a small net");
     let edge = &net.edges[net.edge_index("west_in").unwrap()];
@@ -63,7 +63,7 @@ fn margins_tell_on_which_side_a_line_is_and_how_close() {
 proptest! {
     /// The margin beside the body is 0 exactly where a vehicle touches a line.
     #[test]
-    fn who_touches_a_line_has_no_margin(x in 0.0..1.0, y in 0.0..1.0, heading in -3.2..3.2) {
+    fn a_vehicle_that_touches_a_line_has_no_margin(x in 0.0..1.0, y in 0.0..1.0, heading in -3.2..3.2) {
         let road = road();
         let [low, high] = road.lines.iter().flatten().fold([[f64::MAX; 2], [f64::MIN; 2]], |[low, high], p| {
             [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
@@ -86,7 +86,7 @@ fn no_line_is_there_twice() {
 }
 
 #[test]
-fn no_line_crosses_a_way_over_the_junction() {
+fn no_line_crosses_a_path_over_the_junction() {
     let road = road();
     let net = net("intersection/arm30");
     for [from, to] in [["west_in", "east_out"], ["south_in", "north_out"]] {

@@ -54,7 +54,7 @@ proptest! {
                     prop_assert_eq!(terminated || truncated, was_active && !active, "an end is where activity ends");
                     prop_assert!(!dead.contains(&i) || !active, "slot {} revived", i);
                 }
-                prop_assert_eq!(present, active || truncated, "seen while active, and once more when cut short");
+                prop_assert_eq!(present, active || truncated, "seen while active, and once more when truncated");
                 if !active {
                     dead.insert(i);
                 }
@@ -127,9 +127,9 @@ fn episodes_may_have_fewer_agents() {
     let task = Arc::new(Task::clone(&task).with_fewest(3));
     let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
     world.reset(0);
-    let mut crews = std::collections::BTreeSet::new();
+    let mut counts = std::collections::BTreeSet::new();
     let (mut active_agents, mut reward) = (0, 0.0);
-    while crews.len() < 6 {
+    while counts.len() < 6 {
         exchange(&mut world, &mut rails, &[0.6; 8]);
         let frame = world.frame();
         if frame.start {
@@ -155,7 +155,7 @@ fn episodes_may_have_fewer_agents() {
             let shares = [record.success, record.crash].map(|share| share * active_agents as f64);
             assert!(shares.iter().all(|share| (share - share.round()).abs() < 1e-9));
             assert!((3..=8).contains(&active_agents));
-            crews.insert(active_agents);
+            counts.insert(active_agents);
         }
     }
 }
@@ -178,7 +178,7 @@ fn idle_worlds_send_nothing() {
 }
 
 #[test]
-fn an_interrupted_episode_is_cut_short_and_the_next_one_starts_clean() {
+fn an_interrupted_episode_is_truncated_and_the_next_one_starts_clean() {
     let task = task(4, |_| {});
     let (mut world, mut rails) = (world(&task, 0), Rails::new(&task));
     world.reset(0);

@@ -254,7 +254,7 @@ fn a_seen_route_changes_what_depends_on_it() {
         };
         (0..VEHICLES).map(|_| (draw(0.0, 1.0), draw(0.0, 0.6), 0.0, 0.0, draw(0.0, 10.0))).collect()
     };
-    for (intention, told) in
+    for (intention, shown) in
         [(Intention::Seen, true), (Intention::Signalled, true), (Intention::Hidden, false)]
     {
         let mut groups = HashSet::new();
@@ -282,7 +282,7 @@ fn a_seen_route_changes_what_depends_on_it() {
             }
         }
         for group in ["leader", "stream", "apart", "encounter", "free"] {
-            assert_eq!(groups.contains(group), told, "{intention:?}: {groups:?}");
+            assert_eq!(groups.contains(group), shown, "{intention:?}: {groups:?}");
         }
         assert!(
             !["ego", "neighbour", "lidar", "borders"].iter().any(|group| groups.contains(*group)),
@@ -294,7 +294,7 @@ fn a_seen_route_changes_what_depends_on_it() {
 /// An indicator is observed where it is on and in sight, and shows the direction at the next
 /// junction.
 #[test]
-fn an_indicator_is_seen_past_nobody() {
+fn an_indicator_is_hidden_behind_another_vehicle() {
     let task = task_of("intersection_turns_small", Intention::Signalled, 30.0);
     let mut traffic = Traffic::new(VEHICLES, task.map.routes.len());
     let mut put = |k: usize, id: &str, at: f64| {
@@ -367,7 +367,7 @@ fn routes_close_where_they_part() {
 /// Over whole episodes of agents that steer, no observation depends on the route that another
 /// vehicle intends to take, as long as the vehicle's actions are the same.
 #[test]
-fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
+fn an_intention_shows_only_in_actions() {
     let mut differences = [0; 2];
     for (seed, name) in (0..4).flat_map(|seed| FORKED.map(|name| (seed, name))) {
         for (k, intention) in [Intention::Seen, Intention::Hidden].into_iter().enumerate() {
@@ -423,7 +423,7 @@ fn what_a_vehicle_means_to_do_shows_only_in_what_it_does() {
 
 /// After the first step, tracking hidden routes and writing observations allocates no memory.
 #[test]
-fn what_is_hidden_takes_no_memory_in_a_step() {
+fn tracking_hidden_routes_allocates_no_memory() {
     for intention in [Intention::Hidden, Intention::Signalled] {
         let task = task_of("intersection_turns", intention, 30.0);
         let places: Vec<RoutePosition> =

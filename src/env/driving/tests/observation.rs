@@ -152,14 +152,14 @@ proptest! {
         steps in 1usize..80,
         count in 1usize..6,
         foresight in prop_oneof![Just(0.0), Just(4.0)],
-        turns in prop_oneof![Just(0.0), Just(20.0)],
+        priority in prop_oneof![Just(0.0), Just(20.0)],
     ) {
         let task = task(agents, |s| {
             s.observation.groups = ObservationGroups::Nearest;
             s.observation.neighbours = 0;
             s.observation.encounters = count;
             s.observation.foresight = foresight;
-            s.observation.priority_distance = turns;
+            s.observation.priority_distance = priority;
         });
         let (mut world, mut rails) = (world(&task, seed), Rails::new(&task));
         world.reset(0);
@@ -184,10 +184,10 @@ proptest! {
                 expected.extend(distances.filter(|distances| distances.iter().all(|distance| *distance >= -CLEARED)));
             }
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
-            let told = usize::from(turns > 0.0);
-            let token = if foresight > 0.0 { 14 } else { 10 } + told;
+            let shown = usize::from(priority > 0.0);
+            let token = if foresight > 0.0 { 14 } else { 10 } + shown;
             // The encounters are followed by the free-space features.
-            let (first, end) = (i * width, (i + 1) * width - 3 * told);
+            let (first, end) = (i * width, (i + 1) * width - 3 * shown);
             let seen = &world.frame().observation[end - token * count..end];
             prop_assert!(end - token * count >= first);
             for (k, token) in seen.chunks(token).enumerate() {
@@ -196,7 +196,7 @@ proptest! {
                     continue;
                 };
                 prop_assert_eq!(token[token.len() - 1], 1.0);
-                for passing in token[8..token.len() - 2 - told].chunks(2) {
+                for passing in token[8..token.len() - 2 - shown].chunks(2) {
                     prop_assert!(passing.iter().all(|x| (0.0..=1.0).contains(x)), "{token:?}");
                     // A vehicle that is near ahead now will come at least as near.
                     let near = 1.0 - 15.0 * token[2] / 3.0;

@@ -8,7 +8,7 @@ use super::*;
 /// Behind a fork, a vehicle on the other route counts as ahead as long as vehicles on both would
 /// touch.
 #[test]
-fn who_waits_behind_a_fork_is_still_ahead() {
+fn a_vehicle_behind_a_fork_is_still_ahead() {
     let scenario = scenario("intersection_turns_small");
     let task = Task::new(&scenario, 8).expect("a task");
     let route = |id: &str| task.map.route_ids.iter().position(|own| own == id).expect("a route");
@@ -40,7 +40,7 @@ fn who_waits_behind_a_fork_is_still_ahead() {
 /// Every vehicle that an agent could touch on its path is an encounter: it is ahead, or the two
 /// routes have a conflict.
 #[test]
-fn who_is_in_the_way_is_an_encounter() {
+fn every_vehicle_in_the_way_is_an_encounter() {
     for name in ["intersection_turns_small", "intersection_turns", "parking_lot"] {
         let scenario = scenario(name);
         let task = Task::new(&scenario, scenario.agents.default).expect("a task");
@@ -56,11 +56,11 @@ fn who_is_in_the_way_is_an_encounter() {
                     if own.shared_position(b, s).is_some() {
                         continue;
                     }
-                    let live = |t: f64| own.next_meeting(t, b, s, CLEARED).is_some();
+                    let live = |t: f64| own.next_conflict(t, b, s, CLEARED).is_some();
                     // A vehicle past the conflict point drives on.
                     let ahead =
-                        |t: f64| own.next_meeting(t, b, f64::NEG_INFINITY, CLEARED).is_some();
-                    let past = |t: f64| own.meeting(b).is_some() && !ahead(t);
+                        |t: f64| own.next_conflict(t, b, f64::NEG_INFINITY, CLEARED).is_some();
+                    let past = |t: f64| own.conflict_with(b).is_some() && !ahead(t);
                     let there = Pose::on(&other.path, s);
                     let touched =
                         |t: &f64| boxes_overlap((&Pose::on(&own.path, *t), size), (&there, size));
@@ -142,7 +142,7 @@ fn an_agent_that_steers_arrives_on_any_lane() {
 }
 
 #[test]
-fn routes_meet_where_the_lanes_cross() {
+fn conflicts_lie_where_lanes_cross() {
     let task = task(8, |_| {});
     let route = |id: &str| task.scenario.routes.iter().position(|r| r.id == id).expect("a route");
     let (east, west, south, north) =
@@ -165,12 +165,12 @@ fn routes_meet_where_the_lanes_cross() {
 }
 
 #[test]
-fn ways_that_lie_on_each_other_meet() {
+fn overlapping_paths_have_a_conflict() {
     let scenario = scenario("parking_lot");
     let task = Task::new(&scenario, 5).expect("a task");
     let index =
         |id: &str| scenario.routes.iter().position(|route| route.id == id).expect("a route");
-    let meeting = |a: &str, b: &str| task.map.routes[index(a)].meeting(index(b));
+    let meeting = |a: &str, b: &str| task.map.routes[index(a)].conflict_with(index(b));
     // A route into a space and a route out of it share the space and the last metres before it.
     let met = meeting("west_space1", "space1_north").expect("they meet");
     assert!((met.own - (25.0 + 10.5)).abs() < 4.0 * 1.6 + 3.6, "{met:?}");

@@ -30,7 +30,7 @@ fn lone_driver(change: fn(&mut Scenario)) -> (Arc<Task>, Vec<Frame>, f64, Episod
 }
 
 #[test]
-fn the_reward_is_way_and_speed_and_then_the_arrival() {
+fn the_reward_is_for_distance_and_speed_and_then_the_arrival() {
     let (task, frames, _, record) = lone_driver(|_| {});
     let scenario = &task.scenario;
     let end = frames.iter().position(|f| f.terminated[0] > 0.0).expect("it arrives");

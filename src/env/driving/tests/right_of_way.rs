@@ -36,7 +36,7 @@ fn agents_observe_what_the_rule_goes_by() {
     };
     let [free, slow, blocked, entry] =
         ["free", "free_slow", "free_blocked", "to_entry_near"].map(named);
-    let (width, mut actions, mut told) = (task.spec.observation.len(), [0.0; 8], [0; 2]);
+    let (width, mut actions, mut observed) = (task.spec.observation.len(), [0.0; 8], [0; 2]);
     for _ in 0..600 {
         world.pursue(Pursuit { speed: 6.0, gives_way: true }, &mut actions);
         for (i, view) in world.agents().enumerate().filter(|(_, view)| view.driving) {
@@ -55,10 +55,10 @@ fn agents_observe_what_the_rule_goes_by() {
             let drives = above(at(free), braking + 4.0) && above(at(blocked), 4.0) && entered;
             assert!(!waits || actions[i] == -1.0, "{seen:?}");
             assert!(!drives || actions[i] > -1.0, "{seen:?}");
-            told[0] += usize::from(drives);
-            told[1] += usize::from(waits);
+            observed[0] += usize::from(drives);
+            observed[1] += usize::from(waits);
         }
         exchange(&mut world, &mut rails, &actions);
     }
-    assert!(told.iter().all(|&n| n > 100), "{told:?}");
+    assert!(observed.iter().all(|&n| n > 100), "{observed:?}");
 }

@@ -141,7 +141,7 @@ fn a_refusal_is_answered_by_loading_again() {
 }
 
 #[test]
-fn what_fails_again_before_an_episode_is_over_ends_the_run() {
+fn a_second_failure_within_an_episode_ends_the_run() {
     for failure in [Answer::Lost(0, 0), Answer::Refusal] {
         let mut env = scripted(&[Answer::Good, failure, failure]);
         env.step(&[0.0; 16]).unwrap();
