@@ -7,7 +7,11 @@ use super::foresight::{Course, DRIVING, passing};
 use super::intention::{Intentions, Knowledge};
 use super::map::Map;
 use super::routes::RouteGeometry;
+use crate::scenario::Observation;
 
+/// Distance to the first conflict point at which vehicles get their priority, in scenarios whose
+/// observations do not contain priority \[m\].
+const PRIORITY_DISTANCE: f64 = 50.0;
 /// How far ahead the rule predicts motion \[s\].
 const HORIZON: f64 = 5.0;
 /// Closeness ([`passing`]) from which a vehicle gives way: a predicted gap below 1 m.
@@ -23,6 +27,55 @@ const OVER: f64 = 3.0;
 const BLOCKED: f64 = 3.0;
 /// A vehicle blocks only vehicles whose centres are closer than this \[m\].
 const FAR: f64 = 30.0;
+
+/// The right of way in one world.
+#[derive(Debug, Clone)]
+pub(super) struct RightOfWay {
+    /// Distance to the first conflict point at which vehicles get their priority \[m\]; `None` where
+    /// neither agents nor rules use priorities.
+    near: Option<f64>,
+    /// Whether agents observe the effective priorities.
+    observed: bool,
+    /// Effective priorities of all slots' vehicles; empty if agents do not observe them.
+    pub(super) priorities: Vec<u32>,
+    /// Scratch: pairs of slots of which the first vehicle blocks the second.
+    blocked: Vec<(usize, usize)>,
+}
+
+impl RightOfWay {
+    /// Keeps the right of way where agents observe it, or where `rules` control the agents.
+    pub(super) fn new(observation: &Observation, rules: bool, slots: usize) -> Self {
+        let observed = observation.priority_distance > 0.0;
+        let near = if observed { observation.priority_distance } else { PRIORITY_DISTANCE };
+        Self {
+            near: (observed || rules).then_some(near),
+            observed,
+            priorities: Vec::with_capacity(slots),
+            blocked: Vec::with_capacity(slots),
+        }
+    }
+
+    /// Returns whether the vehicles get priorities.
+    pub(super) fn is_kept(&self) -> bool {
+        self.near.is_some()
+    }
+
+    /// Assigns priorities after a step.
+    pub(super) fn update(
+        &mut self,
+        map: &Map,
+        traffic: &mut Traffic,
+        intentions: Option<&Intentions>,
+    ) {
+        if let Some(near) = self.near {
+            assign(traffic, &map.routes, intentions, near);
+        }
+        if self.observed {
+            let knowledge = Knowledge::public(map, traffic, intentions);
+            inherit(knowledge, &mut self.priorities, &mut self.blocked);
+        }
+    }
+}
 
 /// How far an agent can drive before it comes too close to other vehicles \[m\]; infinite where
 /// nothing is in the way.

@@ -23,15 +23,11 @@ use super::metrics::EpisodeRecord;
 use super::motion;
 use super::observation::View;
 use super::reward::Rewards;
-use super::right_of_way;
+use super::right_of_way::RightOfWay;
 use super::spawn::spawn;
 use super::task::{Driver, Task};
 use crate::rng::Seed;
 use crate::sumo::{Command, Snapshot};
-
-/// Distance to the first conflict point at which vehicles get their priority, in scenarios whose
-/// observations do not contain priority \[m\].
-const PRIORITY_DISTANCE: f64 = 50.0;
 
 /// One world.
 #[derive(Debug, Clone)]
@@ -42,6 +38,7 @@ pub struct World {
     traffic: Traffic,
     /// Routes that each vehicle could still take, if the scenario hides routes.
     intentions: Option<Intentions>,
+    right_of_way: RightOfWay,
     background: Background,
     collisions: Collisions,
     rewards: Rewards,
@@ -54,10 +51,6 @@ pub struct World {
     poses: Vec<Pose>,
     /// Scratch: which agents are present after the step.
     present: Vec<bool>,
-    /// Scratch: the vehicles' effective priorities, if agents observe them.
-    priorities: Vec<u32>,
-    /// Scratch: pairs of slots of which the first vehicle blocks the second.
-    blocked: Vec<(usize, usize)>,
 }
 
 impl World {
@@ -77,6 +70,11 @@ impl World {
             episode: Episode::new(seed, first, stride, end),
             traffic: Traffic::new(slots, task.map.routes.len()),
             intentions: Intentions::new(&task.map, task.scenario.observation, n, slots),
+            right_of_way: RightOfWay::new(
+                &task.scenario.observation,
+                driver == Driver::Rules,
+                slots,
+            ),
             background: Background::new(&task),
             collisions: Collisions::new(slots),
             rewards: Rewards::new(n),
@@ -86,8 +84,6 @@ impl World {
             finished: None,
             poses: vec![Pose::default(); n],
             present: vec![false; n],
-            priorities: Vec::with_capacity(slots),
-            blocked: Vec::with_capacity(slots),
             task,
         }
     }
@@ -350,22 +346,12 @@ impl World {
         if let Some(intentions) = &mut self.intentions {
             intentions.update(map, &self.traffic, task.steers(self.driver));
         }
-        let intentions = self.intentions.as_ref();
-        let observed = task.scenario.observation.priority_distance;
-        if self.keeps_right_of_way() {
-            let near = if observed > 0.0 { observed } else { PRIORITY_DISTANCE };
-            right_of_way::assign(&mut self.traffic, &map.routes, intentions, near);
-        }
-        if observed > 0.0 {
-            let knowledge = Knowledge::public(map, &self.traffic, intentions);
-            right_of_way::inherit(knowledge, &mut self.priorities, &mut self.blocked);
-        }
+        self.right_of_way.update(map, &mut self.traffic, self.intentions.as_ref());
     }
 
-    /// Whether the vehicles get priorities: only where agents observe them or the driver's rules
-    /// need them.
+    /// Whether the vehicles get priorities.
     pub(crate) fn keeps_right_of_way(&self) -> bool {
-        self.driver == Driver::Rules || self.task.scenario.observation.priority_distance > 0.0
+        self.right_of_way.is_kept()
     }
 
     /// Writes to the frame which agents are present, act, are truncated, and are in range of each
@@ -400,7 +386,7 @@ impl World {
             map: &task.map,
             traffic,
             knowledge: Knowledge::public(&task.map, traffic, self.intentions.as_ref()),
-            priorities: &self.priorities,
+            priorities: &self.right_of_way.priorities,
             time_left: 1.0 - f64::from(self.episode.step) / horizon,
             slot: 0,
         };
