@@ -16,7 +16,7 @@ const FORKED: [&str; 3] = ["intersection_turns_small", "intersection_turns", "pa
 const VEHICLES: usize = 8;
 
 /// Returns a scenario with every feature group in its agents' observations.
-fn scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario {
+fn full_scenario(name: &str, intention: Intention, signal_distance: f64) -> Scenario {
     let mut scenario = scenario(name);
     scenario.observation = Observation {
         groups: ObservationGroups::Both,
@@ -40,7 +40,7 @@ fn task_of(name: &str, intention: Intention, signal_distance: f64) -> Arc<Task> 
     static MADE: Mutex<BTreeMap<String, Arc<Task>>> = Mutex::new(BTreeMap::new());
     let make = || {
         Arc::new(
-            Task::new(&scenario(name, intention, signal_distance), VEHICLES as u32)
+            Task::new(&full_scenario(name, intention, signal_distance), VEHICLES as u32)
                 .expect("a task"),
         )
     };
@@ -224,7 +224,7 @@ proptest! {
     #[test]
     fn a_route_that_is_the_only_one_is_known(places in prop::collection::vec(place(), VEHICLES)) {
         let of = |intention| {
-            let mut scenario = scenario("intersection_turns_small", intention, 30.0);
+            let mut scenario = full_scenario("intersection_turns_small", intention, 30.0);
             // The straight routes of all arms, then the left turn of the west arm.
             let kept = [3, 6, 9, 0, 1];
             scenario.routes = kept.iter().map(|&route| scenario.routes[route].clone()).collect();
