@@ -10,7 +10,7 @@ use crate::scenario::Observation;
 
 /// Features of an encounter; `own_*` and `other_*` are distances to the conflict point.
 const ENCOUNTER: [Described; 8] = [
-    ("ahead", "flag: on the agent's way, own_* is the gap", 0.0, 1.0),
+    ("ahead", "flag: ahead on the agent's path, own_* is the gap", 0.0, 1.0),
     ("own_far", "50 m", -1.0, 1.0),
     ("own_near", "15 m", -1.0, 1.0),
     ("other_far", "50 m", -1.0, 1.0),
@@ -29,8 +29,8 @@ const FORESEEN: [Described; 4] = [
         1.0,
     ),
     ("soon", "1 closest now, 0 at the end of the foresight", 0.0, 1.0),
-    ("close_driving", "likewise, if the agent drives 6 m/s at least", 0.0, 1.0),
-    ("soon_driving", "likewise", 0.0, 1.0),
+    ("close_driving", "as `close`, if the agent drives at least 6 m/s", 0.0, 1.0),
+    ("soon_driving", "as `soon`, if the agent drives at least 6 m/s", 0.0, 1.0),
 ];
 
 /// Priority feature of an encounter; only in scenarios that show priorities.

@@ -6,7 +6,7 @@ use crate::env::spec::Described;
 
 const FEATURES: [Described; 2] = [
     ("to_entry_near", "15 m, -1 where it has entered", -1.0, 1.0),
-    ("to_entry_far", "50 m, likewise", -1.0, 1.0),
+    ("to_entry_far", "50 m, -1 where it has entered", -1.0, 1.0),
 ];
 
 /// In scenarios that show priorities.

@@ -8,7 +8,7 @@ use crate::env::spec::Described;
 const PREVIEW: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
 
 const POINT: [Described; 2] =
-    [("forward", "way ahead", -1.0, 1.0), ("left", "way ahead", -1.0, 1.0)];
+    [("forward", "distance ahead", -1.0, 1.0), ("left", "distance ahead", -1.0, 1.0)];
 
 /// In scenarios whose vehicles steer.
 pub const GROUP: FeatureGroup = FeatureGroup {
