@@ -99,7 +99,7 @@ fn intentions_of(task: &Task) -> Option<Intentions> {
     Intentions::new(&task.map, task.scenario.observation, task.agents, task.slots())
 }
 
-fn view<'a>(
+pub(super) fn view<'a>(
     task: &'a Task,
     traffic: &'a Traffic,
     knowledge: Knowledge<'a>,

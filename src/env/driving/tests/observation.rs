@@ -1,5 +1,9 @@
 //! Tests of the feature groups and what they show.
 
+use super::super::agents::Traffic;
+use super::super::intention::Knowledge;
+use super::super::layout::Layout;
+use super::super::observation::FeatureGroup;
 use super::*;
 
 #[test]
@@ -28,6 +32,24 @@ fn features_are_named_once_and_covered_by_their_groups() {
         task(48, |_| {}).spec.state,
         "the state does not grow with the agents"
     );
+}
+
+/// In every build, a group that writes fewer features than it describes ends the program.
+#[test]
+#[should_panic(expected = "as many features as it describes")]
+fn a_group_must_write_what_it_describes() {
+    static SHORT: &[FeatureGroup] = &[FeatureGroup {
+        describe: |_, features| {
+            features.push("short", 1, &[("one", "1", 0.0, 1.0), ("two", "1", 0.0, 1.0)]);
+        },
+        write: |_, w| w.put([1.0]),
+    }];
+    let task = task(4, |_| {});
+    let traffic = Traffic::new(task.slots(), task.map.routes.len());
+    let knowledge = Knowledge::full(&task.map.routes, &traffic);
+    let view = intention::view(&task, &traffic, knowledge, &[], 0);
+    let (layout, features) = Layout::new(SHORT, &task.scenario);
+    layout.write(&view, &mut vec![0.0; features.len()]);
 }
 
 /// Observations with `both` consist of those with `nearest` followed by those with `conflict`, and
