@@ -339,8 +339,11 @@ impl Stage<'_> {
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
-        let driver =
-            if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+        let driver = match self.policy {
+            Policy::Sumo => Driver::Sumo,
+            Policy::Pursuit(pursuit) if pursuit.gives_way => Driver::Rules,
+            _ => Driver::Agents,
+        };
         let options = VecOptions {
             replay: 0.0,
             worlds,

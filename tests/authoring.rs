@@ -460,7 +460,7 @@ fn pictures_show_net_places_and_meeting_points() {
     let scenario =
         Scenario::load(&create(folder.path(), "site", Template::Tee, &SIZES).unwrap()).unwrap();
     let task = Task::new(&scenario, 6).unwrap();
-    let net = Net::load(task.net_file()).unwrap();
+    let net = Net::load(task.map.net_file()).unwrap();
     let drawn = picture(&task, &net);
     let svg = drawn.svg();
     let document = roxmltree::Document::parse(&svg).unwrap();

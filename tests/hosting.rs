@@ -160,7 +160,7 @@ fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleSt
             } else {
                 let way = f64::from(step) * (5.0 + 0.37 * f64::from(slot)) * interval;
                 let ([x, y], heading, _) =
-                    task.routes[place.routes[0]].path.body(front + way, 2.0 * half);
+                    task.map.routes[place.routes[0]].path.body(front + way, 2.0 * half);
                 commands.push(Command::MoveTo { world, slot, x, y, heading, keep_route: 1 });
             }
         }

@@ -100,7 +100,7 @@ fn pedestrians_walk_along_their_ways() {
         for walker in walkers {
             assert_eq!(walker.size, [0.215, 0.478]);
             assert!(!walker.wreck && (0.0..4.0).contains(&walker.speed), "{walker:?}");
-            let ([x, y], _) = task.routes[walker.route].path.at(walker.position);
+            let ([x, y], _) = task.map.routes[walker.route].path.at(walker.position);
             let aside = (walker.pose.x - x).hypot(walker.pose.y - y);
             // Sidewalks are 2 m wide, crossings are 4 m wide, and pedestrians cut the corners of
             // walking areas.
@@ -130,7 +130,7 @@ fn who_walks_the_same_way_is_one_stream() {
     let task = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files = vec![file]);
     let own =
         task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear()).routes.len();
-    assert_eq!(task.routes.len(), own + 3);
+    assert_eq!(task.map.routes.len(), own + 3);
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     let mut most = 0;
     for _ in 0..120 {
@@ -143,8 +143,8 @@ fn who_walks_the_same_way_is_one_stream() {
 #[test]
 fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait() {
     let task = task_of("pedestrians_cross.xml", |_| {});
-    let over_north = task.routes.len() - 1;
-    let meets = |route: usize| task.routes[route].meeting(over_north).is_some();
+    let over_north = task.map.routes.len() - 1;
+    let meets = |route: usize| task.map.routes[route].conflict_with(over_north).is_some();
     assert_eq!([0, 1, 2, 3].map(meets), [false, false, true, true], "who uses the northern arm");
     let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes");
     // Several speeds, so that some vehicles reach the crossing when a pedestrian is on it.
@@ -342,7 +342,7 @@ fn others_are_seen_on_streams_and_as_encounters() {
     let (task, world) = stand(|s| s.observation.encounters = 3, 12);
     let own = world.agents().next().expect("an agent");
     let others: Vec<OtherView> = world.others().collect();
-    for (stream, conflict) in task.routes[own.route].conflicts.iter().take(2).enumerate() {
+    for (stream, conflict) in task.map.routes[own.route].conflicts.iter().take(2).enumerate() {
         let mut ways: Vec<f64> = others
             .iter()
             .filter(|o| o.route == conflict.route)
@@ -587,11 +587,11 @@ fn trips_take_the_routes_that_lead_there() {
     let task = task(|scenario| {
         (scenario.traffic.files, scenario.traffic.kind) = (vec![file.clone()], None);
     });
-    assert_eq!(task.routes.len(), 4, "they are those of the scenario");
+    assert_eq!(task.map.routes.len(), 4, "they are those of the scenario");
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     env.step(&vec![-1.0; task.agents]).expect("a step");
     let routes = |world: &World| {
-        world.others().map(|other| task.route_id(other.route).to_owned()).collect::<Vec<_>>()
+        world.others().map(|other| task.map.route_id(other.route).to_owned()).collect::<Vec<_>>()
     };
     let seen = routes(env.worlds().next().expect("one world"));
     assert!(

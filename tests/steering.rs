@@ -36,13 +36,13 @@ struct Own {
 
 impl Own {
     fn start(task: &Arc<Task>) -> Self {
-        let mut arguments = vec!["--net-file".into(), task.net_file().into()];
+        let mut arguments = vec!["--net-file".into(), task.map.net_file().into()];
         // The options that the environments use.
         let options = "--step-length 0.1 --collision.action none --time-to-teleport -1";
         arguments.extend(options.split(' ').map(Into::into));
         let (process, mut sumo, _) =
             Process::start(&Options { arguments, ..Options::default() }).unwrap();
-        for (route, geometry) in task.scenario.routes.iter().zip(&task.routes) {
+        for (route, geometry) in task.scenario.routes.iter().zip(&task.map.routes) {
             let edges: Vec<&str> = geometry.path.edges.iter().map(String::as_str).collect();
             sumo.route().add(&route.id, &edges).unwrap();
         }
@@ -55,7 +55,7 @@ impl Own {
             match *command {
                 Command::Add { slot, route, depart_pos, .. } => {
                     let (lane, pos) = (
-                        self.task.routes[route as usize].first_lane.to_string(),
+                        self.task.map.routes[route as usize].first_lane.to_string(),
                         depart_pos.to_string(),
                     );
                     let route = &self.task.scenario.routes[route as usize].id;
@@ -119,7 +119,7 @@ fn beside(shape: &[[f64; 2]], p: [f64; 2]) -> f64 {
 fn sumo_has_every_vehicle_where_it_is() {
     for (name, agents, episodes) in SCENARIOS {
         let task = task(name, agents);
-        let net = Net::load(task.net_file()).unwrap();
+        let net = Net::load(task.map.net_file()).unwrap();
         let half = task.scenario.vehicle.length / 2.0;
         let mut own = Own::start(&task);
         let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(3), 0, 1, episodes);
@@ -151,7 +151,7 @@ fn sumo_has_every_vehicle_where_it_is() {
                 world.agents().enumerate().filter(|(_, agent)| agent.driving || agent.wreck)
             {
                 let at = format!("{name}, episode {}, step {step}, slot {slot}", world.episode());
-                if agent.driving && task.routes[agent.route].avoided.is_some() {
+                if agent.driving && task.map.routes[agent.route].avoided.is_some() {
                     // The vehicle cannot drive the U-turn of its route: the observation describes
                     // the path that the vehicle drives instead.
                     let seen = &world.frame().observation[slot * task.spec.observation.len()..];
@@ -164,7 +164,7 @@ fn sumo_has_every_vehicle_where_it_is() {
                 }
                 let (sin, cos) = agent.pose.heading.sin_cos();
                 let front = [agent.pose.x + half * cos, agent.pose.y + half * sin];
-                let path = task.routes[agent.route].lanes();
+                let path = task.map.routes[agent.route].lanes();
                 let (s, lateral, segment) = path.nearest(front);
                 // SUMO may assign a vehicle beside its lane to another lane, and a vehicle that has
                 // missed a turn may come back against the traffic.

@@ -32,10 +32,10 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         "{}: {}, {}, {}",
         task.scenario.name,
         counted(task.places.len(), "place"),
-        counted(task.routes.len(), "route"),
+        counted(task.map.routes.len(), "route"),
         counted(meetings.len(), "meeting point"),
     ));
-    let [left, bottom, right, top] = task.bounds;
+    let [left, bottom, right, top] = task.map.bounds;
     let window = [[left - AROUND, bottom - AROUND], [right + AROUND, top + AROUND]];
     for (function, color) in [(EdgeFunction::Internal, JUNCTION), (EdgeFunction::Normal, ROAD)] {
         for lane in net.lanes.iter().filter(|lane| net.edges[lane.edge].function == function) {
@@ -45,10 +45,10 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         }
     }
     let vehicle = task.scenario.vehicle;
-    for (i, route) in task.routes.iter().enumerate() {
+    for (i, route) in task.map.routes.iter().enumerate() {
         picture.line(&route.path.points, LINE, ROUTES[i % ROUTES.len()]);
     }
-    for route in task.routes.iter().filter(|route| !route.is_walked()) {
+    for route in task.map.routes.iter().filter(|route| !route.is_walked()) {
         let ([x, y], heading) = route.path.at(route.arrival);
         picture.line(
             &across([x, y], heading, route.path.widths.last().copied().unwrap_or(0.0)),
@@ -57,7 +57,7 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
         );
     }
     let pose = |place: &SpawnPlace| {
-        let path = &task.routes[place.routes[0]].path;
+        let path = &task.map.routes[place.routes[0]].path;
         let ([x, y], heading) = path.at(path.arc(0, place.pos).unwrap_or(0.0));
         Pose { x, y, heading }
     };
@@ -88,11 +88,13 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
 pub fn page(task: &Task, net: &Net) -> String {
     let scenario = &task.scenario;
     let mut rows = String::new();
-    for (route, geometry) in scenario.routes.iter().zip(&task.routes) {
+    for (route, geometry) in scenario.routes.iter().zip(&task.map.routes) {
         let meets: Vec<String> = geometry
             .conflicts
             .iter()
-            .map(|conflict| format!("{} at {:.0} m", task.route_id(conflict.route), conflict.own))
+            .map(|conflict| {
+                format!("{} at {:.0} m", task.map.route_id(conflict.route), conflict.own)
+            })
             .collect();
         let _ = writeln!(
             rows,
@@ -121,7 +123,7 @@ pub fn page(task: &Task, net: &Net) -> String {
 /// once.
 fn meetings(task: &Task) -> Vec<[f64; 2]> {
     let mut points: Vec<[f64; 2]> = Vec::new();
-    for route in task.routes.iter().filter(|route| !route.is_walked()) {
+    for route in task.map.routes.iter().filter(|route| !route.is_walked()) {
         for conflict in route.conflicts.iter().filter(|conflict| conflict.own <= route.arrival) {
             let ([x, y], _) = route.path.at(conflict.own);
             if !points.iter().any(|p| (p[0] - x).hypot(p[1] - y) < SAME) {

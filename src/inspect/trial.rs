@@ -93,7 +93,7 @@ impl Trial {
             episodes: 0,
             lost: 0,
             flat_out: [0; 2],
-            meetings: task.routes.iter().map(meetings).max().unwrap_or(0),
+            meetings: task.map.routes.iter().map(meetings).max().unwrap_or(0),
             steps_per_second: 0.0,
             collided_at_once: Vec::new(),
             observation: ranges(&task.spec.observation),

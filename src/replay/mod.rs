@@ -415,7 +415,7 @@ impl Recorder {
         if !self.finished {
             return Ok(None);
         }
-        let path = task.net_file();
+        let path = task.map.net_file();
         let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
         let lanes = net
             .lanes

@@ -47,7 +47,7 @@ impl Workload {
         for agent in 0..task.agents {
             let place = &task.places[agent];
             // A vehicle that has arrived stays there.
-            let longest = task.routes[place.routes[0]].arrival - place.pos;
+            let longest = task.map.routes[place.routes[0]].arrival - place.pos;
             let mut way = 0.0_f64;
             for step in 0..EPISODE {
                 way = (way + f64::from(u8::from(step > 0)) * speed(agent, step) * interval)
@@ -102,8 +102,8 @@ impl Workload {
                     let (route, front) =
                         (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
                     let ([x, y], heading, segment) =
-                        self.task.routes[route].path.body(front, self.task.scenario.vehicle.length);
-                    let keep_route = self.task.locate(route, [x, y], segment).0.keep_route();
+                        self.task.map.routes[route].path.body(front, self.task.scenario.vehicle.length);
+                    let keep_route = self.task.map.locate(route, [x, y], segment).0.keep_route();
                     out.push(Command::MoveTo { world, slot, x, y, heading, keep_route });
                 }
             }
@@ -113,7 +113,7 @@ impl Workload {
     /// Returns x + y + navigational angle + speed of a vehicle. The sum shows whether two clients
     /// simulated the same.
     pub(super) fn checksum(&self, slot: usize, vehicle: &VehicleState) -> f64 {
-        let path = &self.task.routes[self.task.places[slot].routes[0]].path;
+        let path = &self.task.map.routes[self.task.places[slot].routes[0]].path;
         let ([x, y], heading, _) =
             path.body(path.arc_of_distance(vehicle.distance), self.task.scenario.vehicle.length);
         x + y + (90.0 - heading.to_degrees()).rem_euclid(360.0) + vehicle.speed

@@ -28,7 +28,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let scenario = Scenario::load(&args.scenario)?;
     let task = Task::new(&scenario, args.agents.unwrap_or(scenario.agents.default))?;
-    let net = Net::load(task.net_file())?;
+    let net = Net::load(task.map.net_file())?;
     match args.out.extension().and_then(|ending| ending.to_str()) {
         Some("svg") => write_atomic(&args.out, picture(&task, &net).svg().as_bytes())?,
         Some("png") => picture(&task, &net).png(&args.out)?,

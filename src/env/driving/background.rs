@@ -1,0 +1,276 @@
+//! Background traffic: the vehicles that SUMO drives, and pedestrians. This module decides when
+//! they depart, reads where they are, and turns them into wrecks after collisions.
+//!
+//! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
+//! spawn places, then those of the route files, as many as the scenario's capacity allows. A
+//! background vehicle that collides with an agent or a wreck becomes a wreck itself, for as long
+//! as an agent's wreck. Collisions of background vehicles with each other are left to SUMO.
+
+use rand::RngExt as _;
+
+use super::agents::{Slot, Status};
+use super::collisions::Collisions;
+use super::effects::Effects;
+use super::geometry::Pose;
+use super::metrics::BackgroundMetrics;
+use super::motion::NO_CHECKS;
+use super::task::Task;
+use crate::rng::{Rng, Seed};
+use crate::scenario::Spacing;
+use crate::sumo::{Command, Snapshot};
+
+/// Departure times of a vehicle or flow of the route files.
+#[derive(Debug, Clone)]
+struct Clock {
+    rng: Rng,
+    /// Next departure, counted from the start of the episode \[s\].
+    next: f64,
+    /// Number of departures left.
+    left: u64,
+}
+
+/// The background traffic of an episode. Its slots are given to the methods as a slice without
+/// those of the agents.
+#[derive(Debug, Clone)]
+pub(super) struct Background {
+    clocks: Vec<Clock>,
+    effects: Effects,
+}
+
+impl Background {
+    pub(super) fn new(task: &Task) -> Self {
+        let clocks = Vec::with_capacity(task.demand.sources.len());
+        Self { clocks, effects: Effects::new(task.agents, task.others) }
+    }
+
+    /// Begins a new episode: empties the slots and adds the vehicles that start at spawn places,
+    /// given as route and position of the centre \[m\].
+    pub(super) fn spawn(
+        &mut self,
+        task: &Task,
+        world: u32,
+        seed: Seed,
+        places: &[(usize, f64)],
+        slots: &mut [Slot],
+        commands: &mut Vec<Command>,
+    ) {
+        self.effects.begin();
+        self.clocks.clear();
+        for (index, source) in task.demand.sources.iter().enumerate() {
+            let mut rng = seed.index(index as u64).rng();
+            let mut next = source.begin;
+            if !matches!(source.spacing, Spacing::Equal(_)) {
+                next += gap(source.spacing, &mut rng);
+            }
+            self.clocks.push(Clock { rng, next, left: source.number });
+        }
+        let mut rng = seed.child("places").rng();
+        for (slot, i) in slots.iter_mut().zip(task.agents as u32..) {
+            if slot.added {
+                commands.push(Command::Remove { world, slot: i });
+            }
+            *slot = Slot::default();
+        }
+        for ((slot, i), &(route, s)) in slots.iter_mut().zip(task.agents as u32..).zip(places) {
+            let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
+            *slot = Slot { route, size, added: true, ..Slot::default() };
+            commands.push(Command::Add {
+                world,
+                slot: i,
+                route: route as u32,
+                vehicle_type,
+                depart_pos: s + size[0] / 2.0,
+                depart_speed: 0.0,
+            });
+        }
+        self.let_depart(task, world, 0.0, slots, commands);
+    }
+
+    /// Appends the commands of the coming exchange, `now` seconds after the start of the episode.
+    pub(super) fn act(
+        &mut self,
+        task: &Task,
+        world: u32,
+        now: f64,
+        slots: &mut [Slot],
+        commands: &mut Vec<Command>,
+    ) {
+        for (i, slot) in slots.iter_mut().enumerate() {
+            if slot.status != Status::Wreck {
+                continue;
+            }
+            let at = (task.agents + i) as u32;
+            if slot.wreck_steps == 0 {
+                self.effects.dismiss(i, task.map.routes[slot.route].is_walked());
+                *slot = Slot::default();
+                commands.push(Command::Remove { world, slot: at });
+                continue;
+            }
+            slot.wreck_steps -= 1;
+            if !std::mem::replace(&mut self.effects.road_users[i].stopped, true) {
+                commands.push(Command::SpeedMode { world, slot: at, mode: NO_CHECKS });
+                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+            }
+        }
+        self.let_depart(task, world, now, slots, commands);
+    }
+
+    /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
+    /// the other vehicles wait.
+    fn let_depart(
+        &mut self,
+        task: &Task,
+        world: u32,
+        now: f64,
+        slots: &mut [Slot],
+        commands: &mut Vec<Command>,
+    ) {
+        let sources = task.demand.sources.iter().zip(&mut self.clocks).enumerate();
+        for (index, (source, clock)) in sources {
+            // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums
+            // are rounded.
+            while clock.left > 0 && clock.next <= now + 5e-4 && clock.next < source.end {
+                let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
+                let Some(i) = (task.placed..slots.len()).find(|&i| free(&slots[i])) else {
+                    return;
+                };
+                let kind = draw(&source.types, &mut clock.rng);
+                clock.next += gap(source.spacing, &mut clock.rng);
+                clock.left -= 1;
+                let (vehicle_type, size) = task.demand_type(kind);
+                let route = task.map.demand_routes[source.route].route;
+                slots[i] = Slot { route, size, added: true, ..Slot::default() };
+                commands.push(Command::Depart {
+                    world,
+                    slot: (task.agents + i) as u32,
+                    departure: index as u32,
+                    vehicle_type,
+                });
+            }
+        }
+    }
+
+    /// Reads from the snapshot where the vehicles are, and which have come or gone.
+    pub(super) fn place(
+        &mut self,
+        task: &Task,
+        world: u32,
+        snapshot: &Snapshot,
+        slots: &mut [Slot],
+    ) {
+        let first = world as usize * task.slots() + task.agents;
+        for (i, slot) in slots.iter_mut().enumerate() {
+            let route = &task.map.routes[slot.route];
+            let (body, state) = (snapshot.bodies.get(first + i), snapshot.vehicles.get(first + i));
+            let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten())
+            else {
+                if slot.departed {
+                    // The vehicle came to the end of its route.
+                    self.effects.dismiss(i, route.is_walked());
+                    *slot = Slot::default();
+                }
+                continue;
+            };
+            let (sin, cos) = body.heading.sin_cos();
+            let half = slot.size[0] / 2.0;
+            let pose =
+                Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
+            let front = [body.x, body.y];
+            let road_user = &mut self.effects.road_users[i];
+            let (s, _, segment) = if slot.departed {
+                route.lanes().project(front, slot.segment)
+            } else {
+                route.lanes().nearest(front)
+            };
+            (slot.s, slot.segment) = (route.on_path(s - half), segment);
+            if slot.departed {
+                slot.before = slot.pose;
+                if slot.status == Status::Active {
+                    let braking = (slot.speed - state.speed) / task.scenario.control.interval;
+                    road_user.braking = road_user.braking.max(braking);
+                }
+            } else {
+                slot.before = pose;
+                (slot.departed, slot.status) = (true, Status::Active);
+            }
+            (slot.pose, slot.speed) = (pose, state.speed);
+            if slot.status == Status::Active {
+                road_user.time_loss = body.time_loss;
+            }
+        }
+    }
+
+    /// Turns vehicles that crashed in the step into wrecks, and records how near agents came to the
+    /// others. `slots` are those of the agents and of the background traffic.
+    pub(super) fn meet_agents(
+        &mut self,
+        task: &Task,
+        now: f64,
+        collisions: &Collisions,
+        slots: &mut [Slot],
+    ) {
+        let (agents, others) = slots.split_at_mut(task.agents);
+        for (i, other) in others.iter_mut().enumerate() {
+            if other.status != Status::Active {
+                continue;
+            }
+            if collisions.partner(task.agents + i).is_some() {
+                (other.status, other.wreck_steps, other.speed) =
+                    (Status::Wreck, task.wreck_steps(), 0.0);
+                self.effects.crash(i);
+            } else {
+                self.effects.watch(&task.map, agents, i, other, now);
+            }
+        }
+    }
+
+    /// Returns the summary of the episode.
+    pub(super) fn metrics(&self, task: &Task, slots: &[Slot]) -> BackgroundMetrics {
+        self.effects.metrics(&task.map, slots)
+    }
+}
+
+/// Returns the seconds to the next departure.
+fn gap(spacing: Spacing, rng: &mut Rng) -> f64 {
+    match spacing {
+        Spacing::Equal(gap) => gap,
+        Spacing::Poisson(rate) => -(1.0 - rng.random::<f64>()).ln() / rate,
+        // Number of attempts, one per second, until the first success.
+        Spacing::Chance(p) if p >= 1.0 => 1.0,
+        Spacing::Chance(p) => ((1.0 - rng.random::<f64>()).ln() / (-p).ln_1p()).ceil().max(1.0),
+    }
+}
+
+/// Draws an index from a list of indices and weights.
+fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
+    if let [(only, _)] = mix {
+        return *only;
+    }
+    let mut left = rng.random::<f64>() * mix.iter().map(|entry| entry.1).sum::<f64>();
+    let hit = mix.iter().find(|(_, weight)| {
+        left -= weight;
+        left < 0.0
+    });
+    hit.or(mix.last()).map_or(0, |entry| entry.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_of_departures_have_their_means() {
+        let mut rng = Seed::new(1).rng();
+        for (spacing, mean) in
+            [(Spacing::Equal(7.0), 7.0), (Spacing::Poisson(0.2), 5.0), (Spacing::Chance(0.25), 4.0)]
+        {
+            let sum: f64 = (0..20_000).map(|_| gap(spacing, &mut rng)).sum();
+            assert!((sum / 20_000.0 - mean).abs() < 0.03 * mean, "{spacing:?}: {}", sum / 20_000.0);
+        }
+        let mut counts = [0; 3];
+        for _ in 0..10_000 {
+            counts[draw(&[(0, 1.0), (1, 0.0), (2, 3.0)], &mut rng)] += 1;
+        }
+        assert!(counts[1] == 0 && (2300..2700).contains(&counts[0]), "{counts:?}");
+    }
+}

@@ -1,0 +1,138 @@
+//! Collisions, by our own test of the vehicles' boxes several times per step.
+
+use super::agents::{Crash, Slot, Status};
+use super::audit::{Pairs, reason_of_ours, reason_of_sumo};
+use super::failures::UPSTREAM;
+use super::geometry::boxes_overlap;
+use super::map::Map;
+use super::routes::RouteGeometry;
+use crate::sumo::Collision;
+
+/// Number of times per step at which boxes are tested for overlap: with steps of 0.1 s every
+/// 0.02 s, as in the simulator of the paper's task.
+const SUBSTEPS: u32 = 5;
+
+/// Another vehicle that a vehicle overlaps with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Partner {
+    /// Route of the other vehicle.
+    route: usize,
+    /// Whether one of the two is ahead of the other on its route.
+    same_path: bool,
+    /// Whether the other vehicle is a wreck.
+    wreck: bool,
+}
+
+impl Partner {
+    /// Returns the crash of an agent on `route` with this vehicle.
+    pub(super) fn crash(&self, route: &RouteGeometry, agent: &Slot, step: u32) -> Crash {
+        let Self { route: other, same_path, wreck } = *self;
+        let upstream = route.conflicts.first().is_some_and(|c| c.own - agent.s > UPSTREAM);
+        Crash { other, same_path, wreck, step, speed: agent.speed, upstream }
+    }
+}
+
+/// The collisions of an episode.
+#[derive(Debug, Clone)]
+pub(super) struct Collisions {
+    /// The vehicle that the vehicle of each slot overlapped with in the last step.
+    partners: Vec<Option<Partner>>,
+    /// The colliding pairs, for comparison with SUMO's.
+    pub(super) pairs: Pairs,
+    /// Colliding pairs with an agent that was driving, counted in each step.
+    pub(super) crashes: u32,
+}
+
+impl Collisions {
+    pub(super) fn new(slots: usize) -> Self {
+        Self { partners: vec![None; slots], pairs: Pairs::default(), crashes: 0 }
+    }
+
+    /// Begins a new episode.
+    pub(super) fn begin(&mut self) {
+        self.pairs.clear();
+        self.crashes = 0;
+    }
+
+    /// Returns the vehicle that the vehicle of a slot overlapped with in the last step.
+    pub(super) fn partner(&self, slot: usize) -> Option<Partner> {
+        self.partners[slot]
+    }
+
+    /// Tests the boxes of active vehicles against all other vehicles on the road. Background
+    /// vehicles, whose slots come after those of the `agents`, are not tested against each other.
+    /// `reported` returns SUMO's collisions of the world.
+    pub(super) fn find<'a, R: Iterator<Item = &'a Collision>>(
+        &mut self,
+        map: &Map,
+        agents: usize,
+        slots: &[Slot],
+        reported: impl Fn() -> R,
+    ) {
+        self.partners.fill(None);
+        let moving = |k: usize| slots[k].status == Status::Active;
+        for i in 0..slots.len() {
+            for j in 0..i {
+                let on_road = |k: usize| slots[k].status != Status::Empty && slots[k].departed;
+                let strangers = j >= agents && moving(i) && moving(j);
+                if !on_road(i)
+                    || !on_road(j)
+                    || !(moving(i) || moving(j))
+                    || strangers
+                    || !overlap_in_step(&slots[i], &slots[j])
+                {
+                    continue;
+                }
+                let drives = |k: usize| k < agents && moving(k);
+                self.crashes += u32::from(drives(i) || drives(j));
+                let follows = |a: usize, b: usize| {
+                    let route = &map.routes[slots[a].route];
+                    let shared = route.shared_position(slots[b].route, slots[b].s);
+                    shared.is_some_and(|s| s >= slots[a].s)
+                };
+                let same_path = follows(i, j) || follows(j, i);
+                for (own, other) in [(i, j), (j, i)] {
+                    let (route, wreck) = (slots[other].route, !moving(other));
+                    self.partners[own].get_or_insert(Partner { route, same_path, wreck });
+                }
+                // SUMO gives pedestrians other shapes, so that their collisions cannot be compared.
+                if j < agents && !map.routes[slots[i].route].is_walked() {
+                    let pair = [i, j].map(|k| (k as u32, &slots[k]));
+                    self.pairs.ours(j as u32, i as u32, || reason_of_ours(map, pair, reported()));
+                }
+            }
+        }
+    }
+
+    /// Notes the collisions with agents that SUMO reports. `steer`: whether agents steer.
+    pub(super) fn compare<'a>(
+        &mut self,
+        map: &Map,
+        steer: bool,
+        agents: usize,
+        slots: &[Slot],
+        reported: impl Iterator<Item = &'a Collision>,
+    ) {
+        for &Collision { collider, victim, .. } in reported {
+            if (collider.min(victim) as usize) < agents {
+                let (a, b) = (&slots[collider as usize], &slots[victim as usize]);
+                self.pairs.sumo(collider, victim, || reason_of_sumo(map, steer, a, b));
+            }
+        }
+    }
+}
+
+/// Whether the boxes of two vehicles overlap at some time of the last step.
+fn overlap_in_step(a: &Slot, b: &Slot) -> bool {
+    let half = |slot: &Slot| f64::midpoint(slot.size[0], slot.size[1]);
+    let reach = half(a) + half(b);
+    let travelled = a.pose.distance(&a.before) + b.pose.distance(&b.before);
+    if a.pose.distance(&b.pose) > reach + travelled {
+        return false;
+    }
+    (1..=SUBSTEPS).any(|k| {
+        let t = f64::from(k) / f64::from(SUBSTEPS);
+        let [at, other] = [a, b].map(|slot| slot.before.towards(&slot.pose, t));
+        boxes_overlap((&at, a.size), (&other, b.size))
+    })
+}

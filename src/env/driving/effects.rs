@@ -1,0 +1,241 @@
+//! Effects of an episode on background traffic: how near agents come to the vehicles that SUMO
+//! drives and to pedestrians, and what that costs these.
+
+use super::agents::{Slot, Status};
+use super::geometry::time_to_contact;
+use super::map::Map;
+use super::metrics::BackgroundMetrics;
+
+/// Deceleration above which braking counts as hard \[m/s²\]. SUMO's cars, which brake with
+/// 4.5 m/s² and some imprecision, do not exceed this value by themselves.
+const HARD: f64 = 6.0;
+/// Time to collision below which an agent counts as close \[s\].
+const CLOSE: f64 = 1.5;
+/// Upper limit of times to collision and post-encroachment times \[s\]. Vehicles further apart in
+/// time do not affect each other.
+const HORIZON: f64 = 5.0;
+
+/// What is recorded about one background vehicle.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct RoadUser {
+    /// SUMO's time loss of the vehicle \[s\].
+    pub(super) time_loss: f64,
+    /// The vehicle's hardest braking \[m/s²\].
+    pub(super) braking: f64,
+    /// Whether an agent came closer than [`CLOSE`] or the vehicle crashed.
+    close: bool,
+    /// Whether the vehicle collided with an agent or a wreck.
+    crashed: bool,
+    /// Whether SUMO has been told to stop the vehicle, which is a wreck.
+    pub(super) stopped: bool,
+}
+
+/// Times at which an agent and a background vehicle passed their conflict point \[s\]: when the
+/// front of each entered and when its rear left.
+#[derive(Debug, Clone, Copy)]
+struct Pass {
+    agent: [f64; 2],
+    other: [f64; 2],
+}
+
+const NOT_YET: Pass = Pass { agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
+
+/// What is recorded about the background traffic of an episode.
+#[derive(Debug, Clone)]
+pub(super) struct Effects {
+    /// Records of the vehicles and pedestrians on the road, by slot.
+    pub(super) road_users: Vec<RoadUser>,
+    /// Times at the conflict points, `[N, road users]`.
+    passes: Vec<Pass>,
+    /// Records of the vehicles that have left the road, and those of the pedestrians that have.
+    left: [Vec<RoadUser>; 2],
+    /// Smallest time to collision with an agent so far \[s\].
+    ttc: f64,
+    /// Smallest post-encroachment time with an agent so far \[s\].
+    pet: f64,
+}
+
+impl Effects {
+    pub(super) fn new(agents: usize, road_users: usize) -> Self {
+        let left = || Vec::with_capacity(4 * road_users);
+        Self {
+            road_users: vec![RoadUser::default(); road_users],
+            passes: vec![NOT_YET; agents * road_users],
+            left: [left(), left()],
+            ttc: HORIZON,
+            pet: HORIZON,
+        }
+    }
+
+    /// Begins a new episode.
+    pub(super) fn begin(&mut self) {
+        self.road_users.fill(RoadUser::default());
+        self.passes.fill(NOT_YET);
+        self.left.iter_mut().for_each(Vec::clear);
+        (self.ttc, self.pet) = (HORIZON, HORIZON);
+    }
+
+    /// Stores the record of a vehicle or pedestrian (`walks`) that has left the road, so that its
+    /// slot may be used again.
+    pub(super) fn dismiss(&mut self, road_user: usize, walks: bool) {
+        self.left[usize::from(walks)].push(std::mem::take(&mut self.road_users[road_user]));
+        let count = self.road_users.len();
+        for row in self.passes.chunks_mut(count) {
+            row[road_user] = NOT_YET;
+        }
+    }
+
+    /// Notes that a vehicle or pedestrian collided with an agent or a wreck.
+    pub(super) fn crash(&mut self, road_user: usize) {
+        self.road_users[road_user].crashed = true;
+        self.road_users[road_user].close = true;
+        (self.ttc, self.pet) = (0.0, 0.0);
+    }
+
+    /// Notes at time `now` \[s\] how near the active `agents` are to another vehicle.
+    pub(super) fn watch(
+        &mut self,
+        map: &Map,
+        agents: &[Slot],
+        road_user: usize,
+        other: &Slot,
+        now: f64,
+    ) {
+        let count = self.road_users.len();
+        for (i, agent) in agents.iter().enumerate() {
+            if agent.status != Status::Active {
+                continue;
+            }
+            let ttc = time_to_collision(agent, other);
+            self.ttc = self.ttc.min(ttc);
+            self.road_users[road_user].close |= ttc < CLOSE;
+            let Some(met) = map.routes[agent.route].conflict_with(other.route) else { continue };
+            let pass = &mut self.passes[i * count + road_user];
+            note(&mut pass.agent, agent, met.own, other.size[1], now);
+            note(&mut pass.other, other, met.other, agent.size[1], now);
+            self.pet = self.pet.min(post_encroachment(pass));
+        }
+    }
+
+    /// Returns the summary of the episode; `slots` are those of the background traffic.
+    pub(super) fn metrics(&self, map: &Map, slots: &[Slot]) -> BackgroundMetrics {
+        let here = slots.iter().zip(&self.road_users);
+        let of_kind = |walks: bool| -> Vec<&RoadUser> {
+            let of_kind = |(slot, _): &(&Slot, _)| {
+                slot.departed && map.routes[slot.route].is_walked() == walks
+            };
+            let here = here.clone().filter(of_kind).map(|(_, road_user)| road_user);
+            self.left[usize::from(walks)].iter().chain(here).collect()
+        };
+        let (drivers, walkers) = (of_kind(false), of_kind(true));
+        let share = |of: &[&RoadUser], is: fn(&RoadUser) -> bool| {
+            of.iter().filter(|road_user| is(road_user)).count() as f64 / of.len().max(1) as f64
+        };
+        let mean = |of: fn(&RoadUser) -> f64| {
+            drivers.iter().map(|road_user| of(road_user)).sum::<f64>() / drivers.len().max(1) as f64
+        };
+        BackgroundMetrics {
+            vehicles: drivers.len() as u32,
+            crash: share(&drivers, |road_user| road_user.crashed),
+            delay: mean(|road_user| road_user.time_loss),
+            braking: mean(|road_user| road_user.braking),
+            hard_braking: share(&drivers, |road_user| road_user.braking > HARD),
+            close: share(&drivers, |road_user| road_user.close),
+            pedestrians: walkers.len() as u32,
+            pedestrian_crash: share(&walkers, |road_user| road_user.crashed),
+            pedestrian_close: share(&walkers, |road_user| road_user.close),
+            ttc: self.ttc,
+            pet: self.pet,
+        }
+    }
+}
+
+/// Returns the time from when the first of two vehicles left a place until the second reached
+/// it \[s\]. It is 0 if both were there at once, and infinite as long as one of them has not
+/// reached the place.
+fn post_encroachment(pass: &Pass) -> f64 {
+    let (first, second) = if pass.agent[0] <= pass.other[0] {
+        (pass.agent, pass.other)
+    } else {
+        (pass.other, pass.agent)
+    };
+    if second[0].is_infinite() { f64::INFINITY } else { (second[0] - first[1]).max(0.0) }
+}
+
+/// Notes when the front of a vehicle reaches a conflict point on its route, and when its rear has
+/// left it. The conflict point is as long as the vehicle that crosses there is wide.
+fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
+    let half = slot.size[0] / 2.0;
+    for (time, passed) in times
+        .iter_mut()
+        .zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
+    {
+        if passed && time.is_infinite() {
+            *time = now;
+        }
+    }
+}
+
+/// Returns the time until two vehicles touch if both keep their speeds and headings, at most
+/// [`HORIZON`] \[s\].
+fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
+    let reach = (a.size[0] + a.size[1] + b.size[0] + b.size[1]) / 2.0;
+    if a.pose.distance(&b.pose) > reach + HORIZON * (a.speed.abs() + b.speed.abs()) {
+        return HORIZON;
+    }
+    let contact = time_to_contact((&a.pose, a.size, a.speed), (&b.pose, b.size, b.speed));
+    contact.map_or(HORIZON, |time| time.min(HORIZON))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::geometry::Pose;
+    use super::*;
+
+    /// Returns a vehicle of 4 m length with its centre at `s` and with this speed.
+    fn at(s: f64, speed: f64) -> Slot {
+        let pose = Pose { x: s, y: 0.0, heading: 0.0 };
+        Slot { size: [4.0, 2.0], s, speed, pose, ..Slot::default() }
+    }
+
+    /// Returns the post-encroachment time of two vehicles at 10 m/s whose routes cross 50 m from
+    /// both starts. The other vehicle reaches the conflict point `late` seconds after the agent.
+    fn encounter(late: f64) -> f64 {
+        let (mut pass, mut least) = (NOT_YET, f64::INFINITY);
+        for step in 0..200 {
+            let now = f64::from(step) * 0.1;
+            note(&mut pass.agent, &at(10.0 * now, 10.0), 50.0, 2.0, now);
+            note(&mut pass.other, &at(10.0 * (now - late), 10.0), 50.0, 2.0, now);
+            least = least.min(post_encroachment(&pass));
+        }
+        least
+    }
+
+    #[test]
+    fn post_encroachment_is_the_time_between_leaving_and_coming() {
+        // A vehicle occupies the place while its centre drives from 47 m (front at 49 m) to 53 m
+        // (rear at 51 m), which takes 0.6 s.
+        for (late, expected) in
+            [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)]
+        {
+            let found = encounter(late);
+            assert!((found - expected).abs() < 0.11 || found == expected, "{late}: {found}");
+        }
+    }
+
+    #[test]
+    fn time_to_collision_with_one_ahead_is_gap_over_closing_speed() {
+        let (own, ahead) = (at(0.0, 15.0), at(34.0, 5.0));
+        assert!(
+            (time_to_collision(&own, &ahead) - 3.0).abs() < 1e-9
+                && (time_to_collision(&ahead, &own) - 3.0).abs() < 1e-9
+        );
+        assert_eq!(
+            time_to_collision(&at(0.0, 5.0), &at(34.0, 5.0)),
+            HORIZON,
+            "it keeps its distance"
+        );
+        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(900.0, 0.0)), HORIZON, "it is far");
+        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(3.0, 9.0)), 0.0, "they overlap");
+    }
+}

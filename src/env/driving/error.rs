@@ -1,0 +1,85 @@
+//! Errors of the driving environment.
+
+use crate::{scenario, sumo};
+
+/// An error of an environment.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The scenario is invalid, or cannot have that many vehicles.
+    #[error(transparent)]
+    Scenario(#[from] scenario::Error),
+    /// The net cannot be read, or its routes cannot be driven.
+    #[error(transparent)]
+    Net(#[from] sumo::net::NetError),
+    /// Lanes and border lines of the net are together too long. They are needed where vehicles
+    /// steer, have lidar or observe the road's borders.
+    #[error(
+        "{net}: lanes of {metres:.0} m and lines beside them are too much for steering control, which takes {limit:.0} m"
+    )]
+    Long {
+        /// File of the net.
+        net: String,
+        /// Total length of lanes and lines \[m\].
+        metres: f64,
+        /// Greatest length allowed \[m\].
+        limit: f64,
+    },
+    /// SUMO cannot be started, or failed again after it was renewed and before an episode ended.
+    #[error("world {world}, episode {episode}, step {step}")]
+    Sumo {
+        /// World number.
+        world: usize,
+        /// Number of the episode of that world.
+        episode: u64,
+        /// Step of the episode.
+        step: u32,
+        /// The error of the simulator.
+        source: sumo::Error,
+    },
+    /// SUMO died while the run's current episodes were played again to resume it.
+    #[error("SUMO died while the run's episodes were played again to resume; try once more")]
+    Replay,
+    /// An episode cannot be played: SUMO dies or loses a vehicle in every attempt.
+    #[error("the simulation broke off {times} times in episode {episode}; the warnings say why")]
+    KeepsFailing {
+        /// Number of the episode.
+        episode: u64,
+        /// Number of attempts.
+        times: u32,
+    },
+    /// A worker panicked, which is a defect of this program.
+    #[error("a worker panicked, which is a defect of this program: {message}")]
+    Panicked {
+        /// Message of the panic.
+        message: String,
+    },
+    /// An agent's vehicle is not on the road.
+    #[error(
+        "slot {slot}: its vehicle is not on SUMO's roads at step {step} of an episode, on route `{route}` at {position:.1} m of \
+         {length:.1} m; SUMO had no room at its spawn place, or its route ends before the arrival position"
+    )]
+    Vanished {
+        /// The agent's slot.
+        slot: usize,
+        /// Name of the agent's route.
+        route: String,
+        /// Last known position of the vehicle's centre along the route \[m\].
+        position: f64,
+        /// Length of the route \[m\].
+        length: f64,
+        /// Step of the episode.
+        step: u32,
+    },
+}
+
+impl Error {
+    /// Returns what the user can do about the error, where that is known.
+    pub fn hint(&self) -> Option<String> {
+        match self {
+            Self::Scenario(e) => e.hint(),
+            Self::Sumo { source, .. } => source.hint(),
+            _ => None,
+        }
+    }
+}

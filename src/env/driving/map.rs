@@ -1,0 +1,234 @@
+//! What the net says: routes, their paths and conflicts, junctions, and the road's surface. No
+//! episode changes it.
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use super::detour::path_around;
+use super::error::Error;
+use super::forks::Forks;
+use super::geometry::Size;
+use super::road::Road;
+use super::routes::{RouteGeometry, geometry};
+use crate::scenario::{Demand, Laid, Scenario};
+use crate::sumo::net::{EdgeFunction, Net, Path};
+
+/// A part of a route that lies in a junction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct JunctionStretch {
+    /// Beginning of the part, as arc length along the route \[m\].
+    pub(super) from: f64,
+    /// End of the part, as arc length along the route \[m\].
+    pub(super) to: f64,
+    /// Whether the junction is of SUMO's type `unregulated`, in which SUMO does not look for
+    /// collisions.
+    pub(super) unregulated: bool,
+}
+
+/// Where a vehicle is relative to its route.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RoutePosition {
+    /// On a lane of its route, on a road.
+    Road,
+    /// On a lane of its route, over a junction.
+    Junction,
+    /// Beside the lanes of its route.
+    Beside,
+}
+
+impl RoutePosition {
+    /// Bits for `moveToXY` by which SUMO finds the lane of the vehicle. 1 searches the edges of
+    /// the vehicle's route, which is three times as fast but never finds a lane over a junction
+    /// (SUMO 1.15). 2 takes the exact place, on any lane or on none.
+    pub fn keep_route(self) -> u8 {
+        if self == Self::Road { 1 } else { 2 }
+    }
+}
+
+/// A route of a route file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct DemandRoute {
+    /// Index of the route in [`Map::routes`].
+    pub(super) route: usize,
+    /// Where a walk begins on its first edge and where it ends on its last edge \[m\]; `None` for
+    /// routes of vehicles.
+    pub(super) walk: Option<[f64; 2]>,
+}
+
+/// The net and the routes of a task.
+#[derive(Debug, Clone)]
+pub struct Map {
+    /// Routes: the scenario's in its order, then those that occur only in route files.
+    pub routes: Vec<RouteGeometry>,
+    /// Corners of the bounding box of all routes: `[x_min, y_min, x_max, y_max]` \[m\].
+    pub bounds: [f64; 4],
+    /// Ids of the routes.
+    pub(super) route_ids: Vec<String>,
+    /// Edges of the routes.
+    pub(super) route_edges: Vec<Vec<String>>,
+    /// Routes of the route files.
+    pub(super) demand_routes: Vec<DemandRoute>,
+    /// Parts of each route that lie in junctions.
+    pub(super) junctions: Vec<Vec<JunctionStretch>>,
+    /// Which routes begin alike, and where they part.
+    pub(super) forks: Forks,
+    /// Whether some route has edges with several lanes, so that SUMO could change the lane of a
+    /// vehicle on it.
+    pub(super) several_lanes: bool,
+    /// The road surface, if agents steer, have a lidar or observe the road's borders.
+    road: Option<Road>,
+    net_file: PathBuf,
+}
+
+impl Map {
+    /// Loads a net and works out the paths of the routes of `scenario` and `demand`, and their
+    /// conflicts.
+    ///
+    /// # Errors
+    /// If the net cannot be read, or its routes cannot be driven.
+    pub(super) fn new(
+        scenario: &Scenario,
+        demand: &Demand,
+        net_file: &std::path::Path,
+    ) -> Result<Self, Error> {
+        let net = Net::load(net_file)?;
+        let mut lanes = Vec::with_capacity(scenario.routes.len());
+        for route in &scenario.routes {
+            lanes.push(net.route_path_from(&route.edges, route.lane)?);
+        }
+        let mut route_ids: Vec<String> =
+            scenario.routes.iter().map(|route| route.id.clone()).collect();
+        let mut route_edges: Vec<Vec<String>> =
+            scenario.routes.iter().map(|route| route.edges.clone()).collect();
+        let mut demand_routes = Vec::with_capacity(demand.routes.len());
+        for route in &demand.routes {
+            let Laid { path, edges, walk } = route.lay(&net)?;
+            // The paths of walks have no lanes, so that walks are compared by edges and points.
+            let same = |(other, at): (&Path, &Vec<String>)| {
+                other.lanes == path.lanes
+                    && (walk.is_none() || *at == edges && other.points == path.points)
+            };
+            let known = lanes.iter().zip(&route_edges).position(same);
+            demand_routes.push(DemandRoute { route: known.unwrap_or(lanes.len()), walk });
+            if known.is_none() {
+                lanes.push(path);
+                route_ids.push(format!("{} of a route file", route.id));
+                route_edges.push(edges);
+            }
+        }
+        let size = [scenario.vehicle.length, scenario.vehicle.width];
+        let routes = lay_routes(&net, scenario, &lanes, size);
+        let several = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
+        let road_is_needed = scenario.control.steering.is_some()
+            || scenario.observation.lidar.beams > 0
+            || scenario.observation.borders > 0.0;
+        let road = road_is_needed.then(|| Road::new(&net, size, &scenario.termination));
+        Ok(Self {
+            forks: Forks::new(&net, &routes),
+            bounds: bounds(&lanes),
+            junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
+            several_lanes: lanes.iter().any(|path| path.lanes.iter().any(several)),
+            road: road.transpose()?,
+            net_file: net_file.to_owned(),
+            routes,
+            route_ids,
+            route_edges,
+            demand_routes,
+        })
+    }
+
+    /// Returns the road surface.
+    ///
+    /// # Panics
+    /// If agents neither steer nor have a lidar nor observe the road's borders.
+    pub(super) fn road(&self) -> &Road {
+        self.road.as_ref().expect("the task needs the road surface")
+    }
+
+    /// Returns the name of a route: the scenario's id, or the id in a route file with a note that
+    /// it is from there.
+    pub fn route_id(&self, route: usize) -> &str {
+        &self.route_ids[route]
+    }
+
+    /// Returns the path of the net's file.
+    pub fn net_file(&self) -> &std::path::Path {
+        &self.net_file
+    }
+
+    /// Returns where the front bumper of a vehicle is relative to its route, and the front's arc
+    /// length along the route's lanes \[m\]. `front` is in the world's coordinates \[m\], and
+    /// `segment` is the segment of the route's path on which the vehicle was last.
+    pub fn locate(&self, route: usize, front: [f64; 2], segment: usize) -> (RoutePosition, f64) {
+        let geometry = &self.routes[route];
+        let path = geometry.lanes();
+        let (s, lateral, segment) = match geometry.avoided {
+            None => path.project(front, segment),
+            // The segments of a path with a detour are not those of the lanes.
+            Some(_) => path.nearest(front),
+        };
+        let place = if lateral.abs() > path.widths[segment] / 2.0 {
+            RoutePosition::Beside
+        } else if self.junctions[route].iter().any(|k| (k.from..k.to).contains(&s)) {
+            RoutePosition::Junction
+        } else {
+            RoutePosition::Road
+        };
+        (place, s)
+    }
+}
+
+/// Works out the routes along `lanes`, of which the first are the scenario's.
+fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec<RouteGeometry> {
+    let detour = |path: &Path| path_around(path, &scenario.control.steering?);
+    let (mut driven, mut detoured) = (lanes.to_vec(), vec![false; lanes.len()]);
+    for (path, detoured) in driven.iter_mut().zip(&mut detoured) {
+        if let Some(around) = detour(path) {
+            (*path, *detoured) = (around, true);
+        }
+    }
+    let lay = |a: usize| {
+        // Vehicles of route files arrive where SUMO removes them: at the end of the route.
+        let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
+        let mut route = geometry(&driven, &detoured, a, arrival.unwrap_or(-1.0), size);
+        if arrival.is_none() {
+            route.arrival = driven[a].length();
+        }
+        if let Some(&last) = lanes[a].lanes.last() {
+            let all = net.carriageway(&net.edges[net.lanes[last].edge]);
+            let width = |lanes: Range<usize>| lanes.map(|lane| net.lanes[lane].width).sum::<f64>();
+            // Lanes are counted from the right.
+            route.finish[0] -= width(all.start..last);
+            route.finish[1] += width(last + 1..all.end);
+        }
+        route.avoided = detoured[a].then(|| lanes[a].clone());
+        route.first_lane = lanes[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
+        route
+    };
+    (0..lanes.len()).map(lay).collect()
+}
+
+fn bounds(paths: &[Path]) -> [f64; 4] {
+    let mut bounds = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    for point in paths.iter().flat_map(|path| &path.points) {
+        for axis in 0..2 {
+            bounds[axis] = bounds[axis].min(point[axis]);
+            bounds[axis + 2] = bounds[axis + 2].max(point[axis]);
+        }
+    }
+    bounds
+}
+
+fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {
+    let stretches = path.lane_stretches().filter_map(|(lane, from, to)| {
+        let edge = &net.edges[net.lanes[lane].edge];
+        if edge.function != EdgeFunction::Internal {
+            return None;
+        }
+        // An internal edge's id begins with that of its junction, as in `:centre_2`.
+        let name = edge.id.strip_prefix(':')?.rsplit_once('_')?.0;
+        let unregulated = net.junctions.iter().any(|j| j.id == name && j.kind == "unregulated");
+        Some(JunctionStretch { from, to, unregulated })
+    });
+    stretches.collect()
+}

@@ -1,0 +1,57 @@
+//! Driving on SUMO's roads: what the net says ([`Map`]), what an agent observes (`layout` and
+//! `observation`), and the stages of a world's step, which [`World`] puts in order.
+
+pub(super) mod agents;
+mod audit;
+mod background;
+mod collisions;
+mod comm;
+mod detour;
+mod effects;
+mod episode;
+mod error;
+mod failures;
+mod foresight;
+mod forks;
+mod frame;
+pub(super) mod geometry;
+pub(super) mod intention;
+mod layout;
+mod loitering;
+mod map;
+mod metrics;
+mod motion;
+mod observation;
+mod order;
+mod reward;
+pub(super) mod right_of_way;
+mod road;
+mod routes;
+mod spawn;
+mod state;
+mod surface;
+pub(super) mod task;
+mod vec;
+mod vehicle;
+pub(super) mod world;
+
+#[cfg(test)]
+pub(super) mod tests;
+
+pub use agents::Outcome;
+pub use audit::Audit;
+pub use comm::physical_mask;
+pub use episode::WorldState;
+pub use error::Error;
+pub use failures::Failures;
+pub use frame::{AgentView, Frame, OtherView};
+pub use geometry::{Pose, Size, boxes_overlap};
+pub use map::{Map, RoutePosition};
+pub use metrics::{BackgroundMetrics, EpisodeRecord};
+pub use order::Position;
+pub use routes::{Conflict, RouteGeometry};
+pub use task::{Driver, Task};
+pub use vec::{Resets, VecEnv, VecOptions};
+pub use vehicle::longitudinal::{acceleration, advance};
+pub use vehicle::tyres::Motion;
+pub use world::World;

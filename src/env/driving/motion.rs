@@ -1,0 +1,202 @@
+//! Motion of the agents: turns actions into SUMO's commands, and SUMO's snapshots into poses.
+
+use super::agents::{Slot, Status, Track};
+use super::error::Error;
+use super::geometry::Pose;
+use super::map::RoutePosition;
+use super::task::{Driver, Task};
+use super::vehicle::longitudinal;
+use crate::sumo::{Command, Snapshot};
+
+/// SUMO's speed mode with every check off.
+pub(super) const NO_CHECKS: i32 = 32;
+
+/// Appends the commands of a step for the agents' slots. `actions` is `[N, A]`, of which only
+/// active agents' entries count.
+pub(super) fn act(
+    task: &Task,
+    driver: Driver,
+    world: u32,
+    actions: &[f32],
+    agents: &mut [Slot],
+    commands: &mut Vec<Command>,
+) {
+    let width = task.spec.actions.len();
+    for (i, (slot, actions)) in agents.iter_mut().zip(actions.chunks_exact(width)).enumerate() {
+        let at = i as u32;
+        match slot.status {
+            Status::Active if driver != Driver::Sumo => {
+                drive(task, world, at, actions, slot, commands);
+            }
+            Status::Wreck if slot.wreck_steps == 0 => {
+                slot.status = Status::Empty;
+                slot.added = false;
+                commands.push(Command::Remove { world, slot: at });
+            }
+            Status::Wreck => {
+                slot.wreck_steps -= 1;
+                if !task.steers(driver) {
+                    commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                } else if slot.track != Track::Lost {
+                    move_to_pose(task, world, at, slot, commands);
+                }
+            }
+            Status::Empty if slot.added => {
+                slot.added = false;
+                commands.push(Command::Remove { world, slot: at });
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Moves an active agent by its actions.
+fn drive(
+    task: &Task,
+    world: u32,
+    at: u32,
+    actions: &[f32],
+    slot: &mut Slot,
+    commands: &mut Vec<Command>,
+) {
+    let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
+    let action = |k: usize| {
+        let action = f64::from(actions[k]);
+        if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }
+    };
+    if let Some(steering) = &control.steering {
+        (slot.steer, slot.action) = (action(0), action(1));
+        slot.motion = slot.motion.advance(control, steering, vehicle, slot.steer, slot.action);
+        slot.speed = slot.motion.velocity.x;
+        move_to_pose(task, world, at, slot, commands);
+    } else {
+        slot.action = action(0);
+        let (distance, speed) = longitudinal::advance(control, vehicle, slot.speed, slot.action);
+        slot.speed = speed;
+        // SUMO moves a vehicle by its new speed times the step length, so that the mean speed over
+        // the step gives the exact distance.
+        let mean = distance / control.interval;
+        commands.push(Command::SetSpeed { world, slot: at, speed: mean });
+    }
+}
+
+/// Moves a vehicle that steers to its pose in SUMO. On its lane, SUMO keeps the vehicle on the
+/// centre line and is given the speed that takes it as far along the route as the pose is, because
+/// `moveToXY` takes SUMO many times longer. A vehicle that stands still needs no command.
+fn move_to_pose(
+    task: &Task,
+    world: u32,
+    slot: u32,
+    vehicle: &mut Slot,
+    commands: &mut Vec<Command>,
+) {
+    let pose = vehicle.motion.pose;
+    if vehicle.sent == Some((pose, 0.0)) {
+        return;
+    }
+    let (sin, cos) = pose.heading.sin_cos();
+    let half = task.scenario.vehicle.length / 2.0;
+    let [x, y] = [pose.x + half * cos, pose.y + half * sin];
+    let (place, s) = task.map.locate(vehicle.route, [x, y], vehicle.segment);
+    if place == RoutePosition::Beside {
+        vehicle.track = Track::Astray;
+    }
+    // After the vehicle was beside its route, SUMO may have given it another route.
+    let place = if vehicle.track == Track::Route { place } else { RoutePosition::Beside };
+    let distance = task.map.routes[vehicle.route].lanes().distance_of_arc(s);
+    let held = vehicle.held.take().filter(|_| place != RoutePosition::Beside);
+    let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
+    if let Some(speed) =
+        speed.filter(|speed| (0.0..=task.scenario.vehicle.max_speed).contains(speed))
+    {
+        vehicle.held = Some(distance);
+        vehicle.sent = Some((pose, speed));
+        commands.push(Command::SetSpeed { world, slot, speed });
+        return;
+    }
+    // Over a junction, SUMO may put the vehicle on another lane that lies there and take it on
+    // along that lane, so that it has another route.
+    if place == RoutePosition::Junction {
+        vehicle.track = Track::Astray;
+    }
+    vehicle.held = Some(distance).filter(|_| place == RoutePosition::Road);
+    let speed = vehicle.speed.max(0.0);
+    vehicle.sent = Some((pose, speed));
+    commands.push(Command::SetSpeed { world, slot, speed });
+    commands.push(Command::MoveTo {
+        world,
+        slot,
+        x,
+        y,
+        heading: pose.heading,
+        keep_route: place.keep_route(),
+    });
+}
+
+/// Reads every agent's pose from the snapshot after step number `step`.
+///
+/// # Errors
+/// [`Error::Vanished`] if SUMO has lost a vehicle.
+pub(super) fn place(
+    task: &Task,
+    driver: Driver,
+    world: u32,
+    snapshot: &Snapshot,
+    step: u32,
+    agents: &mut [Slot],
+) -> Result<(), Error> {
+    let first = world as usize * task.slots();
+    let steers = task.steers(driver);
+    for (i, slot) in agents.iter_mut().enumerate() {
+        slot.before = slot.pose;
+        if slot.status == Status::Empty {
+            continue;
+        }
+        let route = &task.map.routes[slot.route];
+        let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
+            if slot.departed
+                && steers
+                && (slot.track != Track::Route || slot.status == Status::Wreck)
+            {
+                // SUMO removes a vehicle that is off its route when the vehicle reaches the end of
+                // the road that it is on.
+                slot.track = Track::Lost;
+                slot.pose = slot.motion.pose;
+            } else if slot.departed && driver == Driver::Sumo && slot.status == Status::Wreck {
+                // With SUMO's driver, a wreck may reach the end of its route before it has
+                // stopped.
+                (slot.status, slot.added) = (Status::Empty, false);
+            } else if slot.departed || driver != Driver::Sumo {
+                // SUMO's driver may have to wait for room before it departs, but a vehicle that
+                // has departed must not disappear.
+                return Err(Error::Vanished {
+                    slot: i,
+                    route: task.map.route_ids[slot.route].clone(),
+                    position: slot.s,
+                    length: route.path.length(),
+                    step,
+                });
+            }
+            continue;
+        };
+        slot.departed = true;
+        if driver == Driver::Sumo {
+            slot.speed = vehicle.speed;
+        }
+        if steers {
+            slot.pose = slot.motion.pose;
+            (slot.s, slot.lateral, slot.segment) =
+                route.path.project(slot.pose.point(), slot.segment);
+            continue;
+        }
+        let half = task.scenario.vehicle.length / 2.0;
+        let front = route.lanes().arc_of_distance(vehicle.distance);
+        let (point, heading, segment) = route.lanes().body(front, 2.0 * half);
+        let (sin, cos) = heading.sin_cos();
+        slot.pose =
+            Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
+        slot.s = route.on_path(front - half);
+        slot.segment = segment;
+    }
+    Ok(())
+}

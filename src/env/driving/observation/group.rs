@@ -1,0 +1,128 @@
+//! What a feature group is: how its features are described, and how they are written.
+
+use crate::env::driving::agents::{Slot, Status, Traffic};
+use crate::env::driving::intention::Knowledge;
+use crate::env::driving::map::Map;
+use crate::env::driving::routes::RouteGeometry;
+use crate::env::spec::{Described, Features};
+use crate::scenario::Scenario;
+
+/// Distance scale of far features \[m\].
+pub const FAR: f64 = 50.0;
+/// Distance scale of near features \[m\].
+pub const NEAR: f64 = 15.0;
+/// Speed scale \[m/s\].
+pub const SPEED: f64 = 22.2;
+/// Number of vehicles that a count feature shows as 1.
+pub const COUNT: f64 = 12.0;
+
+/// A group of features.
+#[derive(Debug)]
+pub struct FeatureGroup {
+    /// Appends the features of the group; none where the scenario leaves the group out.
+    pub describe: fn(&Scenario, &mut Features),
+    /// Writes the features, as many as `describe` appends. It is not called where there are none.
+    pub write: fn(&View<'_>, &mut Writer<'_>),
+}
+
+/// What the features of one agent are computed from.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    /// The scenario.
+    pub scenario: &'a Scenario,
+    /// The net and its routes.
+    pub map: &'a Map,
+    /// All vehicles.
+    pub traffic: &'a Traffic,
+    /// What is known of the vehicles' routes.
+    pub knowledge: Knowledge<'a>,
+    /// Priorities of all slots' vehicles; empty in scenarios that do not show them.
+    pub priorities: &'a [u32],
+    /// Share of the horizon that is left, 1 at the start of an episode.
+    pub time_left: f64,
+    /// Slot of the agent.
+    pub slot: usize,
+}
+
+impl<'a> View<'a> {
+    /// Returns the agent's slot.
+    pub fn own(&self) -> &'a Slot {
+        &self.traffic.slots[self.slot]
+    }
+
+    /// Returns the agent's route.
+    pub fn route(&self) -> &'a RouteGeometry {
+        &self.map.routes[self.own().route]
+    }
+
+    /// Whether the vehicle of slot `j` is another one and within the detection range.
+    pub fn detects(&self, j: usize) -> bool {
+        j != self.slot
+            && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
+    }
+
+    /// Returns the slots of the other vehicles within the detection range.
+    pub fn detected(&self) -> impl Iterator<Item = usize> + '_ {
+        let here =
+            move |&j: &usize| self.traffic.slots[j].status != Status::Empty && self.detects(j);
+        (0..self.traffic.slots.len()).filter(here)
+    }
+}
+
+/// Writes features one after the other into a slice, clipped to -1..=1.
+pub struct Writer<'a> {
+    out: &'a mut [f32],
+    at: usize,
+}
+
+impl<'a> Writer<'a> {
+    /// Returns a writer that fills `out`.
+    pub fn new(out: &'a mut [f32]) -> Self {
+        Self { out, at: 0 }
+    }
+
+    /// Writes the values of consecutive features.
+    pub fn put<const K: usize>(&mut self, values: [f64; K]) {
+        for value in values {
+            self.out[self.at] = value.clamp(-1.0, 1.0) as f32;
+            self.at += 1;
+        }
+    }
+
+    /// Writes the first `count` of some tokens with the features `described`, and padding.
+    pub fn tokens<const K: usize>(
+        &mut self,
+        _described: &[Described; K],
+        count: usize,
+        tokens: impl Iterator<Item = [f64; K]>,
+    ) {
+        let end = self.at + K * count;
+        tokens.take(count).for_each(|token| self.put(token));
+        self.skip(end - self.at);
+    }
+
+    /// Writes zeros.
+    pub fn skip(&mut self, count: usize) {
+        self.out[self.at..self.at + count].fill(0.0);
+        self.at += count;
+    }
+
+    /// Returns the slice of all features that are left, for another function to fill.
+    pub fn rest(&mut self) -> &mut [f32] {
+        let from = std::mem::replace(&mut self.at, self.out.len());
+        &mut self.out[from..]
+    }
+
+    /// Ends the writing.
+    ///
+    /// # Panics
+    /// If fewer features were written than described.
+    pub fn finish(self) {
+        assert_eq!(self.at, self.out.len(), "a group writes as many features as it describes");
+    }
+}
+
+/// Returns 1 for a vehicle that is under way and 0 for a wreck.
+pub fn moving(status: Status) -> f64 {
+    f64::from(u8::from(status == Status::Active))
+}

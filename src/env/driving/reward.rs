@@ -1,0 +1,127 @@
+//! How a step ends for each agent, and what it is rewarded with.
+
+use super::agents::{Outcome, Slot, Status, Track};
+use super::collisions::Collisions;
+use super::surface::BESIDE;
+use super::task::{Driver, Task};
+use super::vehicle::tyres::Motion;
+use crate::scenario::Reward;
+
+/// Distance between a vehicle's side and the lane's border below which a vehicle that does not
+/// steer is off-road \[m\], as measured on the paper's simulator.
+const BORDER_MARGIN: f64 = 0.035;
+
+/// The agents' rewards in an episode.
+#[derive(Debug, Clone)]
+pub(super) struct Rewards {
+    /// Each agent's own reward of the last step, `[N]`.
+    pub(super) own: Vec<f64>,
+    /// Mean reward over agents in each step.
+    pub(super) steps: Vec<f32>,
+    /// Sum of these means.
+    pub(super) total: f64,
+    /// Number of agents of the episode.
+    pub(super) active_agents: usize,
+    /// Positions of the agents along their routes before the step \[m\].
+    positions: Vec<f64>,
+}
+
+impl Rewards {
+    pub(super) fn new(agents: usize) -> Self {
+        let zeros = vec![0.0; agents];
+        let own = zeros.clone();
+        Self { own, steps: Vec::new(), total: 0.0, active_agents: agents, positions: zeros }
+    }
+
+    /// Begins a new episode. The last step's rewards stay visible until the next step.
+    pub(super) fn begin(&mut self, active_agents: usize) {
+        self.active_agents = active_agents;
+        self.total = 0.0;
+        self.steps.clear();
+    }
+
+    /// Notes where the agents are before a step.
+    pub(super) fn before(&mut self, slots: &[Slot]) {
+        for (position, slot) in self.positions.iter_mut().zip(slots) {
+            *position = slot.s;
+        }
+        self.own.fill(0.0);
+    }
+
+    /// Rewards the active agents for step number `step`, and ends the episode of those that arrived
+    /// or failed: their entries of `terminated` become 1.
+    pub(super) fn settle(
+        &mut self,
+        task: &Task,
+        driver: Driver,
+        step: u32,
+        collisions: &Collisions,
+        agents: &mut [Slot],
+        terminated: &mut [f32],
+    ) {
+        let (steers, wreck_steps) = (task.steers(driver), task.wreck_steps());
+        let mut sum = 0.0;
+        for (i, slot) in agents.iter_mut().enumerate() {
+            if slot.status != Status::Active {
+                continue;
+            }
+            let route = &task.map.routes[slot.route];
+            let partner = collisions.partner(i);
+            let outcome = outcome(task, steers, slot, partner.is_some());
+            slot.outcome = outcome;
+            if let Some(partner) = partner {
+                slot.crash = Some(partner.crash(route, slot, step));
+            }
+            let reward = reward(task, steers, slot, slot.s - self.positions[i]);
+            self.own[i] = reward;
+            sum += reward;
+            if outcome.arrived || outcome.out_of_road || outcome.crashed {
+                terminated[i] = 1.0;
+                slot.status = if outcome.arrived { Status::Empty } else { Status::Wreck };
+                slot.wreck_steps = wreck_steps;
+                if slot.track == Track::Lost {
+                    slot.status = Status::Empty;
+                }
+                slot.speed = 0.0;
+                slot.motion = Motion::at(slot.pose);
+            }
+        }
+        let mean = sum / self.active_agents as f64;
+        self.total += mean;
+        self.steps.push(mean as f32);
+    }
+}
+
+/// Returns what happened to an agent in a step.
+fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
+    let route = &task.map.routes[slot.route];
+    let out_of_road = if steers {
+        slot.track == Track::Lost || task.map.road().left_by(&slot.pose)
+    } else {
+        let lane = route.path.widths[slot.segment];
+        slot.lateral.abs() > (lane - task.scenario.vehicle.width) / 2.0 - BORDER_MARGIN
+    };
+    let finish = route.finish[0]..=route.finish[1];
+    let arrived = slot.s >= route.arrival && (!steers || finish.contains(&slot.lateral));
+    Outcome { arrived, crashed, out_of_road }
+}
+
+/// Returns an agent's reward for a step in which it drove `distance` metres of its route. The first
+/// case of its outcome that applies replaces the reward for driving.
+fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
+    let rewards = &task.scenario.reward;
+    if slot.outcome.arrived {
+        rewards.arrive
+    } else if slot.outcome.out_of_road {
+        rewards.out_of_road
+    } else if slot.outcome.crashed {
+        rewards.crash
+    } else {
+        // The magnitude counts: a vehicle that steers may slide or drive backwards.
+        let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
+        let reward = rewards.progress * distance + rewards.speed * speed / Reward::SPEED_UNIT;
+        let lane = task.map.routes[slot.route].path.widths[slot.segment];
+        let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
+        if off { task.scenario.routes[slot.route].off_lane * reward } else { reward }
+    }
+}

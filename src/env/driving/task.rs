@@ -1,0 +1,216 @@
+//! A scenario made ready for one number of agents.
+
+use super::error::Error;
+use super::geometry::Size;
+use super::layout::Layout;
+use super::map::{DemandRoute, Map};
+use super::{observation, state};
+use crate::env::spec::{ActionDimension, EnvSpec};
+use crate::scenario::{Control, Demand, Scenario, Source, SpawnPlace, Start, VehicleKind};
+use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
+
+/// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
+pub(super) const AGENT_TYPE: u32 = 0;
+/// Index of the vehicle type whose speed SUMO's own driver chooses.
+pub(super) const SUMO_TYPE: u32 = 1;
+
+/// What controls the agents' vehicles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Driver {
+    /// The actions.
+    Agents,
+    /// The actions, which follow rules of the right of way: each world keeps the vehicles'
+    /// priorities even if agents do not observe them.
+    Rules,
+    /// SUMO's own driver with SUMO's right of way; actions are ignored.
+    Sumo,
+}
+
+/// Everything about a task that is the same in all episodes; shared by all worlds.
+#[derive(Debug, Clone)]
+pub struct Task {
+    /// The scenario.
+    pub scenario: Scenario,
+    /// Agent slots N.
+    pub agents: usize,
+    /// Slots of background traffic, which come after the agents' slots.
+    pub others: usize,
+    /// Number of background vehicles that start at spawn places; their slots come before those of
+    /// the route files' vehicles.
+    pub(super) placed: usize,
+    /// Least number of agents in an episode: each episode has a random number from this one to N.
+    pub fewest: usize,
+    /// Spawn places, at least as many as vehicles that start at spawn places.
+    pub places: Vec<SpawnPlace>,
+    /// The net and the routes.
+    pub map: Map,
+    /// Contents of the route files.
+    pub(super) demand: Demand,
+    /// Vehicle types of the background traffic at spawn places, with their weights; empty if these
+    /// vehicles have the agents' size and abilities.
+    pub(super) place_mix: Vec<(usize, f64)>,
+    /// For every route with a reserved destination, the first route that ends on the same edge.
+    pub(super) reserved: Vec<Option<usize>>,
+    /// Shapes and features for the learners.
+    pub spec: EnvSpec,
+    /// How observations are written.
+    pub(super) observation: Layout,
+    /// How privileged states are written.
+    pub(super) state: Layout,
+}
+
+impl Task {
+    /// Loads the net for `vehicles` vehicles at spawn places, of which the scenario's share are
+    /// agents, and works out the conflicts between the routes.
+    ///
+    /// # Errors
+    /// If the scenario does not take this number of vehicles, or if its net or route files cannot
+    /// be read or driven.
+    pub fn new(scenario: &Scenario, vehicles: u32) -> Result<Self, Error> {
+        let choice = scenario.net_for(vehicles)?;
+        let agents = scenario.traffic.learners(vehicles);
+        let demand = Demand::load(&scenario.traffic.files)?;
+        let place_mix =
+            scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
+        let capacity = if demand.sources.is_empty() { 0 } else { scenario.traffic.capacity };
+        let map = Map::new(scenario, &demand, &choice.file)?;
+        let end = |route: &crate::scenario::Route| route.edges.last().cloned();
+        let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
+        let reserved =
+            scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
+        let (observation, observed) = Layout::new(observation::GROUPS, scenario);
+        let (state, known) = Layout::new(state::GROUPS, scenario);
+        Ok(Self {
+            agents: agents as usize,
+            others: (vehicles - agents + capacity) as usize,
+            placed: (vehicles - agents) as usize,
+            fewest: agents as usize,
+            places: choice.places().collect(),
+            map,
+            demand,
+            place_mix,
+            reserved,
+            spec: EnvSpec {
+                agents: agents as usize,
+                actions: actions(&scenario.control),
+                observation: observed,
+                state: known,
+            },
+            observation,
+            state,
+            scenario: scenario.clone(),
+        })
+    }
+
+    /// Returns the same task with a random number of agents in each episode, from `fewest` (at
+    /// least 1) to N.
+    #[must_use]
+    pub fn with_fewest(self, fewest: usize) -> Self {
+        Self { fewest: fewest.clamp(1, self.agents), ..self }
+    }
+
+    /// Returns the number of slots of a world: those of agents and of background traffic.
+    pub(super) fn slots(&self) -> usize {
+        self.agents + self.others
+    }
+
+    /// Whether agents steer under this driver, so that they follow their routes' paths instead of
+    /// the lanes.
+    pub(super) fn steers(&self, driver: Driver) -> bool {
+        driver != Driver::Sumo && self.scenario.control.steering.is_some()
+    }
+
+    /// Returns the steps for which a wreck stays on the road.
+    pub(super) fn wreck_steps(&self) -> u32 {
+        (self.scenario.termination.wreck_time / self.scenario.control.interval).round() as u32
+    }
+
+    /// Returns the index in SUMO's list and the size of vehicle type number `kind` of the route
+    /// files.
+    pub(super) fn demand_type(&self, kind: usize) -> (u32, Size) {
+        let VehicleKind { length, width, .. } = self.demand.types[kind];
+        (SUMO_TYPE + 1 + kind as u32, [length, width])
+    }
+
+    /// Returns the index in SUMO's list and the size of a vehicle type for background traffic at
+    /// spawn places; `kind` is drawn from `place_mix`.
+    pub(super) fn place_type(&self, kind: usize) -> (u32, Size) {
+        if self.place_mix.is_empty() {
+            let vehicle = &self.scenario.vehicle;
+            return (SUMO_TYPE, [vehicle.length, vehicle.width]);
+        }
+        self.demand_type(kind)
+    }
+
+    /// Returns what a simulation of `worlds` worlds of this task needs to start.
+    pub fn simulation_config(&self, seed: u64, worlds: u32, hosting: &Hosting) -> SimulationConfig {
+        let (vehicle, control) = (&self.scenario.vehicle, &self.scenario.control);
+        let hardest = control.brake.last().map_or(control.drag, |point| point.1);
+        let vehicle_type = |id: &str, min_gap: f64| VehicleType {
+            id: id.to_owned(),
+            length: vehicle.length,
+            width: vehicle.width,
+            max_speed: vehicle.max_speed,
+            accel: control.accel,
+            decel: hardest.min(4.5),
+            emergency_decel: hardest,
+            min_gap,
+            tau: 1.0,
+        };
+        SimulationConfig {
+            net: self.map.net_file().to_owned(),
+            step_length: control.interval,
+            seed,
+            worlds,
+            slots: self.slots() as u32,
+            others: (self.others > 0).then(|| self.road_users()),
+            timeout: hosting.timeout,
+            audit: hosting.audit,
+            // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
+            // gap, but one that is small enough for vehicles to depart from neighbouring places
+            // under the largest jitter.
+            vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],
+            routes: (self.map.route_ids.iter().zip(&self.map.route_edges).zip(&self.map.routes))
+                .map(|((id, edges), geometry)| Route {
+                    id: id.clone(),
+                    edges: edges.clone(),
+                    lane: geometry.first_lane,
+                    walked: geometry.is_walked(),
+                })
+                .collect(),
+        }
+    }
+
+    /// Returns what SUMO needs to know about background traffic.
+    fn road_users(&self) -> BackgroundTraffic {
+        let departure = |source: &Source| {
+            let DemandRoute { route, walk } = self.map.demand_routes[source.route];
+            let route = route as u32;
+            if let Some([pos, arrival]) = walk {
+                return Departure::Walk { route, pos, arrival };
+            }
+            let Start { lane, pos, speed } = source.start.clone();
+            Departure::Drive { route, lane, pos, speed }
+        };
+        BackgroundTraffic {
+            first_slot: self.agents as u32,
+            definitions: self.demand.definitions.clone(),
+            types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
+            departures: self.demand.sources.iter().map(departure).collect(),
+        }
+    }
+}
+
+/// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
+/// brake.
+///
+/// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
+/// with a mean throttle of 0 hardly moves under noise.
+fn actions(control: &Control) -> Vec<ActionDimension> {
+    let steer = ActionDimension::named("steer");
+    let throttle = ActionDimension {
+        initial_mean: control.initial_throttle as f32,
+        ..ActionDimension::named("throttle")
+    };
+    if control.steering.is_some() { vec![steer, throttle] } else { vec![throttle] }
+}

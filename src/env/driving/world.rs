@@ -1,0 +1,428 @@
+//! One world: puts the stages of a step in order. A world needs no simulator: it emits commands and
+//! takes in snapshots.
+//!
+//! An episode that has ended stays visible for one frame, in which its agents are observed but do
+//! not act. For a truncated agent this is the last observation, from which its return is
+//! bootstrapped. The respawn travels in the next exchange, so that every world takes exactly one
+//! exchange per step, however it is hosted.
+
+use std::sync::Arc;
+
+use super::agents::{Slot, Status, Traffic};
+use super::background::Background;
+use super::collisions::Collisions;
+use super::comm::physical_mask;
+use super::episode::{Episode, Phase, WorldState};
+use super::error::Error;
+use super::failures::Failures;
+use super::frame::{AgentView, Frame, OtherView};
+use super::geometry::Pose;
+use super::intention::{Intentions, Knowledge};
+use super::loitering::{self, Loitering};
+use super::metrics::EpisodeRecord;
+use super::motion;
+use super::observation::View;
+use super::reward::Rewards;
+use super::right_of_way::RightOfWay;
+use super::spawn::spawn;
+use super::task::{Driver, Task};
+use crate::rng::Seed;
+use crate::sumo::{Command, Snapshot};
+
+/// One world.
+#[derive(Debug, Clone)]
+pub struct World {
+    task: Arc<Task>,
+    driver: Driver,
+    episode: Episode,
+    traffic: Traffic,
+    /// Routes that each vehicle could still take, if the scenario hides routes.
+    intentions: Option<Intentions>,
+    right_of_way: RightOfWay,
+    background: Background,
+    collisions: Collisions,
+    rewards: Rewards,
+    loitering: Vec<Loitering>,
+    /// Total distance that the agents have driven in this episode \[m\].
+    distance: f64,
+    frame: Frame,
+    finished: Option<EpisodeRecord>,
+    /// Scratch: poses of the agents after the step.
+    poses: Vec<Pose>,
+    /// Scratch: which agents are present after the step.
+    present: Vec<bool>,
+}
+
+impl World {
+    /// Creates a world that plays the episodes `first, first + stride, …` below `end` of the
+    /// stream `seed`. The world is idle until [`World::reset`], and again after the last episode.
+    pub fn new(
+        task: Arc<Task>,
+        driver: Driver,
+        seed: Seed,
+        first: u64,
+        stride: u64,
+        end: u64,
+    ) -> Self {
+        let (n, slots) = (task.agents, task.slots());
+        Self {
+            driver,
+            episode: Episode::new(seed, first, stride, end),
+            traffic: Traffic::new(slots, task.map.routes.len()),
+            intentions: Intentions::new(&task.map, task.scenario.observation, n, slots),
+            right_of_way: RightOfWay::new(
+                &task.scenario.observation,
+                driver == Driver::Rules,
+                slots,
+            ),
+            background: Background::new(&task),
+            collisions: Collisions::new(slots),
+            rewards: Rewards::new(n),
+            loitering: vec![Loitering::default(); n],
+            distance: 0.0,
+            frame: Frame::new(&task),
+            finished: None,
+            poses: vec![Pose::default(); n],
+            present: vec![false; n],
+            task,
+        }
+    }
+
+    /// Returns the same world, which with this chance repeats one of its failed episodes, if it
+    /// has any, instead of playing the next episode of the stream.
+    #[must_use]
+    pub fn with_replay(self, chance: f64) -> Self {
+        Self { episode: self.episode.with_replay(chance), ..self }
+    }
+
+    /// Returns the last frame.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Takes the record of the episode that the last step ended, if it ended one.
+    pub fn take_finished(&mut self) -> Option<EpisodeRecord> {
+        self.finished.take()
+    }
+
+    /// Returns whether the last step ended an episode that was not interrupted.
+    pub(super) fn has_finished(&self) -> bool {
+        self.finished.as_ref().is_some_and(|record| !record.interrupted)
+    }
+
+    /// Returns the number of episodes that started while the simulation went on.
+    pub fn respawns(&self) -> u64 {
+        self.episode.respawns
+    }
+
+    /// Returns the number of the current episode in its stream.
+    pub fn episode(&self) -> u64 {
+        self.episode.index
+    }
+
+    /// Returns the steps since the start of the current episode.
+    pub fn step_count(&self) -> u32 {
+        self.episode.step
+    }
+
+    /// Returns whether the current episode goes on.
+    pub fn is_running(&self) -> bool {
+        self.episode.phase == Phase::Running
+    }
+
+    /// Returns whether the current episode has been played to its end and its last frame is
+    /// visible.
+    pub fn has_ended(&self) -> bool {
+        self.is_between_episodes() && !self.episode.interrupted && self.episode.step > 0
+    }
+
+    /// Returns whether there is nothing left to play.
+    pub fn is_idle(&self) -> bool {
+        self.episode.phase == Phase::Idle
+    }
+
+    /// Returns whether the coming exchange respawns.
+    pub(super) fn is_between_episodes(&self) -> bool {
+        self.episode.phase == Phase::Ended
+    }
+
+    /// Returns views of all agents, in the order of the slots.
+    pub fn agents(&self) -> impl Iterator<Item = AgentView> + '_ {
+        let agents = self.traffic.slots.iter().zip(&self.rewards.own);
+        agents.map(|(slot, reward)| AgentView::new(slot, *reward))
+    }
+
+    /// Returns views of the background traffic on the road.
+    pub fn others(&self) -> impl Iterator<Item = OtherView> + '_ {
+        let slots = self.traffic.slots[self.task.agents..].iter();
+        slots.filter(|slot| slot.departed).map(OtherView::new)
+    }
+
+    pub(crate) fn task(&self) -> &Task {
+        &self.task
+    }
+
+    pub(crate) fn traffic(&self) -> &Traffic {
+        &self.traffic
+    }
+
+    /// Returns SUMO's seed for the next episode.
+    pub(super) fn simulator_seed(&self) -> u64 {
+        self.episode.simulator_seed()
+    }
+
+    /// Returns the state of the world, for a checkpoint.
+    pub fn state(&self) -> WorldState {
+        self.episode.state()
+    }
+
+    /// Completes the restoration of a state, after the state's actions have been repeated.
+    pub(super) fn restore(&mut self, state: &WorldState) {
+        self.episode.restore(state);
+    }
+
+    /// Makes the coming exchange start `episode`, whatever is on the road now.
+    pub fn reset(&mut self, episode: u64) {
+        self.episode.go_to(episode);
+    }
+
+    /// Makes the coming exchange start the next episode, whatever is on the road now.
+    pub(super) fn start_next(&mut self) {
+        self.episode.phase = Phase::Ended;
+    }
+
+    /// Truncates the current episode because SUMO is gone; the coming exchange starts the next
+    /// one.
+    pub fn interrupt(&mut self) {
+        self.abandon();
+        self.forget_vehicles();
+    }
+
+    /// Truncates the current episode as [`World::interrupt`] does, but in a SUMO that goes on.
+    pub(super) fn abandon(&mut self) {
+        if self.is_running() {
+            self.finished = Some(self.record(true));
+            self.frame.interrupt();
+        }
+        self.episode.abandon();
+    }
+
+    /// Notes that SUMO has been renewed and is empty, so that no vehicle is left to remove.
+    pub(super) fn forget_vehicles(&mut self) {
+        for slot in &mut self.traffic.slots {
+            slot.added = false;
+        }
+    }
+
+    /// Puts the vehicle of a slot on another route, at its present pose.
+    #[cfg(test)]
+    pub(super) fn send(&mut self, slot: usize, route: usize) {
+        let slot = &mut self.traffic.slots[slot];
+        slot.route = route;
+        (slot.s, slot.lateral, slot.segment) =
+            self.task.map.routes[route].path.nearest(slot.pose.point());
+    }
+
+    /// Appends the commands of the coming exchange. `actions` is `[N, A]`, of which only active
+    /// agents' entries count.
+    pub fn act(&mut self, world: u32, actions: &[f32], commands: &mut Vec<Command>) {
+        match self.episode.phase {
+            Phase::Idle | Phase::Spawning => {}
+            Phase::Ended => self.spawn(world, commands),
+            Phase::Running => {
+                self.episode.note(actions);
+                let (task, now) = (&self.task, self.now());
+                let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
+                motion::act(task, self.driver, world, actions, agents, commands);
+                if task.others > 0 {
+                    self.background.act(task, world, now, others, commands);
+                }
+            }
+        }
+    }
+
+    /// Begins the next episode: draws its agents, routes and positions, and appends the commands
+    /// that replace the vehicles on the road. The world becomes idle if no episode is left.
+    fn spawn(&mut self, world: u32, commands: &mut Vec<Command>) {
+        if !self.episode.begin() {
+            return;
+        }
+        let (task, seed) = (&self.task, self.episode.seed());
+        let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
+        let spawned = spawn(task, self.driver, world, &mut seed.rng(), agents, commands);
+        if task.others > 0 {
+            let seed = seed.child("traffic");
+            self.background.spawn(task, world, seed, &spawned.others, others, commands);
+        }
+        self.rewards.begin(spawned.active_agents);
+        self.collisions.begin();
+        self.loitering.fill(Loitering::default());
+        self.distance = 0.0;
+    }
+
+    /// Takes in the snapshot of an exchange, in which this is world number `world`, and writes the
+    /// next frame.
+    ///
+    /// # Errors
+    /// [`Error::Vanished`] if SUMO has lost a vehicle.
+    pub fn observe(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
+        self.frame.interrupted = false;
+        match self.episode.phase {
+            Phase::Idle | Phase::Ended => return Ok(()),
+            Phase::Spawning => {
+                self.place(world, snapshot)?;
+                self.episode.phase = Phase::Running;
+                self.intentions.iter_mut().for_each(Intentions::begin);
+                self.frame.begin(true);
+                self.frame.reward.fill(0.0);
+            }
+            Phase::Running => {
+                self.frame.begin(false);
+                self.episode.step += 1;
+                self.rewards.before(&self.traffic.slots);
+                self.place(world, snapshot)?;
+                self.judge(world, snapshot);
+                for (reward, own) in self.frame.reward.iter_mut().zip(&self.rewards.own) {
+                    *reward = *own as f32;
+                }
+            }
+        }
+        self.relate();
+        let acting = self.mark_present();
+        self.write_views();
+        if acting == 0 {
+            let record = self.record(false);
+            self.episode.end(record.success >= 1.0);
+            self.finished = Some(record);
+        }
+        Ok(())
+    }
+
+    /// Returns the seconds since the start of the episode.
+    fn now(&self) -> f64 {
+        f64::from(self.episode.step) * self.task.scenario.control.interval
+    }
+
+    /// Reads every vehicle's pose from the snapshot.
+    ///
+    /// # Errors
+    /// [`Error::Vanished`] if SUMO has lost a vehicle.
+    fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
+        let task = &self.task;
+        let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
+        motion::place(task, self.driver, world, snapshot, self.episode.step, agents)?;
+        if task.others > 0 {
+            self.background.place(task, world, snapshot, others);
+        }
+        Ok(())
+    }
+
+    /// Finds out how the step went: collisions, ends and rewards.
+    fn judge(&mut self, world: u32, snapshot: &Snapshot) {
+        let (task, now) = (&*self.task, self.now());
+        let (map, n) = (&task.map, task.agents);
+        let reported = || snapshot.collisions.iter().filter(move |c| c.world == world);
+        self.collisions.find(map, n, &self.traffic.slots, reported);
+        self.distance += self.traffic.driven_by_agents(n);
+        let interval = task.scenario.control.interval;
+        loitering::watch(map, interval, &self.traffic.slots, &mut self.loitering);
+        let steer = task.scenario.control.steering.is_some();
+        self.collisions.compare(map, steer, n, &self.traffic.slots, reported());
+        self.rewards.settle(
+            task,
+            self.driver,
+            self.episode.step,
+            &self.collisions,
+            &mut self.traffic.slots[..n],
+            &mut self.frame.terminated,
+        );
+        self.background.meet_agents(task, now, &self.collisions, &mut self.traffic.slots);
+    }
+
+    /// Works out the relations between the vehicles: distances, candidate routes, right of way.
+    fn relate(&mut self) {
+        let (task, map) = (&self.task, &self.task.map);
+        self.traffic.refresh();
+        if let Some(intentions) = &mut self.intentions {
+            intentions.update(map, &self.traffic, task.steers(self.driver));
+        }
+        self.right_of_way.update(map, &mut self.traffic, self.intentions.as_ref());
+    }
+
+    /// Whether the vehicles get priorities.
+    pub(crate) fn keeps_right_of_way(&self) -> bool {
+        self.right_of_way.is_kept()
+    }
+
+    /// Writes to the frame which agents are present, act, are truncated, and are in range of each
+    /// other. Returns the number of agents that act in the coming step.
+    fn mark_present(&mut self) -> u32 {
+        let scenario = &self.task.scenario;
+        let horizon = self.episode.step >= scenario.termination.horizon;
+        let mut acting = 0;
+        for (i, slot) in self.traffic.slots[..self.task.agents].iter().enumerate() {
+            let present = slot.status == Status::Active;
+            self.present[i] = present;
+            self.poses[i] = slot.pose;
+            self.frame.truncated[i] = f32::from(u8::from(present && horizon));
+            self.frame.active[i] = f32::from(u8::from(present && !horizon));
+            acting += u32::from(present && !horizon);
+        }
+        let range = scenario.communication.range;
+        physical_mask(&self.poses, &self.present, range, &mut self.frame.comm);
+        if !self.frame.sharing.is_empty() {
+            let range = scenario.reward.share_range;
+            physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
+        }
+        acting
+    }
+
+    /// Writes the observations and privileged states of the agents to the frame.
+    fn write_views(&mut self) {
+        let (task, traffic) = (&*self.task, &self.traffic);
+        let horizon = f64::from(task.scenario.termination.horizon);
+        let view = View {
+            scenario: &task.scenario,
+            map: &task.map,
+            traffic,
+            knowledge: Knowledge::public(&task.map, traffic, self.intentions.as_ref()),
+            priorities: &self.right_of_way.priorities,
+            time_left: 1.0 - f64::from(self.episode.step) / horizon,
+            slot: 0,
+        };
+        self.frame.write_views(task, &view, &self.present);
+    }
+
+    /// Returns the record of the current episode.
+    fn record(&mut self, interrupted: bool) -> EpisodeRecord {
+        let (agents, others) = self.traffic.slots.split_at(self.task.agents);
+        let n = self.rewards.active_agents as f64;
+        let share =
+            |flag: fn(&Slot) -> bool| agents.iter().filter(|slot| flag(slot)).count() as f64 / n;
+        let success = share(|slot| slot.outcome.arrived);
+        let danger = share(|slot| slot.outcome.crashed || slot.outcome.out_of_road);
+        let loitering = self.loitering.iter().filter(|loitering| loitering.is_long()).count();
+        let background = || self.background.metrics(&self.task, others);
+        EpisodeRecord {
+            episode: self.episode.index,
+            episode_length: self.episode.step,
+            success,
+            safety: 1.0 - danger,
+            crash: share(|slot| slot.outcome.crashed),
+            out_of_road: share(|slot| slot.outcome.out_of_road),
+            reward: self.rewards.total,
+            efficiency: (success - danger) * n / f64::from(self.episode.step.max(1)),
+            sumo_collisions: self.collisions.pairs.of_sumo(),
+            own_collisions: self.collisions.pairs.of_ours(),
+            distance_km: self.distance / 1000.0,
+            crashes: self.collisions.crashes,
+            loitering: loitering as f64 / n,
+            audit: self.collisions.pairs.audit(),
+            failures: Failures::of(agents, &self.task.map.route_ids),
+            others: (self.task.others > 0).then(background),
+            interrupted,
+            replayed: self.episode.is_replayed(),
+            step_rewards: std::mem::take(&mut self.rewards.steps),
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! The driver that gives way first come, first served: when it brakes.
+
+use crate::env::driving::agents::{Slot, Status, Traffic};
+use crate::env::driving::intention::Knowledge;
+use crate::env::driving::right_of_way::{Free, RESERVE, free, inherit, to_entry};
+use crate::env::driving::task::Task;
+
+/// Braking that the rule plans with; less where the vehicle cannot brake as hard \[m/s²\].
+const BRAKING: f64 = 6.0;
+
+/// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
+/// ahead, or stands in its way.
+pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
+    let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
+    let knowledge = Knowledge::full(&task.map.routes, traffic);
+    inherit(knowledge, &mut priorities, &mut blocked);
+    let control = &task.scenario.control;
+    let brakes = control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING);
+    let gives_way = |(slot, own): (usize, &Slot)| {
+        let seen = |space: Free, j| space.min(free(knowledge, &priorities, slot, j));
+        let space = (0..priorities.len()).fold(Free::ALL, seen);
+        let braking = own.speed * own.speed / (2.0 * brakes);
+        // A vehicle that has not entered the junction waits outside, where it blocks nobody.
+        let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
+        own.status == Status::Active
+            && (space.distance < braking + RESERVE
+                || space.blocked < RESERVE
+                || outside && space.distance.min(space.slow) < f64::INFINITY)
+    };
+    traffic.slots.iter().enumerate().map(gives_way).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::env::driving::agents::Candidate;
+    use crate::env::driving::geometry::{Pose, separation};
+    use crate::env::driving::right_of_way::{assign, is_behind};
+    use crate::env::driving::tests::scenario;
+
+    fn task() -> Task {
+        Task::new(&scenario("intersection_turns_small"), 8).expect("a task")
+    }
+
+    /// Traffic with one vehicle per entry, on the named route and the given distance \[m\] before
+    /// its first conflict point.
+    fn traffic(task: &Task, vehicles: &[(&str, f64)]) -> Traffic {
+        let mut traffic = Traffic::new(vehicles.len(), task.map.routes.len());
+        for (slot, (name, distance)) in traffic.slots.iter_mut().zip(vehicles) {
+            let is_named = |route: &usize| task.map.route_id(*route) == *name;
+            let route = (0..task.map.routes.len()).find(is_named).expect("a route");
+            *slot = at(task, route, task.map.routes[route].to_first_conflict(0.0) - distance);
+        }
+        traffic.refresh();
+        traffic
+    }
+
+    fn at(task: &Task, route: usize, s: f64) -> Slot {
+        let path = &task.map.routes[route].path;
+        let ([x, y], heading) = path.at(s);
+        let segment = path.project([x, y], 0).2;
+        Slot {
+            status: Status::Active,
+            route,
+            s,
+            segment,
+            pose: Pose { x, y, heading },
+            size: [4.5, 1.85],
+            ..Slot::default()
+        }
+    }
+
+    fn inherited(task: &Task, traffic: &Traffic) -> Vec<u32> {
+        let mut priorities = Vec::new();
+        inherit(Knowledge::full(&task.map.routes, traffic), &mut priorities, &mut Vec::new());
+        priorities
+    }
+
+    #[test]
+    fn priority_goes_to_the_vehicle_that_comes_near_first() {
+        let task = task();
+        let at = [
+            ("west_straight", 25.0),
+            ("south_straight", 12.0),
+            ("east_straight", 15.0),
+            ("north_straight", 30.0),
+        ];
+        let mut traffic = traffic(&task, &at);
+        assign(&mut traffic, &task.map.routes, None, 20.0);
+        let priorities =
+            |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.priority).collect::<Vec<_>>();
+        assert_eq!(priorities(&traffic), [0, 1, 2, 0]);
+        // A vehicle that comes later has a later priority, however close it gets.
+        traffic.slots[0].s += 24.0;
+        assign(&mut traffic, &task.map.routes, None, 20.0);
+        assert_eq!(priorities(&traffic), [3, 1, 2, 0]);
+        traffic.refresh();
+        assert_eq!(
+            inherited(&task, &traffic),
+            [2, 0, 1, u32::MAX],
+            "those who have not come near are last"
+        );
+    }
+
+    #[test]
+    fn a_blocking_vehicle_inherits_the_priority_of_the_vehicle_that_it_blocks() {
+        let task = task();
+        // The second vehicle stands in the path of the first, which has priority over it; the third
+        // waits outside and blocks nobody.
+        let mut traffic = traffic(
+            &task,
+            &[("west_straight", 0.0), ("south_straight", 0.0), ("east_straight", 6.0)],
+        );
+        let routes = [0, 1].map(|i| traffic.slots[i].route);
+        let met = task.map.routes[routes[0]].conflict_with(routes[1]).expect("they cross");
+        traffic.slots[0] = at(&task, routes[0], met.own - 7.0);
+        traffic.slots[1] = at(&task, routes[1], met.other);
+        traffic.refresh();
+        for (slot, priority) in traffic.slots.iter_mut().zip([2, 3, 1]) {
+            slot.priority = priority;
+        }
+        assert_eq!(inherited(&task, &traffic), [1, 1, 0], "by itself the second would be last");
+        assert_eq!(giving_way(&task, &traffic), [true, false, false]);
+        // Once the second vehicle is gone, the first drives; it waits for a wreck, whatever the
+        // priorities were.
+        traffic.slots[1].status = Status::Wreck;
+        assert!(giving_way(&task, &traffic)[0]);
+        traffic.slots[1].status = Status::Empty;
+        assert!(!giving_way(&task, &traffic)[0]);
+    }
+
+    proptest! {
+        /// Of two vehicles, the one with priority gives way only where the other blocks it or is
+        /// ahead.
+        #[test]
+        fn two_do_not_wait_for_each_other(
+            routes in [0usize..12, 0usize..12],
+            distance in [-15.0..25.0, -15.0..25.0],
+            speed in [0.0..8.0, 0.0..8.0],
+        ) {
+            let task = task();
+            let names = routes.map(|route| task.map.route_id(route).to_owned());
+            let mut traffic = traffic(&task, &[(&names[0], distance[0]), (&names[1], distance[1])]);
+            for (k, slot) in traffic.slots.iter_mut().enumerate() {
+                (slot.priority, slot.speed) = (1 + k as u32, speed[k]);
+            }
+            let touch = separation(
+                (traffic.stance(0), traffic.slots[0].size),
+                (traffic.stance(1), traffic.slots[1].size),
+            );
+            prop_assume!(touch > 1.2);
+            let (priorities, waits) = (inherited(&task, &traffic), giving_way(&task, &traffic));
+            let blocked = free(Knowledge::full(&task.map.routes, &traffic), &priorities, 0, 1).blocked < RESERVE;
+            let places = [0, 1].map(|k| Candidate::of(&traffic.slots[k]));
+            let behind = is_behind(&task.map.routes, &places[1], &places[0]);
+            prop_assert!(!waits[0] || blocked || behind, "{names:?} {waits:?}");
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! What a learner must know about an environment: its sizes and the names of its features.
+
+/// What a learner must know about an environment. Only [`EnvSpec::agents`] depends on the number of
+/// vehicles.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EnvSpec {
+    /// Number of agent slots N.
+    pub agents: usize,
+    /// The A dimensions of an action, each in -1..=1.
+    pub actions: Vec<ActionDimension>,
+    /// The O features of one agent's observation.
+    pub observation: Features,
+    /// The S features of the privileged state as seen from one agent.
+    pub state: Features,
+}
+
+/// One dimension of the agents' actions, and the initial behaviour of an untrained policy in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ActionDimension {
+    /// Name, such as `throttle`.
+    pub name: &'static str,
+    /// Mean action of an untrained policy.
+    pub initial_mean: f32,
+    /// Factor on the scheduled standard deviation of the exploration noise.
+    pub noise_scale: f32,
+}
+
+impl ActionDimension {
+    /// Returns a dimension with an initial mean of 0 and the scheduled noise.
+    pub const fn named(name: &'static str) -> Self {
+        Self { name, initial_mean: 0.0, noise_scale: 1.0 }
+    }
+}
+
+/// A vector of named features, in groups that attention encoders take as tokens.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Features {
+    /// The features, in order.
+    pub list: Vec<Feature>,
+    /// Consecutive groups that cover the list.
+    pub groups: Vec<Group>,
+}
+
+/// One number of an observation or a privileged state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Feature {
+    /// Name, such as `neighbour_0.forward`.
+    pub name: String,
+    /// What one unit of the number means, such as `22.2 m/s`.
+    pub unit: String,
+    /// Smallest value.
+    pub low: f32,
+    /// Largest value.
+    pub high: f32,
+}
+
+/// Name, unit, smallest and largest value of a feature.
+pub(super) type Described = (&'static str, &'static str, f32, f32);
+
+/// `count` tokens of `width` features each, starting at `offset`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Group {
+    /// Name, such as `neighbour`.
+    pub name: String,
+    /// Index of the first feature.
+    pub offset: usize,
+    /// Features per token.
+    pub width: usize,
+    /// Number of tokens.
+    pub count: usize,
+    /// Index within the token of the feature that is 1 for a token that describes something and 0
+    /// for padding; `None` for tokens without padding.
+    pub presence: Option<usize>,
+}
+
+impl Features {
+    /// Number of features.
+    pub fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// Whether there are no features.
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Returns these features followed by those of `other`.
+    #[must_use]
+    pub fn join(&self, other: &Self) -> Self {
+        let mut joined = self.clone();
+        let shift = self.len();
+        joined.list.extend_from_slice(&other.list);
+        joined.groups.extend(
+            other
+                .groups
+                .iter()
+                .map(|group| Group { offset: group.offset + shift, ..group.clone() }),
+        );
+        joined
+    }
+
+    /// Appends a group of `count` tokens with these features. A feature called `present` becomes
+    /// the presence flag.
+    pub(super) fn push(&mut self, name: &str, count: usize, features: &[Described]) {
+        if count == 0 {
+            return;
+        }
+        let presence = features.iter().position(|f| f.0 == "present");
+        self.groups.push(Group {
+            name: name.to_owned(),
+            offset: self.len(),
+            width: features.len(),
+            count,
+            presence,
+        });
+        for token in 0..count {
+            for &(feature, unit, low, high) in features {
+                let name = if count == 1 {
+                    format!("{name}.{feature}")
+                } else {
+                    format!("{name}_{token}.{feature}")
+                };
+                self.list.push(Feature { name, unit: unit.to_owned(), low, high });
+            }
+        }
+    }
+}
