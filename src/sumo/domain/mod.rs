@@ -74,6 +74,8 @@ use super::{Batch, Client, ClientBatch, Error, batch::Call, codec::Value, consta
 
 #[macro_use]
 mod macros;
+#[macro_use]
+mod common;
 mod value;
 mod variable;
 
