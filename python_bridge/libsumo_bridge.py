@@ -1,37 +1,37 @@
 """The Python side of the libsumo backend: `src/sumo/libsumo.rs` holds this file and runs it in process.
 
-One call of `step` carries out all commands of a decision, takes the step and returns what the environments need, so
-that the boundary between Rust and Python is crossed once. Commands come in runs of one kind, as columns, which `map`
-feeds to libsumo's functions without a Python loop; those of the extension module itself are used, because the ones of
-the package `libsumo` are Python functions around them.
+One call of `step` carries out all calls of a decision, takes the step and returns what the environments need, so that
+the boundary between Rust and Python is crossed once. Calls have the names and arguments that they have in TraCI. They
+come in runs of one name, as columns, which `map` feeds to libsumo's functions without a Python loop; those of the
+extension module itself are used, because the ones of the package `libsumo` are Python functions around them.
 """
 
 from collections import deque
-from itertools import repeat
+from functools import cache
 from operator import length_hint
 
 import libsumo
 from libsumo.libsumo import _libsumo as native
 
 
-
-def add_person(name, kind, edges, position, arrival):
-    native.person_add(name, edges[0], position, DEPART_NOW, kind)
-    native.person_appendWalkingStage(name, edges, arrival, -1.0, -1.0, "")
+def add_person(name, kind, edge, depart, position):
+    native.person_add(name, edge, position, depart, kind)
 
 
-DEPART_NOW = -3.0
-SET = {
-    "vehicle.add": native.vehicle_add,
-    "vehicle.remove": native.vehicle_remove,
-    "vehicle.setSpeed": native.vehicle_setSpeed,
-    "vehicle.setSpeedMode": native.vehicle_setSpeedMode,
-    "vehicle.setLaneChangeMode": native.vehicle_setLaneChangeMode,
-    "vehicle.moveToXY": native.vehicle_moveToXY,
-    "person.add": add_person,
-    "person.remove": native.person_remove,
-    "person.setSpeed": native.person_setSpeed,
-}
+def append_walk(name, _stage, *walk):
+    native.person_appendWalkingStage(name, *walk)
+
+
+# Calls whose arguments libsumo takes in another order than TraCI.
+OTHERS = {"person.add": add_person, "person.appendWalkingStage": append_walk}
+
+
+@cache
+def function(call):
+    """Returns libsumo's function for a call, such as `vehicle.setSpeed`."""
+    return OTHERS.get(call) or getattr(native, call.replace(".", "_"))
+
+
 distance_of = native.vehicle_getDistance
 speed_of = native.vehicle_getSpeed
 position_of = native.vehicle_getPosition
@@ -45,21 +45,6 @@ time_now = native.simulation_getTime
 take_step = native.simulation_step
 
 Refused = libsumo.TraCIException
-
-TYPE_SETTERS = (
-    ("length", native.vehicletype_setLength),
-    ("width", native.vehicletype_setWidth),
-    ("min_gap", native.vehicletype_setMinGap),
-    ("max_speed", native.vehicletype_setMaxSpeed),
-    ("accel", native.vehicletype_setAccel),
-    # Before the comfortable one, which may not exceed it.
-    ("emergency_decel", native.vehicletype_setEmergencyDecel),
-    ("decel", native.vehicletype_setDecel),
-    ("tau", native.vehicletype_setTau),
-    ("imperfection", native.vehicletype_setImperfection),
-    ("speed_factor", native.vehicletype_setSpeedFactor),
-    ("speed_deviation", native.vehicletype_setSpeedDeviation),
-)
 
 
 def start(arguments):
@@ -77,49 +62,40 @@ def close():
     libsumo.close()
 
 
-def introduce(types, routes):
-    """Makes vehicle types (dictionaries) and routes (identifier, edges) known. Returns a refusal or None."""
-    for kind in types:
-        native.vehicletype_copy("DEFAULT_VEHTYPE", kind["id"])
-        for key, setter in TYPE_SETTERS:
-            setter(kind["id"], kind[key])
-    for identifier, edges in routes:
-        try:
-            native.route_add(identifier, edges)
-        except Refused as refusal:
-            return identifier, str(refusal)
-    return None
+def carry_out(runs):
+    """Carries out `runs`, a list of (call, [objects, columns…]), and passes over refused calls.
 
-
-def step(orders, vehicles, others, persons):
-    """Carries out `orders`, a list of (call, columns…) with the vehicles as first column, and takes one step.
-
-    Returns the time, the vehicles and persons that arrived or were refused, the distances and speeds of the other `vehicles` in their
-    order, the pairs of colliding vehicles, the first refusal as (call, vehicle, text) or None, if there are `others` that SUMO drives,
-    positions, angles and time losses of the vehicles, and position, angle and speed of each of the `persons`, or None where there is
-    none of that name. A refused command is passed over.
+    Returns the first refusal as (index of the call, text) or None, and the vehicles and persons that were not added.
     """
     refusal = None
     unknown = set()
-    for call, names, *columns in orders:
-        if call == "vehicle.add":
-            routes, types, lanes, positions, speeds = columns
-            columns = routes, types, repeat("now"), lanes, positions, speeds
-        elif call == "vehicle.moveToXY":
-            # No edge is hinted at, and no lane of it.
-            columns = repeat(""), repeat(-1), *columns
+    start = 0
+    for call, (names, *columns) in runs:
         rest = iter(names)
-        calls = map(SET[call], rest, *columns)
+        calls = map(function(call), rest, *columns)
         while True:
             try:
                 deque(calls, maxlen=0)
                 break
             except Refused as refused:
-                name = names[len(names) - length_hint(rest) - 1]
+                index = len(names) - length_hint(rest) - 1
                 if refusal is None:
-                    refusal = call, name, str(refused)
+                    refusal = start + index, str(refused)
                 if call in ("vehicle.add", "person.add"):
-                    unknown.add(name)
+                    unknown.add(names[index])
+        start += len(names)
+    return refusal, unknown
+
+
+def step(runs, vehicles, others, persons):
+    """Carries out `runs` as `carry_out` does, and takes one step.
+
+    Returns the time, the vehicles and persons that arrived or were refused, the distances and speeds of the other
+    `vehicles` in their order, the pairs of colliding vehicles, the first refusal, if there are `others` that SUMO
+    drives, positions, angles and time losses of the vehicles, and position, angle and speed of each of the `persons`,
+    or None where there is none of that name.
+    """
+    refusal, unknown = carry_out(runs)
     take_step(0.0)
     unknown.update(arrived_ids())
     if unknown:

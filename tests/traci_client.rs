@@ -354,7 +354,10 @@ const SOURCES: [(&str, &str); 15] = [
     ),
     ("vehicletype", include_str!("../src/sumo/domain/vehicle_type.rs")),
 ];
-const SHARED: &str = include_str!("../src/sumo/domain/macros.rs");
+const SHARED: &str = concat!(
+    include_str!("../src/sumo/domain/macros.rs"),
+    include_str!("../src/sumo/domain/common.rs")
+);
 
 /// Calls of the Python client without a method in this crate, and the reasons.
 const ABSENT: [&str; 10] = [

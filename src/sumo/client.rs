@@ -3,6 +3,8 @@
 //! per second. [`Client::run`], [`Client::step`] and [`Client::call`] collect the reply into owned
 //! values.
 
+mod calls;
+
 use std::{
     io::{self, Read as _, Write as _},
     net::{Shutdown, SocketAddr, TcpStream},
@@ -12,13 +14,14 @@ use std::{
 
 use super::{
     Error,
-    batch::{Batch, Call, CallResult},
+    batch::{Batch, CallResult},
     codec::Reader,
-    constants::{self as c, Domain},
-    domain::{Decode, Scope, simulation::LOAD_STATE},
+    constants as c,
+    domain::simulation::LOAD_STATE,
     replies::{Collector, Replies, Reports, StepReply},
     reply::{Sink, parse_reply},
 };
+pub use calls::ClientBatch;
 
 /// SUMO's answer to the handshake.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -73,25 +76,7 @@ impl Client {
         wait: Duration,
         timeout: Duration,
     ) -> Result<Self, Error> {
-        let start = Instant::now();
-        let mut attempts = 0;
-        loop {
-            attempts += 1;
-            let left = wait.saturating_sub(start.elapsed()).max(POLL);
-            let source = match TcpStream::connect_timeout(&address, left) {
-                // If the system picks the free target port as the local port, TCP connects the
-                // socket to itself.
-                Ok(stream) if stream.local_addr().ok() == Some(address) => {
-                    io::ErrorKind::ConnectionRefused.into()
-                }
-                Ok(stream) => return Self::new(stream, timeout),
-                Err(source) => source,
-            };
-            if start.elapsed() >= wait {
-                return Err(Error::Connect { port: address.port(), attempts, source });
-            }
-            thread::sleep(POLL);
-        }
+        Self::new(open(address, wait, || Ok(()))?, timeout)
     }
 
     /// Returns a client for a connection that is already open.
@@ -378,8 +363,37 @@ impl Client {
 /// A message without commands.
 const SILENCE: [u8; 4] = [0, 0, 0, 4];
 /// Pause between two attempts to connect.
-const POLL: Duration = Duration::from_millis(2);
+const POLL: Duration = Duration::from_millis(1);
 const SETTING_UP: &str = "set up the connection to sumo";
+
+/// Opens a connection to `address`. Retries for up to `wait` while no process listens there, as long
+/// as `check` succeeds.
+pub(super) fn open(
+    address: SocketAddr,
+    wait: Duration,
+    mut check: impl FnMut() -> Result<(), Error>,
+) -> Result<TcpStream, Error> {
+    let start = Instant::now();
+    let mut attempts = 0;
+    loop {
+        attempts += 1;
+        let left = wait.saturating_sub(start.elapsed()).max(POLL);
+        let source = match TcpStream::connect_timeout(&address, left) {
+            // If the system picks the free target port as the local port, TCP connects the socket
+            // to itself.
+            Ok(stream) if stream.local_addr().ok() == Some(address) => {
+                io::ErrorKind::ConnectionRefused.into()
+            }
+            Ok(stream) => return Ok(stream),
+            Err(source) => source,
+        };
+        check()?;
+        if start.elapsed() >= wait {
+            return Err(Error::Connect { port: address.port(), attempts, source });
+        }
+        thread::sleep(POLL);
+    }
+}
 
 fn set_timeouts(stream: &TcpStream, timeout: Duration) -> Result<(), Error> {
     let write = stream.set_write_timeout(Some(timeout));
@@ -405,86 +419,6 @@ fn message_length(bytes: &[u8]) -> Result<usize, Error> {
             Error::Protocol { expected: "a message", found, at_byte: 0 }
         },
     )
-}
-
-impl Scope for Client {
-    type Output<T> = Result<T, Error>;
-
-    fn request<T>(&mut self, fill: impl FnOnce(&mut Batch), decode: Decode<T>) -> Result<T, Error> {
-        self.request_of(None, fill, decode)
-    }
-
-    fn request_for<T>(
-        &mut self,
-        domain: Domain,
-        object: &str,
-        fill: impl FnOnce(&mut Batch),
-        decode: Decode<T>,
-    ) -> Result<T, Error> {
-        self.request_of(Some((domain, object)), fill, decode)
-    }
-}
-
-impl Client {
-    /// Sends one call. If `object` is given, first checks that SUMO knows it, because SUMO 1.15
-    /// terminates on such a call for an unknown object.
-    fn request_of<T>(
-        &mut self,
-        object: Option<(Domain, &str)>,
-        fill: impl FnOnce(&mut Batch),
-        decode: Decode<T>,
-    ) -> Result<T, Error> {
-        let mut batch = std::mem::take(&mut self.single);
-        batch.clear();
-        let ticket = batch.request(fill, decode);
-        let known = match object {
-            Some((domain, object)) if !batch.is_silent() => self.ask_for(domain, object),
-            _ => Ok(()),
-        };
-        let replies = known.and_then(|()| self.run(&mut batch));
-        self.single = batch;
-        replies?.take(ticket)
-    }
-
-    /// Returns an error if SUMO does not know an object.
-    fn ask_for(&mut self, domain: Domain, object: &str) -> Result<(), Error> {
-        // Every domain has the variable 0x7e, `getParameter`.
-        let parameter = Call::get("subscribeContext", domain, 0x7e);
-        let ask = |batch: &mut Batch| {
-            batch.call(parameter, object, |w| {
-                w.string("");
-            });
-        };
-        self.call(ask).map(drop)
-    }
-}
-
-/// Calls that are sent together in one exchange, see [`Client::batch`].
-#[derive(Debug)]
-#[must_use = "the calls go out with `send` or `step` only"]
-pub struct ClientBatch<'a> {
-    client: &'a mut Client,
-    pub(super) batch: Batch,
-}
-
-impl ClientBatch<'_> {
-    /// Sends the calls as [`Client::run`] does. The batch is empty afterwards and may be filled
-    /// again.
-    ///
-    /// # Errors
-    /// As [`Client::run`].
-    pub fn send(&mut self) -> Result<Replies, Error> {
-        self.client.run(&mut self.batch)
-    }
-
-    /// Sends the calls and a step as [`Client::step`] does. The batch is empty afterwards and may
-    /// be filled again.
-    ///
-    /// # Errors
-    /// As [`Client::step`].
-    pub fn step(&mut self, until: f64) -> Result<StepReply, Error> {
-        self.client.step(&mut self.batch, until)
-    }
 }
 
 struct VersionSink(Option<Version>);

@@ -5,7 +5,7 @@
 #[path = "../../tests/fuzz/cases.rs"]
 mod cases;
 
-use std::{sync::LazyLock, time::Duration};
+use std::sync::LazyLock;
 
 use allocation_counter::measure;
 use rand::{RngExt as _, SeedableRng as _};
@@ -125,7 +125,7 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
         if context {
             w.u8(Domain::VEHICLE.get);
         }
-        let variables = below(rng, if many { 256 } else { 4 });
+        let variables = 2 + below(rng, if many { 254 } else { 2 });
         w.u8(variables as u8);
         let objects = if context { below(rng, 4) } else { 1 };
         if context {
@@ -135,8 +135,13 @@ fn report(w: &mut Writer, rng: &mut Rng, domain: Domain, context: bool) {
             if context {
                 w.str(pick(rng, &NAMES));
             }
-            for _ in 0..variables {
-                let variable = pick(rng, &VARIABLES);
+            for i in 0..variables {
+                // `StepSink` requires distance and speed of a vehicle in a context report.
+                let variable = match i {
+                    0 if context => SPEED,
+                    1 if context => DISTANCE,
+                    _ => pick(rng, &VARIABLES),
+                };
                 let known = below(rng, 8) > 0;
                 w.u8(variable).u8(if known { c::RTYPE_OK } else { 0xff });
                 match variable {
@@ -201,24 +206,9 @@ fn value(w: &mut Writer, rng: &mut Rng, domain: Domain, variable: u8, depth: usi
     });
 }
 
-static FLEET: LazyLock<Fleet> = LazyLock::new(fleet);
-
-/// Returns the state of one world with four slots.
-fn fleet() -> Fleet {
-    Fleet::new(SimulationConfig {
-        net: "sumo_nets/intersection/arm30.net.xml".into(),
-        step_length: 0.1,
-        seed: 0,
-        worlds: 1,
-        slots: 4,
-        vehicle_types: Vec::new(),
-        routes: Vec::new(),
-        timeout: Duration::from_secs(1),
-        audit: true,
-        others: None,
-    })
-    .unwrap()
-}
+/// The state of one world with four slots.
+static FLEET: LazyLock<Fleet> =
+    LazyLock::new(|| Fleet::new(SimulationConfig::crossing(4)).unwrap());
 
 fn damage(rng: &mut Rng, message: &mut Vec<u8>) {
     const COUNTS: [i32; 10] = [0, 1, -1, 2, 255, 256, 65_536, i32::MAX, i32::MIN, 1 << 24];

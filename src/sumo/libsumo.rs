@@ -2,9 +2,8 @@
 //! module.
 //!
 //! libsumo runs one simulation per process. The worlds are therefore tiles of one net, and a second
-//! simulation is refused. One decision is one call of `python_bridge/libsumo_bridge.py`, with the
-//! commands as columns of numbers and names. Commands and names are the same as with TraCI, and the
-//! results are bit-identical.
+//! simulation is refused. One decision is one call of `python_bridge/libsumo_bridge.py`. The calls
+//! are those of the batch that would go out over TraCI, and the results are bit-identical.
 
 use std::{
     ffi::{CStr, CString},
@@ -12,15 +11,18 @@ use std::{
 };
 
 use pyo3::{
+    exceptions::PyValueError,
     prelude::*,
-    types::{PyDict, PyList, PyString},
+    types::{PyList, PyString},
 };
 
 use super::{
-    Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
-    constants::{self as c, Domain},
-    fleet::{Fleet, Orders, TileRoute, Vehicle},
+    Batch, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot, Value,
+    constants as c, fleet::Fleet,
 };
+
+/// Index of the first refused call, and SUMO's reason.
+type Refusal = Option<(usize, String)>;
 
 static OCCUPIED: AtomicBool = AtomicBool::new(false);
 
@@ -55,7 +57,7 @@ pub struct LibsumoSimulation {
     /// Pedestrians whose state is read after each step, in the same two forms.
     on_foot: Vec<usize>,
     asked_on_foot: Py<PyList>,
-    columns: Columns,
+    batch: Batch,
     awaiting: bool,
     exchanges: u64,
     /// Declared last, so that the simulation is closed before the permission is released.
@@ -76,7 +78,7 @@ impl LibsumoSimulation {
             let module = bridge(py).map_err(importing)?;
             let step = module.getattr("step").map_err(importing)?.unbind();
             let names = fleet.names.iter().map(|name| PyString::new(py, name).unbind()).collect();
-            let simulation = LibsumoSimulation {
+            let mut simulation = LibsumoSimulation {
                 fleet,
                 module: module.unbind(),
                 step,
@@ -85,7 +87,7 @@ impl LibsumoSimulation {
                 asked_names: PyList::empty(py).unbind(),
                 on_foot: Vec::new(),
                 asked_on_foot: PyList::empty(py).unbind(),
-                columns: Columns::default(),
+                batch: Batch::new(),
                 awaiting: false,
                 exchanges: 0,
                 _place: place,
@@ -95,7 +97,7 @@ impl LibsumoSimulation {
         })
     }
 
-    fn begin(&self, py: Python<'_>) -> Result<(), Error> {
+    fn begin(&mut self, py: Python<'_>) -> Result<(), Error> {
         let started = self.module.bind(py).call_method1("start", (self.fleet.arguments()?,));
         let (api, peer): (i32, String) =
             started.and_then(|version| version.extract()).map_err(|e| failed("start", py, &e))?;
@@ -105,68 +107,43 @@ impl LibsumoSimulation {
         self.introduce(py)
     }
 
-    fn introduce(&self, py: Python<'_>) -> Result<(), Error> {
-        let describe = || -> PyResult<Option<(String, String)>> {
-            let types = PyList::empty(py);
-            for kind in &self.fleet.config().vehicle_types {
-                let attributes = PyDict::new(py);
-                attributes.set_item("id", &kind.id)?;
-                for (key, value) in [
-                    ("length", kind.length),
-                    ("width", kind.width),
-                    ("min_gap", kind.min_gap),
-                    ("max_speed", kind.max_speed),
-                    ("accel", kind.accel),
-                    ("emergency_decel", kind.emergency_decel),
-                    ("decel", kind.decel),
-                    ("tau", kind.tau),
-                    ("imperfection", 0.0),
-                    ("speed_factor", 1.0),
-                    ("speed_deviation", 0.0),
-                ] {
-                    attributes.set_item(key, value)?;
-                }
-                types.append(attributes)?;
-            }
-            let routes = PyList::empty(py);
-            for route in self.fleet.routes.iter().filter(|route| !route.walked) {
-                routes.append((&route.id, &route.edges))?;
-            }
-            self.module.bind(py).call_method1("introduce", (types, routes))?.extract()
+    /// Defines the vehicle types and routes.
+    fn introduce(&mut self, py: Python<'_>) -> Result<(), Error> {
+        self.batch.clear();
+        self.fleet.define(&mut self.batch);
+        let runs = self.runs(py)?;
+        let carried_out = self.module.bind(py).call_method1("carry_out", (runs,));
+        let (refusal, _): (Refusal, Py<PyAny>) = carried_out
+            .and_then(|outcome| outcome.extract())
+            .map_err(|e| failed("introduce vehicle types and routes", py, &e))?;
+        self.check(refusal)
+    }
+
+    fn runs<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyList>, Error> {
+        let name = |object: &str| match self.fleet.vehicle_named(object) {
+            Some(vehicle) => self.names[vehicle].bind(py).clone(),
+            None => PyString::new(py, object),
         };
-        match describe().map_err(|e| failed("introduce vehicle types and routes", py, &e))? {
-            Some((id, message)) => Err(Error::Refused {
-                command: Domain::ROUTE.set,
-                call: "route.add".to_owned(),
-                id,
-                message,
-            }),
-            None => Ok(()),
-        }
+        runs(py, &self.batch, name).map_err(|e| failed("list the commands", py, &e))
+    }
+
+    /// Returns the error for a refusal.
+    fn check(&self, refusal: Refusal) -> Result<(), Error> {
+        refusal.map_or(Ok(()), |(index, message)| Err(self.batch.refusal(index, &message)))
     }
 
     /// Sends the commands, takes one step and records the results, all in one call across the
     /// bridge.
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
         type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
-        type Refusal = Option<(String, String, String)>;
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
-        type Reply = (
-            f64,
-            Vec<String>,
-            Vec<f64>,
-            Vec<f64>,
-            Vec<(String, String)>,
-            Refusal,
-            Bodies,
-            Pedestrians,
-        );
+        type Collisions = Vec<(String, String)>;
+        type Reply =
+            (f64, Vec<String>, Vec<f64>, Vec<f64>, Collisions, Refusal, Bodies, Pedestrians);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
-        let orders =
-            self.columns.list(py, &self.names).map_err(|e| failed("list the commands", py, &e))?;
         let others = self.fleet.config().others.is_some();
-        let reply =
-            self.step.bind(py).call1((orders, &self.asked_names, others, &self.asked_on_foot));
+        let asked = (self.runs(py)?, &self.asked_names, others, &self.asked_on_foot);
+        let reply = self.step.bind(py).call1(asked);
         let (
             time,
             gone,
@@ -185,7 +162,7 @@ impl LibsumoSimulation {
         let mut values = distances.into_iter().zip(speeds);
         let mut bodies = positions.into_iter().zip(angles).zip(losses);
         for &vehicle in &self.asked {
-            if self.fleet.known[vehicle]
+            if self.fleet.knows(vehicle)
                 && let Some((distance, speed)) = values.next()
             {
                 self.fleet.report(vehicle, distance, speed);
@@ -202,12 +179,7 @@ impl LibsumoSimulation {
         for (collider, victim) in &collisions {
             self.fleet.collision(collider, victim);
         }
-        match refusal {
-            Some((call, id, message)) => {
-                Err(Error::Refused { command: Domain::VEHICLE.set, call, id, message })
-            }
-            None => Ok(()),
-        }
+        self.check(refusal)
     }
 
     /// Updates the lists of vehicles and pedestrians to read to those that SUMO knows after the
@@ -218,14 +190,12 @@ impl LibsumoSimulation {
             PyList::new(py, names).map(Bound::unbind)
         };
         let fleet = &self.fleet;
-        let wanted =
-            |walks: bool| fleet.expected().filter(move |&vehicle| fleet.walks(vehicle) == walks);
-        if !wanted(false).eq(self.asked.iter().copied()) {
-            let asked: Vec<usize> = wanted(false).collect();
+        if !fleet.expected(false).eq(self.asked.iter().copied()) {
+            let asked: Vec<usize> = fleet.expected(false).collect();
             (self.asked_names, self.asked) = (list(&asked)?, asked);
         }
-        if !wanted(true).eq(self.on_foot.iter().copied()) {
-            let on_foot: Vec<usize> = wanted(true).collect();
+        if !fleet.expected(true).eq(self.on_foot.iter().copied()) {
+            let on_foot: Vec<usize> = fleet.expected(true).collect();
             (self.asked_on_foot, self.on_foot) = (list(&on_foot)?, on_foot);
         }
         Ok(())
@@ -245,8 +215,8 @@ impl Simulation for LibsumoSimulation {
         if self.awaiting {
             return Err(Error::invalid("the answer to the last send has not been received"));
         }
-        self.columns.clear();
-        self.fleet.order(commands, &mut self.columns)?;
+        self.batch.clear();
+        self.fleet.write(commands, &mut self.batch)?;
         self.awaiting = true;
         self.exchanges += 1;
         Ok(())
@@ -264,7 +234,7 @@ impl Simulation for LibsumoSimulation {
         self.awaiting = false;
         self.fleet.empty();
         Python::attach(|py| {
-            let module = self.module.bind(py);
+            let module = self.module.bind(py).clone();
             let arguments = self.fleet.arguments()?;
             let renewal = if module.call_method1("load", (&arguments,)).is_ok() {
                 Renewal::Loaded
@@ -313,164 +283,46 @@ fn failed(doing: &'static str, py: Python<'_>, error: &PyErr) -> Error {
     Error::Libsumo { doing, message: format!("{kind}{}", error.value(py)) }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Add,
-    Remove,
-    Speed,
-    SpeedMode,
-    LaneChangeMode,
-    Move,
-    Walk,
-    RemovePerson,
-    WalkingSpeed,
-}
-
-/// The commands of a step in order. Consecutive commands of the same kind form a run, which crosses
-/// the bridge as columns.
-#[derive(Debug, Default)]
-struct Columns {
-    rows: Vec<(Kind, usize, [f64; 4])>,
-    /// Route, type, lane, position and speed of each vehicle to add.
-    texts: Vec<[String; 5]>,
-    /// Type and edges of each pedestrian to add.
-    walks: Vec<(String, Vec<String>)>,
-}
-
-impl Columns {
-    fn clear(&mut self) {
-        self.rows.clear();
-        self.texts.clear();
-        self.walks.clear();
-    }
-
-    /// Returns the Python list of `(kind, vehicles, columns…)`.
-    fn list<'py>(&self, py: Python<'py>, names: &[Py<PyString>]) -> PyResult<Bound<'py, PyList>> {
-        let orders = PyList::empty(py);
-        let (mut texts, mut walks) = (self.texts.iter(), self.walks.iter());
-        for run in self.rows.chunk_by(|a, b| a.0 == b.0) {
-            let vehicles = PyList::new(py, run.iter().map(|row| names[row.1].bind(py)))?;
-            let numbers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k]));
-            let integers = |k: usize| PyList::new(py, run.iter().map(|row| row.2[k] as i32));
-            match run[0].0 {
-                Kind::Add => {
-                    let additions: Vec<&[String; 5]> = texts.by_ref().take(run.len()).collect();
-                    let column =
-                        |k: usize| PyList::new(py, additions.iter().map(|texts| texts[k].as_str()));
-                    let [routes, types, lanes, positions, speeds] =
-                        [column(0)?, column(1)?, column(2)?, column(3)?, column(4)?];
-                    orders.append((
-                        "vehicle.add",
-                        vehicles,
-                        routes,
-                        types,
-                        lanes,
-                        positions,
-                        speeds,
-                    ))?;
-                }
-                Kind::Walk => {
-                    let (types, edges): (Vec<_>, Vec<_>) =
-                        walks.by_ref().take(run.len()).map(|(kind, edges)| (kind, edges)).unzip();
-                    orders.append((
-                        "person.add",
-                        vehicles,
-                        types,
-                        edges,
-                        numbers(0)?,
-                        numbers(1)?,
-                    ))?;
-                }
-                Kind::RemovePerson => orders.append(("person.remove", vehicles))?,
-                Kind::WalkingSpeed => orders.append(("person.setSpeed", vehicles, numbers(0)?))?,
-                Kind::Remove => orders.append(("vehicle.remove", vehicles))?,
-                Kind::Speed => orders.append(("vehicle.setSpeed", vehicles, numbers(0)?))?,
-                Kind::SpeedMode => {
-                    orders.append(("vehicle.setSpeedMode", vehicles, integers(0)?))?;
-                }
-                Kind::LaneChangeMode => {
-                    orders.append(("vehicle.setLaneChangeMode", vehicles, integers(0)?))?;
-                }
-                Kind::Move => {
-                    orders.append((
-                        "vehicle.moveToXY",
-                        vehicles,
-                        numbers(0)?,
-                        numbers(1)?,
-                        numbers(2)?,
-                        integers(3)?,
-                    ))?;
-                }
+/// Returns the calls of a batch as a Python list of `(name, objects, columns…)`, one for each run
+/// of calls of the same name, with a column for each argument.
+fn runs<'py>(
+    py: Python<'py>,
+    batch: &Batch,
+    name: impl Fn(&str) -> Bound<'py, PyString>,
+) -> PyResult<Bound<'py, PyList>> {
+    let runs = PyList::empty(py);
+    let mut last = "";
+    let mut columns: Vec<Bound<'py, PyList>> = Vec::new();
+    let end = |call: &str, columns: &mut Vec<Bound<'py, PyList>>| match columns.len() {
+        0 => Ok(()),
+        _ => runs.append((call, std::mem::take(columns))),
+    };
+    for (call, object, mut arguments) in batch.calls() {
+        if call != last {
+            end(last, &mut columns)?;
+            last = call;
+        }
+        let broken = |e: Error| PyValueError::new_err(e.to_string());
+        let arguments = match arguments.remaining() {
+            0 => Vec::new(),
+            _ => match arguments.value().map_err(broken)? {
+                Value::Compound(items) => items,
+                one => vec![one],
+            },
+        };
+        columns.resize_with(1 + arguments.len(), || PyList::empty(py));
+        columns[0].append(name(object))?;
+        for (column, argument) in columns[1..].iter().zip(arguments) {
+            match argument {
+                Value::Double(v) => column.append(v)?,
+                Value::Integer(v) => column.append(v)?,
+                Value::Byte(v) => column.append(v)?,
+                Value::String(v) => column.append(v)?,
+                Value::StringList(v) => column.append(v)?,
+                other => return Err(PyValueError::new_err(format!("{} in a call", other.kind()))),
             }
         }
-        Ok(orders)
     }
-}
-
-impl Orders for Columns {
-    fn add(
-        &mut self,
-        vehicle: Vehicle<'_>,
-        route: &TileRoute,
-        vehicle_type: &str,
-        position: f64,
-        speed: f64,
-    ) {
-        self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
-        // SUMO expects these numbers as strings.
-        let numbers = [f64::from(route.lane), position, speed].map(|number| number.to_string());
-        let [lane, position, speed] = numbers;
-        self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, position, speed]);
-    }
-
-    fn depart(
-        &mut self,
-        vehicle: Vehicle<'_>,
-        route: &TileRoute,
-        vehicle_type: &str,
-        start: [&str; 3],
-    ) {
-        let [lane, pos, speed] = start.map(str::to_owned);
-        self.rows.push((Kind::Add, vehicle.index, [0.0; 4]));
-        self.texts.push([route.id.clone(), vehicle_type.to_owned(), lane, pos, speed]);
-    }
-
-    fn walk(
-        &mut self,
-        person: Vehicle<'_>,
-        route: &TileRoute,
-        person_type: &str,
-        [pos, arrival]: [f64; 2],
-    ) {
-        self.rows.push((Kind::Walk, person.index, [pos, arrival, 0.0, 0.0]));
-        self.walks.push((person_type.to_owned(), route.edges.clone()));
-    }
-
-    fn remove_person(&mut self, person: Vehicle<'_>) {
-        self.rows.push((Kind::RemovePerson, person.index, [0.0; 4]));
-    }
-
-    fn set_walking_speed(&mut self, person: Vehicle<'_>, speed: f64) {
-        self.rows.push((Kind::WalkingSpeed, person.index, [speed, 0.0, 0.0, 0.0]));
-    }
-
-    fn remove(&mut self, vehicle: Vehicle<'_>) {
-        self.rows.push((Kind::Remove, vehicle.index, [0.0; 4]));
-    }
-
-    fn set_speed(&mut self, vehicle: Vehicle<'_>, speed: f64) {
-        self.rows.push((Kind::Speed, vehicle.index, [speed, 0.0, 0.0, 0.0]));
-    }
-
-    fn set_speed_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
-        self.rows.push((Kind::SpeedMode, vehicle.index, [f64::from(mode), 0.0, 0.0, 0.0]));
-    }
-
-    fn set_lane_change_mode(&mut self, vehicle: Vehicle<'_>, mode: i32) {
-        self.rows.push((Kind::LaneChangeMode, vehicle.index, [f64::from(mode), 0.0, 0.0, 0.0]));
-    }
-
-    fn move_to(&mut self, vehicle: Vehicle<'_>, x: f64, y: f64, angle: f64, keep_route: u8) {
-        self.rows.push((Kind::Move, vehicle.index, [x, y, angle, f64::from(keep_route)]));
-    }
+    end(last, &mut columns)?;
+    Ok(runs)
 }

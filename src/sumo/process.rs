@@ -29,12 +29,12 @@ use std::{
 
 use super::{
     Error,
-    client::{Client, Version},
+    client::{self, Client, Version},
 };
 
 /// Maximum number of ports that are tried.
 const PORT_ATTEMPTS: u32 = 8;
-/// Pause between two attempts to connect.
+/// Pause between two looks at the process.
 const POLL: Duration = Duration::from_millis(1);
 /// Longest time between the end of a connection and the end of its process, and longest wait for
 /// the rest of its standard error.
@@ -157,27 +157,8 @@ impl Process {
 
     fn connect(&mut self, options: &Options) -> Result<(Client, Version), Error> {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
-        let start = Instant::now();
-        let mut attempts = 0;
-        let stream = loop {
-            attempts += 1;
-            let source = match TcpStream::connect(address) {
-                // If the system picks the free target port as the local port, TCP connects the
-                // socket to itself.
-                Ok(stream) if stream.local_addr().ok() == Some(address) => {
-                    io::ErrorKind::ConnectionRefused.into()
-                }
-                Ok(stream) => break stream,
-                Err(e) => e,
-            };
-            if let Some(exited) = self.exited(Duration::ZERO) {
-                return Err(exited);
-            }
-            if start.elapsed() > options.connect_timeout {
-                return Err(Error::Connect { port: self.port, attempts, source });
-            }
-            thread::sleep(POLL);
-        };
+        let alive = || self.exited(Duration::ZERO).map_or(Ok(()), Err);
+        let stream = client::open(address, options.connect_timeout, alive)?;
         let mut client = Client::new(stream, options.reply_timeout)?;
         // Only an answer proves that SUMO has accepted the connection and therefore owns its end of
         // it.

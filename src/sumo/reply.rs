@@ -62,6 +62,16 @@ pub trait Sink {
     fn report(&mut self, report: Report<'_>, value: &mut Reader<'_>) -> Result<(), Error> {
         report.read(value).map(drop)
     }
+
+    /// Receives the end of the report of an object, after its last variable, which is `report`;
+    /// `at` reads what follows.
+    ///
+    /// # Errors
+    /// [`Error::Protocol`] if the report is incomplete.
+    fn object_ends(&mut self, report: Report<'_>, at: &Reader<'_>) -> Result<(), Error> {
+        let _ = (report, at);
+        Ok(())
+    }
 }
 
 impl Report<'_> {
@@ -250,15 +260,15 @@ fn parse_reports(
     let objects = if context { reader.count(4, "the number of objects")? } else { 1 };
     for _ in 0..objects {
         let object = if context { reader.str()? } else { centre };
+        let around = context.then_some(centre);
+        let (variable, known) = (0, true);
+        let mut report = Report { response, around, object, domain, variable, known, after_step };
         for _ in 0..variables {
-            let variable = reader.u8()?;
-            let known = reader.u8()? == c::RTYPE_OK;
-            let around = context.then_some(centre);
-            sink.report(
-                Report { response, around, object, domain, variable, known, after_step },
-                reader,
-            )?;
+            report.variable = reader.u8()?;
+            report.known = reader.u8()? == c::RTYPE_OK;
+            sink.report(report, reader)?;
         }
+        sink.object_ends(report, reader)?;
     }
     Ok(())
 }

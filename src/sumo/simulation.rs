@@ -234,6 +234,25 @@ pub struct SimulationConfig {
     pub others: Option<BackgroundTraffic>,
 }
 
+#[cfg(test)]
+impl SimulationConfig {
+    /// Returns a configuration of one world on a crossing, without vehicle types and routes.
+    pub(super) fn crossing(slots: u32) -> Self {
+        SimulationConfig {
+            net: "sumo_nets/intersection/arm30.net.xml".into(),
+            step_length: 0.1,
+            seed: 0,
+            worlds: 1,
+            slots,
+            vehicle_types: Vec::new(),
+            routes: Vec::new(),
+            timeout: Duration::from_secs(60),
+            audit: true,
+            others: None,
+        }
+    }
+}
+
 /// How a simulation was reset to an empty state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Renewal {

@@ -5,7 +5,6 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::SystemTime;
 
 use super::super::Scenario;
 use super::Error;
@@ -26,7 +25,7 @@ pub enum State {
     NoSources,
     /// The net is as new as its sources.
     UpToDate,
-    /// The net is missing or older than one of its sources.
+    /// The net is missing or older than one of its sources, or a source is missing.
     OutOfDate,
 }
 
@@ -75,9 +74,10 @@ pub fn state(net: &Path) -> Result<State, Error> {
     }
     let age = |path: &Path| fs::metadata(path).and_then(|data| data.modified()).ok();
     let Some(built) = age(net) else { return Ok(State::OutOfDate) };
-    let newest: Option<SystemTime> =
-        sources(&config)?.iter().chain([&config]).filter_map(|path| age(path)).max();
-    Ok(if newest.is_some_and(|newest| newest > built) { State::OutOfDate } else { State::UpToDate })
+    let sources = sources(&config)?;
+    let older = |path: &PathBuf| age(path).is_some_and(|age| age <= built);
+    let up_to_date = sources.iter().chain([&config]).all(older);
+    Ok(if up_to_date { State::UpToDate } else { State::OutOfDate })
 }
 
 /// Returns the path of a net's configuration.
@@ -155,6 +155,7 @@ fn without_comments(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::SystemTime;
 
     #[test]
     fn comments_go_and_all_else_stays() {
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_net_is_out_of_date_when_a_source_is_newer() {
+    fn a_net_is_out_of_date_when_a_source_is_newer_or_gone() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         let net = file("a.net.xml");
@@ -173,6 +174,12 @@ mod tests {
             "<configuration><input><node-files value=\"a.nod.xml, b.xml\"/></input></configuration>",
         )
         .unwrap();
+        assert_eq!(state(&net).unwrap(), State::OutOfDate);
+        fs::write(file("a.nod.xml"), "").unwrap();
+        fs::write(file("b.xml"), "").unwrap();
+        fs::write(&net, "").unwrap();
+        assert_eq!(state(&net).unwrap(), State::UpToDate);
+        fs::remove_file(file("a.nod.xml")).unwrap();
         assert_eq!(state(&net).unwrap(), State::OutOfDate);
         fs::write(file("a.nod.xml"), "").unwrap();
         fs::write(&net, "").unwrap();

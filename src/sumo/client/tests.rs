@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::sumo::{
-    Value,
+    Domain, Value,
     codec::Writer,
     domain::{simulation::VAR_TIME, vehicle::VAR_SPEED},
 };

@@ -2,6 +2,7 @@
 //! rejected.
 
 use super::*;
+use crate::sumo::{Error, constants as c};
 use proptest::{collection::vec, num, prelude::*};
 
 fn number() -> impl Strategy<Value = f64> {

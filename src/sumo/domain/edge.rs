@@ -1,16 +1,13 @@
 //! Edges.
 
-use super::Scope;
-use crate::sumo::{batch::Call, constants::Domain};
-
 domain! {
     /// Calls for edges.
     Edge, "edge", EDGE
 }
-identifiers! { Edge, "edge", EDGE }
-emissions! { Edge, "edge", EDGE }
+identifiers! { Edge, "edge" }
+emissions! { Edge, "edge" }
 
-getters! { Edge, "edge", EDGE;
+getters! { Edge, "edge";
     /// Travel time that routing assumes at a simulation time \[s\]; -1: none was set.
     get_adapted_traveltime "getAdaptedTraveltime" 0x58 (time: f64) -> f64;
     /// Sum of the waiting times of the vehicles \[s\].
@@ -43,7 +40,7 @@ getters! { Edge, "edge", EDGE;
     get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
 }
 
-setters! { Edge, "edge", EDGE;
+setters! { Edge, "edge";
     /// Sets the travel time that routing assumes \[s\].
     adapt_traveltime "adaptTraveltime" 0x58 [time: f64];
     /// Like `adapt_traveltime`, from the simulation time `begin` to `end` \[s\].

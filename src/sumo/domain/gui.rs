@@ -1,8 +1,7 @@
 //! Views of the graphical interface (`sumo-gui`). SUMO without a graphical interface refuses these
 //! calls.
 
-use super::Scope;
-use crate::sumo::{batch::Call, constants::Domain};
+use super::value::Points;
 
 /// Identifier of the view that `sumo-gui` opens at the start.
 pub const DEFAULT_VIEW: &str = "View #0";
@@ -11,9 +10,9 @@ domain! {
     /// Calls for the views of the graphical interface.
     Gui, "gui", GUI
 }
-identifiers! { Gui, "gui", GUI }
+identifiers! { Gui, "gui" }
 
-getters! { Gui, "gui", GUI;
+getters! { Gui, "gui";
     /// Zoom \[%\].
     get_zoom "getZoom" VAR_VIEW_ZOOM 0xa0 -> f64;
     /// Centre of the view \[m\].
@@ -32,7 +31,7 @@ getters! { Gui, "gui", GUI;
     is_selected "isSelected" 0xa4 (kind: &str) -> bool;
 }
 
-setters! { Gui, "gui", GUI;
+setters! { Gui, "gui";
     /// Sets the zoom \[%\].
     set_zoom "setZoom" 0xa0 (zoom: f64);
     /// Sets the centre of the view \[m\].
@@ -48,38 +47,14 @@ setters! { Gui, "gui", GUI;
     screenshot "screenshot" 0xa5 [file: &str, width: i32, height: i32];
     /// Makes the view follow a vehicle; an empty identifier ends this.
     track_vehicle "trackVehicle" 0xa6 (vehicle: &str);
+    /// Makes the view follow a vehicle or a person; an empty identifier ends this.
+    track "track" 0xa6 (object: &str);
     /// Selects an object, or deselects it if it is selected; `kind` is the kind of object, such as
     /// `vehicle`.
     toggle_selection "toggleSelection" 0xa4 (kind: &str);
-}
-
-impl<S: Scope> Gui<'_, S> {
     /// Opens a view with a colour scheme.
-    pub fn add_view(&mut self, id: &str, scheme: &str, in_3d: bool) -> S::Output<()> {
-        super::set(self.0, Call::set("gui.addView", Domain::GUI, 0x80), id, |w| {
-            w.compound(2).string(scheme).integer(in_3d.into());
-        })
-    }
-
+    add_view "addView" 0x80 {scheme: &str, in_3d: bool} => (scheme, i32::from(in_3d));
     /// Sets the lower left and the upper right corner \[m\].
-    pub fn set_boundary(
-        &mut self,
-        id: &str,
-        lower_left: [f64; 2],
-        upper_right: [f64; 2],
-    ) -> S::Output<()> {
-        super::set(
-            self.0,
-            Call::set("gui.setBoundary", Domain::GUI, VAR_VIEW_BOUNDARY.number()),
-            id,
-            |w| {
-                w.polygon(&[lower_left, upper_right]);
-            },
-        )
-    }
-
-    /// Makes the view follow a vehicle or a person; an empty identifier ends this.
-    pub fn track(&mut self, id: &str, object: &str) -> S::Output<()> {
-        self.track_vehicle(id, object)
-    }
+    set_boundary "setBoundary" 0xa3
+        {lower_left: [f64; 2], upper_right: [f64; 2]} => Points(&[lower_left, upper_right]);
 }

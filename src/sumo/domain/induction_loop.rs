@@ -1,13 +1,10 @@
 //! Induction loops (E1 detectors).
 
-use super::{FromValue, Scope};
-use crate::sumo::{Error, batch::Call, constants::Domain};
-
 domain! {
     /// Calls for induction loops (E1 detectors).
     InductionLoop, "inductionloop", INDUCTION_LOOP
 }
-identifiers! { InductionLoop, "inductionloop", INDUCTION_LOOP }
+identifiers! { InductionLoop, "inductionloop" }
 
 record! {
     /// A vehicle that was on the loop within the last step.
@@ -27,7 +24,7 @@ record! {
 }
 flat_list! { VehicleData }
 
-getters! { InductionLoop, "inductionloop", INDUCTION_LOOP;
+getters! { InductionLoop, "inductionloop";
     /// Distance from the start of the lane \[m\].
     get_position "getPosition" VAR_POSITION 0x42 -> f64;
     /// The lane of the loop.
@@ -48,7 +45,7 @@ getters! { InductionLoop, "inductionloop", INDUCTION_LOOP;
     get_vehicle_data "getVehicleData" LAST_STEP_VEHICLE_DATA 0x17 -> Vec<VehicleData>;
 }
 
-setters! { InductionLoop, "inductionloop", INDUCTION_LOOP;
+setters! { InductionLoop, "inductionloop";
     /// Overrides the reported time since the last detection \[s\]; a negative time ends the
     /// override.
     override_time_since_detection "overrideTimeSinceDetection" 0x22 (time: f64);

@@ -1,15 +1,12 @@
 //! Junctions.
 
-use super::Scope;
-use crate::sumo::{batch::Call, constants::Domain};
-
 domain! {
     /// Calls for junctions.
     Junction, "junction", JUNCTION
 }
-identifiers! { Junction, "junction", JUNCTION }
+identifiers! { Junction, "junction" }
 
-getters! { Junction, "junction", JUNCTION;
+getters! { Junction, "junction";
     /// Position \[m\].
     get_position "getPosition" VAR_POSITION 0x42 -> [f64; 2];
     /// Position with height \[m\]; in SUMO's client this is `getPosition` with `includeZ`.

@@ -1,14 +1,11 @@
 //! Lanes.
 
-use super::{FromValue, Scope};
-use crate::sumo::{Error, batch::Call, constants::Domain};
-
 domain! {
     /// Calls for lanes.
     Lane, "lane", LANE
 }
-identifiers! { Lane, "lane", LANE }
-emissions! { Lane, "lane", LANE }
+identifiers! { Lane, "lane" }
+emissions! { Lane, "lane" }
 
 record! {
     /// A connection across a junction, from one lane to another.
@@ -33,7 +30,7 @@ record! {
 }
 flat_list! { Connection }
 
-getters! { Lane, "lane", LANE;
+getters! { Lane, "lane";
     /// Length \[m\].
     get_length "getLength" VAR_LENGTH 0x44 -> f64;
     /// Speed limit \[m/s\].
@@ -73,18 +70,13 @@ getters! { Lane, "lane", LANE;
     /// Lanes whose vehicles have priority over the vehicles that drive from this lane to the lane
     /// `to`.
     get_foes "getFoes" 0x37 (to: &str) -> Vec<String>;
+    /// The internal lanes that cross this one, which must be an internal lane too.
+    get_internal_foes "getInternalFoes" 0x37 {} -> Vec<String> => "";
     /// Vehicles that wait to depart on this lane.
     get_pending_vehicles "getPendingVehicles" VAR_PENDING_VEHICLES 0x94 -> Vec<String>;
 }
 
-impl<S: Scope> Lane<'_, S> {
-    /// Returns the internal lanes that cross this one, which must be an internal lane too.
-    pub fn get_internal_foes(&mut self, id: &str) -> S::Output<Vec<String>> {
-        self.get_foes(id, "")
-    }
-}
-
-setters! { Lane, "lane", LANE;
+setters! { Lane, "lane";
     /// Sets the vehicle classes that may use the lane.
     set_allowed "setAllowed" 0x34 (classes: &[impl AsRef<str>]);
     /// Sets the vehicle classes that may not use the lane.

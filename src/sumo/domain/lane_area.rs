@@ -1,15 +1,12 @@
 //! Lane area detectors (E2 detectors).
 
-use super::Scope;
-use crate::sumo::{batch::Call, constants::Domain};
-
 domain! {
     /// Calls for lane area detectors (E2 detectors).
     LaneArea, "lanearea", LANE_AREA
 }
-identifiers! { LaneArea, "lanearea", LANE_AREA }
+identifiers! { LaneArea, "lanearea" }
 
-getters! { LaneArea, "lanearea", LANE_AREA;
+getters! { LaneArea, "lanearea";
     /// Number of vehicles in the jam.
     get_jam_length_vehicle "getJamLengthVehicle" JAM_LENGTH_VEHICLE 0x18 -> i32;
     /// Length of the jam \[m\].
@@ -32,7 +29,7 @@ getters! { LaneArea, "lanearea", LANE_AREA;
     get_last_step_halting_number "getLastStepHaltingNumber" LAST_STEP_VEHICLE_HALTING_NUMBER 0x14 -> i32;
 }
 
-setters! { LaneArea, "lanearea", LANE_AREA;
+setters! { LaneArea, "lanearea";
     /// Overrides the reported number of vehicles; a negative number ends the override.
     override_vehicle_number "overrideVehicleNumber" 0x22 (vehicles: i32);
 }

@@ -70,15 +70,12 @@
 
 use std::{fmt, ops::Range};
 
-use super::{
-    Batch, Client, ClientBatch, Error,
-    batch::Call,
-    codec::{Value, Writer},
-    constants::Domain,
-};
+use super::{Batch, Client, ClientBatch, Error, batch::Call, codec::Value, constants::Domain};
 
 #[macro_use]
 mod macros;
+#[macro_use]
+mod common;
 mod value;
 mod variable;
 
@@ -169,28 +166,28 @@ fn get<S: Scope, T: FromValue>(
     scope: &mut S,
     call: Call,
     object: &str,
-    arguments: impl FnOnce(&mut Writer),
+    argument: impl Argument,
 ) -> S::Output<T> {
-    get_as(scope, call, object, arguments, value)
+    get_as(scope, call, object, argument, value)
 }
 
 fn get_as<S: Scope, T>(
     scope: &mut S,
     call: Call,
     object: &str,
-    arguments: impl FnOnce(&mut Writer),
+    argument: impl Argument,
     decode: Decode<T>,
 ) -> S::Output<T> {
-    scope.request(|batch| batch.call(call, object, arguments), decode)
+    scope.request(|batch| batch.call(call, object, |w| argument.write(w)), decode)
 }
 
 fn set<S: Scope>(
     scope: &mut S,
     call: Call,
     object: &str,
-    content: impl FnOnce(&mut Writer),
+    argument: impl Argument,
 ) -> S::Output<()> {
-    scope.request(|batch| batch.call(call, object, content), done)
+    get_as(scope, call, object, argument, done)
 }
 
 /// Converts the answer to a call that has a value.

@@ -1,15 +1,12 @@
 //! Parking areas.
 
-use super::Scope;
-use crate::sumo::{batch::Call, constants::Domain};
-
 domain! {
     /// Calls for parking areas.
     ParkingArea, "parkingarea", PARKING_AREA
 }
-identifiers! { ParkingArea, "parkingarea", PARKING_AREA }
+identifiers! { ParkingArea, "parkingarea" }
 
-getters! { ParkingArea, "parkingarea", PARKING_AREA;
+getters! { ParkingArea, "parkingarea";
     /// The lane beside which the parking area lies.
     get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
     /// Distance of the parking area's start from the start of the lane \[m\].

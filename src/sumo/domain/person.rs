@@ -1,19 +1,15 @@
 //! Persons. SUMO 1.15 refuses most of the calls that change attributes that persons have in common
 //! with vehicles; it accepts those for length, width, height, minimum gap, speed factor and colour.
 
-use super::{Color, FromValue, Scope, simulation::Stage};
-use crate::sumo::{
-    Client, Error,
-    batch::Call,
-    constants::{self as c, Domain},
-};
+use super::{Color, simulation::Stage};
+use crate::sumo::{Client, Error, constants as c};
 
 domain! {
     /// Calls for persons.
     Person, "person", PERSON
 }
-identifiers! { Person, "person", PERSON }
-type_attributes! { Person, "person", PERSON }
+identifiers! { Person, "person" }
+type_attributes! { Person, "person" }
 
 record! {
     /// A person's request for a taxi.
@@ -42,7 +38,7 @@ record! {
 }
 nested_list! { Reservation }
 
-getters! { Person, "person", PERSON;
+getters! { Person, "person";
     /// Speed \[m/s\].
     get_speed "getSpeed" VAR_SPEED 0x40 -> f64;
     /// Position \[m\].
@@ -79,7 +75,7 @@ getters! { Person, "person", PERSON;
     split_taxi_reservation "splitTaxiReservation" 0xc7 (persons: &[impl AsRef<str>]) -> String;
 }
 
-setters! { Person, "person", PERSON;
+setters! { Person, "person";
     /// Adds a person without a plan: person type, edge, departure \[s\] (-3: now), distance from
     /// the start of the edge \[m\]. The person waits for stages.
     add "add" 0x80 [kind: &str, edge: &str, depart: f64, pos: f64];
@@ -96,85 +92,32 @@ setters! { Person, "person", PERSON;
     set_type "setType" 0x4f (kind: &str);
     /// Computes the fastest walk again.
     reroute_traveltime "rerouteTraveltime" 0x90 [];
-}
-
-const APPEND_STAGE: Call = Call::set("person.appendStage", Domain::PERSON, 0xc4);
-
-impl<S: Scope> Person<'_, S> {
-    /// Returns the reservations of taxis: all of them, or, with `only_new`, the new ones.
-    pub fn get_taxi_reservations(&mut self, only_new: bool) -> S::Output<Vec<Reservation>> {
-        super::get(self.0, Call::get("person.getTaxiReservations", Domain::PERSON, 0xc6), "", |w| {
-            w.integer(only_new.into());
-        })
-    }
-
     /// Appends a wait of a duration \[s\] to the plan; `stop` is the place, or empty.
-    pub fn append_waiting_stage(
-        &mut self,
-        id: &str,
-        duration: f64,
-        description: &str,
-        stop: &str,
-    ) -> S::Output<()> {
-        let call = Call { name: "person.appendWaitingStage", ..APPEND_STAGE };
-        super::set(self.0, call, id, |w| {
-            w.compound(4).integer(1).double(duration).string(description).string(stop);
-        })
-    }
-
+    append_waiting_stage "appendWaitingStage" 0xc4
+        {duration: f64, description: &str, stop: &str} => (1, duration, description, stop);
     /// Appends a walk to the plan.
-    pub fn append_walking_stage(
-        &mut self,
-        id: &str,
-        edges: &[impl AsRef<str>],
-        walk: &Walk<'_>,
-    ) -> S::Output<()> {
-        let call = Call { name: "person.appendWalkingStage", ..APPEND_STAGE };
-        super::set(self.0, call, id, |w| {
-            w.compound(6).integer(2).string_list(edges).double(walk.arrival_pos);
-            w.double(walk.duration).double(walk.speed).string(walk.stop);
-        })
-    }
-
+    append_walking_stage "appendWalkingStage" 0xc4
+        {edges: &[impl AsRef<str>], walk: &Walk<'_>}
+        => (2, edges, walk.arrival_pos, walk.duration, walk.speed, walk.stop);
     /// Appends a ride to an edge to the plan, with a vehicle of any of the `lines`, which are
     /// separated by spaces; `stop` is the destination stop, or empty.
-    pub fn append_driving_stage(
-        &mut self,
-        id: &str,
-        to: &str,
-        lines: &str,
-        stop: &str,
-    ) -> S::Output<()> {
-        let call = Call { name: "person.appendDrivingStage", ..APPEND_STAGE };
-        super::set(self.0, call, id, |w| {
-            w.compound(4).integer(3).string(to).string(lines).string(stop);
-        })
-    }
-
+    append_driving_stage "appendDrivingStage" 0xc4
+        {to: &str, lines: &str, stop: &str} => (3, to, lines, stop);
     /// Appends a stage to the plan.
-    pub fn append_stage(&mut self, id: &str, stage: &Stage) -> S::Output<()> {
-        super::set(self.0, APPEND_STAGE, id, |w| stage.write(w))
-    }
-
+    append_stage "appendStage" 0xc4 (stage: &Stage);
     /// Replaces a stage; 0 is the current one.
-    pub fn replace_stage(&mut self, id: &str, index: i32, stage: &Stage) -> S::Output<()> {
-        super::set(self.0, Call::set("person.replaceStage", Domain::PERSON, 0xcd), id, |w| {
-            w.compound(2).integer(index);
-            stage.write(w);
-        })
-    }
-
+    replace_stage "replaceStage" 0xcd [index: i32, stage: &Stage];
     /// Moves the person to a position \[m\], see [`Place`].
-    pub fn move_to_xy(&mut self, id: &str, position: [f64; 2], place: &Place<'_>) -> S::Output<()> {
-        super::set(self.0, Call::set("person.moveToXY", Domain::PERSON, 0xb4), id, |w| {
-            w.compound(6)
-                .string(place.edge)
-                .double(position[0])
-                .double(position[1])
-                .double(place.angle);
-            w.u8(c::TYPE_BYTE).u8(place.keep_route).double(place.match_threshold);
-        })
-    }
+    move_to_xy "moveToXY" 0xb4 {position: [f64; 2], place: &Place<'_>} => {
+        let ([x, y], Place { edge, angle, keep_route, match_threshold }) = (position, *place);
+        (edge, x, y, angle, keep_route.cast_signed(), match_threshold)
+    };
+}
+
+global_getters! { Person, "person";
+    /// The reservations of taxis: all of them, or, with `only_new`, the new ones.
+    get_taxi_reservations "getTaxiReservations" 0xc6
+        {only_new: bool} -> Vec<Reservation> => i32::from(only_new);
 }
 
 impl Person<'_, Client> {

@@ -1,15 +1,14 @@
 //! Points of interest.
 
-use super::{Argument as _, Color, Highlight, Scope};
-use crate::sumo::{batch::Call, constants::Domain};
+use super::{Color, Highlight};
 
 domain! {
     /// Calls for points of interest.
     Poi, "poi", POI
 }
-identifiers! { Poi, "poi", POI }
+identifiers! { Poi, "poi" }
 
-getters! { Poi, "poi", POI;
+getters! { Poi, "poi";
     /// Type.
     get_type "getType" VAR_TYPE 0x4f -> String;
     /// Position \[m\].
@@ -26,7 +25,7 @@ getters! { Poi, "poi", POI;
     get_image_file "getImageFile" VAR_IMAGEFILE 0x93 -> String;
 }
 
-setters! { Poi, "poi", POI;
+setters! { Poi, "poi";
     /// Sets the type.
     set_type "setType" 0x4f (kind: &str);
     /// Sets the position \[m\].
@@ -43,6 +42,13 @@ setters! { Poi, "poi", POI;
     set_image_file "setImageFile" 0x93 (file: &str);
     /// Removes the point from a layer.
     remove "remove" 0x81 (layer: i32);
+    /// Adds a point of interest at a position \[m\].
+    add "add" 0x80 {position: [f64; 2], appearance: &Appearance<'_>} => {
+        let Appearance { color, kind, layer, image_file, width, height, angle } = *appearance;
+        (kind, color, layer, position, image_file, width, height, angle)
+    };
+    /// Draws a circle around the point in the graphical interface.
+    highlight "highlight" 0x6c (highlight: &Highlight);
 }
 
 /// Appearance of a new point of interest.
@@ -77,31 +83,5 @@ impl Default for Appearance<'_> {
             height: 1.0,
             angle: 0.0,
         }
-    }
-}
-
-impl<S: Scope> Poi<'_, S> {
-    /// Adds a point of interest at a position \[m\].
-    pub fn add(
-        &mut self,
-        id: &str,
-        position: [f64; 2],
-        appearance: &Appearance<'_>,
-    ) -> S::Output<()> {
-        super::set(self.0, Call::set("poi.add", Domain::POI, 0x80), id, |w| {
-            let Appearance { color, kind, layer, image_file, width, height, angle } = *appearance;
-            w.compound(8).string(kind);
-            color.write(w);
-            w.integer(layer);
-            position.write(w);
-            w.string(image_file).double(width).double(height).double(angle);
-        })
-    }
-
-    /// Draws a circle around the point in the graphical interface.
-    pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
-        super::set(self.0, Call::set("poi.highlight", Domain::POI, 0x6c), id, |w| {
-            highlight.write(w);
-        })
     }
 }

@@ -1,15 +1,17 @@
 //! Polygons.
 
-use super::{Argument as _, Color, Scope};
-use crate::sumo::{batch::Call, constants::Domain};
+use super::{
+    Color,
+    value::{Doubles, Points},
+};
 
 domain! {
     /// Calls for polygons.
     Polygon, "polygon", POLYGON
 }
-identifiers! { Polygon, "polygon", POLYGON }
+identifiers! { Polygon, "polygon" }
 
-getters! { Polygon, "polygon", POLYGON;
+getters! { Polygon, "polygon";
     /// Type.
     get_type "getType" VAR_TYPE 0x4f -> String;
     /// Points \[m\].
@@ -20,17 +22,6 @@ getters! { Polygon, "polygon", POLYGON;
     get_filled "getFilled" VAR_FILL 0x55 -> bool;
     /// Width of the outline \[m\].
     get_line_width "getLineWidth" VAR_WIDTH 0x4d -> f64;
-}
-
-setters! { Polygon, "polygon", POLYGON;
-    /// Sets the type.
-    set_type "setType" 0x4f (kind: &str);
-    /// Sets the colour.
-    set_color "setColor" 0x45 (color: Color);
-    /// Sets the width of the outline \[m\].
-    set_line_width "setLineWidth" 0x4d (width: f64);
-    /// Removes the polygon from a layer.
-    remove "remove" 0x81 (layer: i32);
 }
 
 /// Appearance of a new polygon.
@@ -76,54 +67,27 @@ pub struct Dynamics<'a> {
     pub rotate: bool,
 }
 
-impl<S: Scope> Polygon<'_, S> {
+setters! { Polygon, "polygon";
+    /// Sets the type.
+    set_type "setType" 0x4f (kind: &str);
+    /// Sets the colour.
+    set_color "setColor" 0x45 (color: Color);
+    /// Sets the width of the outline \[m\].
+    set_line_width "setLineWidth" 0x4d (width: f64);
+    /// Removes the polygon from a layer.
+    remove "remove" 0x81 (layer: i32);
     /// Sets the points \[m\].
-    pub fn set_shape(&mut self, id: &str, shape: &[[f64; 2]]) -> S::Output<()> {
-        super::set(
-            self.0,
-            Call::set("polygon.setShape", Domain::POLYGON, VAR_SHAPE.number()),
-            id,
-            |w| {
-                w.polygon(shape);
-            },
-        )
-    }
-
+    set_shape "setShape" 0x4e {shape: &[[f64; 2]]} => Points(shape);
     /// Sets whether the polygon is filled.
-    pub fn set_filled(&mut self, id: &str, filled: bool) -> S::Output<()> {
-        super::set(
-            self.0,
-            Call::set("polygon.setFilled", Domain::POLYGON, VAR_FILL.number()),
-            id,
-            |w| {
-                w.integer(filled.into());
-            },
-        )
-    }
-
+    set_filled "setFilled" 0x55 {filled: bool} => i32::from(filled);
     /// Adds a polygon with these points \[m\].
-    pub fn add(
-        &mut self,
-        id: &str,
-        shape: &[[f64; 2]],
-        appearance: &Appearance<'_>,
-    ) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.add", Domain::POLYGON, 0x80), id, |w| {
-            let Appearance { color, fill, kind, layer, line_width } = *appearance;
-            w.compound(6).string(kind);
-            color.write(w);
-            u8::from(fill).write(w);
-            w.integer(layer).polygon(shape).double(line_width);
-        })
-    }
-
+    add "add" 0x80 {shape: &[[f64; 2]], appearance: &Appearance<'_>} => {
+        let Appearance { color, fill, kind, layer, line_width } = *appearance;
+        (kind, color, u8::from(fill), layer, Points(shape), line_width)
+    };
     /// Starts movement or fading of the polygon.
-    pub fn add_dynamics(&mut self, id: &str, dynamics: &Dynamics<'_>) -> S::Output<()> {
-        super::set(self.0, Call::set("polygon.addDynamics", Domain::POLYGON, 0x5c), id, |w| {
-            let Dynamics { tracked, time_span, alpha_span, looped, rotate } = *dynamics;
-            w.compound(5).string(tracked).double_list(time_span).double_list(alpha_span);
-            u8::from(looped).write(w);
-            u8::from(rotate).write(w);
-        })
-    }
+    add_dynamics "addDynamics" 0x5c {dynamics: &Dynamics<'_>} => {
+        let Dynamics { tracked, time_span, alpha_span, looped, rotate } = *dynamics;
+        (tracked, Doubles(time_span), Doubles(alpha_span), u8::from(looped), u8::from(rotate))
+    };
 }

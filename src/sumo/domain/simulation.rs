@@ -1,12 +1,10 @@
 //! The simulation as a whole.
 
-use super::{FromValue, RoadPosition, Scope};
-use crate::sumo::{
-    Error,
-    batch::Call,
-    codec::Writer,
-    constants::{self as c, Domain},
+use super::{
+    Argument, RoadPosition,
+    value::{OnPlane, OnRoad, Untyped},
 };
+use crate::sumo::{Error, batch::Call, codec::Writer, constants as c};
 
 domain! {
     /// Calls for the simulation as a whole. The object that the calls of all domains take is the
@@ -67,15 +65,15 @@ impl Stage {
     pub fn driving(to: impl Into<String>, line: impl Into<String>) -> Self {
         Stage { kind: 3, edges: vec![to.into()], line: line.into(), ..Stage::default() }
     }
+}
 
-    pub(super) fn write(&self, w: &mut Writer) {
+impl Argument for &Stage {
+    fn write(self, w: &mut Writer) {
         w.compound(13).integer(self.kind).string(&self.vehicle_type).string(&self.line);
         w.string(&self.destination_stop).string_list(&self.edges);
         w.double(self.travel_time).double(self.cost).double(self.length).string(&self.intended);
-        w.double(self.depart)
-            .double(self.depart_pos)
-            .double(self.arrival_pos)
-            .string(&self.description);
+        w.double(self.depart).double(self.depart_pos).double(self.arrival_pos);
+        w.string(&self.description);
     }
 }
 
@@ -147,7 +145,7 @@ record! {
 }
 flat_list! { Collision }
 
-global_getters! { Simulation, "simulation", SIMULATION;
+global_getters! { Simulation, "simulation";
     /// Simulation time \[s\].
     get_time "getTime" VAR_TIME 0x66 -> f64;
     /// Simulation time \[ms\].
@@ -228,7 +226,7 @@ global_getters! { Simulation, "simulation", SIMULATION;
     get_net_boundary "getNetBoundary" VAR_NET_BOUNDING_BOX 0x7c -> Vec<[f64; 2]>;
 }
 
-getters! { Simulation, "simulation", SIMULATION;
+getters! { Simulation, "simulation";
     /// Number of persons that wait at a bus stop.
     get_bus_stop_waiting "getBusStopWaiting" VAR_BUS_STOP_WAITING 0x67 -> i32;
     /// Persons that wait at a bus stop.
@@ -299,164 +297,80 @@ impl Default for IntermodalQuery<'_> {
     }
 }
 
-const CONVERT: u8 = 0x82;
-const DISTANCE: u8 = 0x83;
+pub(in crate::sumo) const LOAD_STATE: Call = Call::set("simulation.loadState", DOMAIN, 0x96);
 
-const fn call(name: &'static str, variable: u8) -> Call {
-    Call::get(name, Domain::SIMULATION, variable)
-}
-
-const fn change(name: &'static str, variable: u8) -> Call {
-    Call::set(name, Domain::SIMULATION, variable)
-}
-
-pub(in crate::sumo) const LOAD_STATE: Call = change("simulation.loadState", 0x96);
-
-impl<S: Scope> Simulation<'_, S> {
-    /// Returns the coordinates of a position on a lane: x and y \[m\], or longitude and latitude
-    /// \[deg\] if `to_geo`.
-    pub fn convert2d(
-        &mut self,
-        edge: &str,
-        pos: f64,
-        lane: u8,
-        to_geo: bool,
-    ) -> S::Output<[f64; 2]> {
-        super::get(self.0, call("simulation.convert2D", CONVERT), "", |w| {
-            let kind = if to_geo { c::POSITION_LON_LAT } else { c::POSITION_2D };
-            w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
-        })
-    }
-
+global_getters! { Simulation, "simulation";
+    /// The coordinates of a position on a lane: x and y \[m\], or longitude and latitude \[deg\]
+    /// if `to_geo`.
+    convert2d "convert2D" 0x82 {edge: &str, pos: f64, lane: u8, to_geo: bool} -> [f64; 2]
+        => (OnRoad(edge, pos, lane), plane(to_geo));
     /// Like `convert2d`, with the height \[m\].
-    pub fn convert3d(
-        &mut self,
-        edge: &str,
-        pos: f64,
-        lane: u8,
-        to_geo: bool,
-    ) -> S::Output<[f64; 3]> {
-        super::get(self.0, call("simulation.convert3D", CONVERT), "", |w| {
-            let kind = if to_geo { c::POSITION_LON_LAT_ALT } else { c::POSITION_3D };
-            w.compound(2).road_position(edge, pos, lane).u8(c::TYPE_UBYTE).u8(kind);
-        })
-    }
-
-    /// Returns the position on a lane that is closest to x and y \[m\], or to longitude and
-    /// latitude \[deg\] if `is_geo`. Only lanes that the vehicle class may use count; with the
-    /// class `ignoring`, all lanes count.
-    pub fn convert_road(
-        &mut self,
-        position: [f64; 2],
-        is_geo: bool,
-        class: &str,
-    ) -> S::Output<RoadPosition> {
-        super::get(self.0, call("simulation.convertRoad", CONVERT), "", |w| {
-            w.compound(3)
-                .position(position, is_geo)
-                .u8(c::TYPE_UBYTE)
-                .u8(c::POSITION_ROADMAP)
-                .string(class);
-        })
-    }
-
+    convert3d "convert3D" 0x82 {edge: &str, pos: f64, lane: u8, to_geo: bool} -> [f64; 3]
+        => (OnRoad(edge, pos, lane), if to_geo { c::POSITION_LON_LAT_ALT } else { c::POSITION_3D });
+    /// The position on a lane that is closest to x and y \[m\], or to longitude and latitude
+    /// \[deg\] if `is_geo`. Only lanes that the vehicle class may use count; with the class
+    /// `ignoring`, all lanes count.
+    convert_road "convertRoad" 0x82 {position: [f64; 2], is_geo: bool, class: &str} -> RoadPosition
+        => (OnPlane(position, is_geo), c::POSITION_ROADMAP, class);
     /// Converts x and y \[m\] to longitude and latitude \[deg\]; the reverse if `from_geo`.
-    pub fn convert_geo(&mut self, position: [f64; 2], from_geo: bool) -> S::Output<[f64; 2]> {
-        super::get(self.0, call("simulation.convertGeo", CONVERT), "", |w| {
-            let kind = if from_geo { c::POSITION_2D } else { c::POSITION_LON_LAT };
-            w.compound(2).position(position, from_geo).u8(c::TYPE_UBYTE).u8(kind);
-        })
-    }
+    convert_geo "convertGeo" 0x82 {position: [f64; 2], from_geo: bool} -> [f64; 2]
+        => (OnPlane(position, from_geo), plane(!from_geo));
+    /// The distance \[m\] between two positions, straight or, if `is_driving`, along the roads. A
+    /// position is x and y \[m\], or longitude and latitude \[deg\] if `is_geo`.
+    get_distance2d "getDistance2D" 0x83
+        {from: [f64; 2], to: [f64; 2], is_geo: bool, is_driving: bool} -> f64
+        => (OnPlane(from, is_geo), OnPlane(to, is_geo), Untyped(is_driving.into()));
+    /// The distance \[m\] between two positions, straight or, if `is_driving`, along the roads. A
+    /// position is an edge and the distance from its start \[m\].
+    get_distance_road "getDistanceRoad" 0x83
+        {from: (&str, f64), to: (&str, f64), is_driving: bool} -> f64
+        => (OnRoad(from.0, from.1, 0), OnRoad(to.0, to.1, 0), Untyped(is_driving.into()));
+    /// The fastest route of a vehicle from one edge to another.
+    find_route "findRoute" 0x86 {from: &str, to: &str, query: &RouteQuery<'_>} -> Stage => {
+        let RouteQuery { vehicle_type, depart, routing_mode } = *query;
+        (from, to, vehicle_type, depart, routing_mode)
+    };
+    /// The fastest journey of a person from one edge to another.
+    find_intermodal_route "findIntermodalRoute" 0x87
+        {from: &str, to: &str, query: &IntermodalQuery<'_>} -> Vec<Stage> => {
+        let IntermodalQuery { modes, depart, routing_mode, speed, walk_factor, .. } = *query;
+        let IntermodalQuery { depart_pos, arrival_pos, depart_pos_lat, person_type, .. } = *query;
+        let IntermodalQuery { vehicle_type, destination_stop, .. } = *query;
+        (
+            from,
+            to,
+            modes,
+            depart,
+            routing_mode,
+            speed,
+            walk_factor,
+            depart_pos,
+            arrival_pos,
+            depart_pos_lat,
+            person_type,
+            vehicle_type,
+            destination_stop,
+        )
+    };
+}
 
-    /// Returns the distance \[m\] between two positions, straight or, if `is_driving`, along the
-    /// roads. A position is x and y \[m\], or longitude and latitude \[deg\] if `is_geo`.
-    pub fn get_distance2d(
-        &mut self,
-        from: [f64; 2],
-        to: [f64; 2],
-        is_geo: bool,
-        is_driving: bool,
-    ) -> S::Output<f64> {
-        super::get(self.0, call("simulation.getDistance2D", DISTANCE), "", |w| {
-            w.compound(3).position(from, is_geo).position(to, is_geo).u8(is_driving.into());
-        })
-    }
+/// Returns the type of a position on the plane.
+fn plane(geographic: bool) -> u8 {
+    if geographic { c::POSITION_LON_LAT } else { c::POSITION_2D }
+}
 
-    /// Returns the distance \[m\] between two positions, straight or, if `is_driving`, along the
-    /// roads. A position is an edge and the distance from its start \[m\].
-    pub fn get_distance_road(
-        &mut self,
-        from: (&str, f64),
-        to: (&str, f64),
-        is_driving: bool,
-    ) -> S::Output<f64> {
-        super::get(self.0, call("simulation.getDistanceRoad", DISTANCE), "", |w| {
-            w.compound(3)
-                .road_position(from.0, from.1, 0)
-                .road_position(to.0, to.1, 0)
-                .u8(is_driving.into());
-        })
-    }
-
-    /// Returns the fastest route of a vehicle from one edge to another.
-    pub fn find_route(&mut self, from: &str, to: &str, query: &RouteQuery<'_>) -> S::Output<Stage> {
-        super::get(self.0, call("simulation.findRoute", 0x86), "", |w| {
-            w.compound(5).string(from).string(to).string(query.vehicle_type);
-            w.double(query.depart).integer(query.routing_mode);
-        })
-    }
-
-    /// Returns the fastest journey of a person from one edge to another.
-    pub fn find_intermodal_route(
-        &mut self,
-        from: &str,
-        to: &str,
-        query: &IntermodalQuery<'_>,
-    ) -> S::Output<Vec<Stage>> {
-        super::get(self.0, call("simulation.findIntermodalRoute", 0x87), "", |w| {
-            w.compound(13).string(from).string(to).string(query.modes);
-            w.double(query.depart)
-                .integer(query.routing_mode)
-                .double(query.speed)
-                .double(query.walk_factor);
-            w.double(query.depart_pos).double(query.arrival_pos).double(query.depart_pos_lat);
-            w.string(query.person_type).string(query.vehicle_type).string(query.destination_stop);
-        })
-    }
-
+global_setters! { Simulation, "simulation";
     /// Sets the factor on the number of vehicles.
-    pub fn set_scale(&mut self, scale: f64) -> S::Output<()> {
-        super::set(self.0, change("simulation.setScale", VAR_SCALE.number()), "", |w| {
-            w.double(scale);
-        })
-    }
-
+    set_scale "setScale" 0x8e (scale: f64);
     /// Removes the vehicles of a route that wait to depart; of all routes if `route` is empty.
-    pub fn clear_pending(&mut self, route: &str) -> S::Output<()> {
-        self.text(change("simulation.clearPending", 0x94), route)
-    }
-
+    clear_pending "clearPending" 0x94 (route: &str);
     /// Writes the state of the simulation to a file. SUMO's options `--save-state.precision` and
     /// `--save-state.rng` set the precision and whether the file holds the state of the random
     /// number generators.
-    pub fn save_state(&mut self, file: &str) -> S::Output<()> {
-        self.text(change("simulation.saveState", 0x95), file)
-    }
-
+    save_state "saveState" 0x95 (file: &str);
     /// Restores the state that a file holds. All subscriptions are lost. SUMO 1.15 needs
     /// `SUMO_HOME`, or `--xml-validation never` among its arguments.
-    pub fn load_state(&mut self, file: &str) -> S::Output<()> {
-        self.text(LOAD_STATE, file)
-    }
-
+    load_state "loadState" 0x96 (file: &str);
     /// Writes a line to SUMO's message output.
-    pub fn write_message(&mut self, message: &str) -> S::Output<()> {
-        self.text(change("simulation.writeMessage", 0x65), message)
-    }
-
-    fn text(&mut self, call: Call, text: &str) -> S::Output<()> {
-        super::set(self.0, call, "", |w| {
-            w.string(text);
-        })
-    }
+    write_message "writeMessage" 0x65 (message: &str);
 }

@@ -1,18 +1,16 @@
 //! Traffic lights.
 
-use super::{FromValue, Scope, value::FromFields};
+use super::{Argument, FromValue, Scope, value::FromFields};
 use crate::sumo::{
     Client, Error,
-    batch::Call,
     codec::{Value, Writer},
-    constants::Domain,
 };
 
 domain! {
     /// Calls for traffic lights.
     TrafficLight, "trafficlight", TRAFFIC_LIGHT
 }
-identifiers! { TrafficLight, "trafficlight", TRAFFIC_LIGHT }
+identifiers! { TrafficLight, "trafficlight" }
 
 /// A phase of a traffic light's program.
 #[derive(Debug, Clone, PartialEq)]
@@ -165,7 +163,7 @@ impl FromValue for Vec<Vec<Link>> {
     }
 }
 
-getters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
+getters! { TrafficLight, "trafficlight";
     /// State of the signals, one letter for each.
     get_red_yellow_green_state "getRedYellowGreenState" TL_RED_YELLOW_GREEN_STATE 0x20 -> String;
     /// All programs.
@@ -203,7 +201,7 @@ getters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
         -> Vec<Constraint>;
 }
 
-setters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
+setters! { TrafficLight, "trafficlight";
     /// Sets the signals, one letter for each; afterwards the traffic light follows no program.
     set_red_yellow_green_state "setRedYellowGreenState" 0x20 (state: &str);
     /// Switches to a phase of the program.
@@ -219,15 +217,11 @@ setters! { TrafficLight, "trafficlight", TRAFFIC_LIGHT;
     /// Removes the constraints that no longer match a vehicle's route. The argument is the
     /// identifier of the vehicle, not of its trip.
     update_constraints "updateConstraints" 0x36 (vehicle: &str);
+    /// Adds a program, or replaces the program of the same identifier, and switches to it.
+    set_program_logic "setProgramLogic" 0x2c (logic: &Logic);
 }
 
 impl<S: Scope> TrafficLight<'_, S> {
-    /// Adds a program, or replaces the program of the same identifier, and switches to it.
-    pub fn set_program_logic(&mut self, id: &str, logic: &Logic) -> S::Output<()> {
-        let call = Call::set("trafficlight.setProgramLogic", Domain::TRAFFIC_LIGHT, 0x2c);
-        super::set(self.0, call, id, |w| write_logic(w, logic))
-    }
-
     /// Returns the phases that vehicles request at a NEMA controller, separated by commas.
     pub fn get_nema_phase_calls(&mut self, id: &str) -> S::Output<String> {
         self.get_parameter(id, "NEMA.phaseCall")
@@ -272,23 +266,25 @@ impl TrafficLight<'_, Client> {
     }
 }
 
-fn write_logic(w: &mut Writer, logic: &Logic) {
-    w.compound(5).string(&logic.program_id).integer(logic.kind).integer(logic.current_phase_index);
-    w.compound(logic.phases.len() as i32);
-    for phase in &logic.phases {
-        w.compound(6)
-            .double(phase.duration)
-            .string(&phase.state)
-            .double(phase.min_dur)
-            .double(phase.max_dur);
-        w.compound(phase.next.len() as i32);
-        for next in &phase.next {
-            w.integer(*next);
+impl Argument for &Logic {
+    fn write(self, w: &mut Writer) {
+        w.compound(5).string(&self.program_id).integer(self.kind).integer(self.current_phase_index);
+        w.compound(self.phases.len() as i32);
+        for phase in &self.phases {
+            w.compound(6)
+                .double(phase.duration)
+                .string(&phase.state)
+                .double(phase.min_dur)
+                .double(phase.max_dur);
+            w.compound(phase.next.len() as i32);
+            for next in &phase.next {
+                w.integer(*next);
+            }
+            w.string(&phase.name);
         }
-        w.string(&phase.name);
-    }
-    w.compound(logic.parameters.len() as i32);
-    for (name, value) in &logic.parameters {
-        w.string_list(&[name, value]);
+        w.compound(self.parameters.len() as i32);
+        for (name, value) in &self.parameters {
+            w.string_list(&[name, value]);
+        }
     }
 }

@@ -114,16 +114,11 @@ impl Default for Highlight {
     }
 }
 
-impl Highlight {
-    pub(super) fn write(&self, w: &mut Writer) {
+impl Argument for &Highlight {
+    fn write(self, w: &mut Writer) {
         // SUMO does not fade a circle whose opacity is 0 and whose duration is negative.
         let (alpha, duration) = self.fade.unwrap_or((0, -1.0));
-        w.compound(5);
-        Argument::write(self.color, w);
-        w.double(self.size);
-        Argument::write(alpha, w);
-        w.double(duration);
-        Argument::write(self.kind, w);
+        (self.color, self.size, alpha, duration, self.kind).write(w);
     }
 }
 
@@ -179,34 +174,51 @@ pub trait Argument {
     fn write(self, w: &mut Writer);
 }
 
-impl Argument for f64 {
-    fn write(self, w: &mut Writer) {
-        w.double(self);
-    }
+/// Implements [`Argument`].
+macro_rules! argument_types {
+    ($($kind:ty: |$value:pat_param, $w:ident| $write:expr;)+) => {
+        $(impl Argument for $kind {
+            fn write(self, $w: &mut Writer) {
+                let $value = self;
+                $write;
+            }
+        })+
+    };
 }
 
-impl Argument for i32 {
-    fn write(self, w: &mut Writer) {
-        w.integer(self);
-    }
+argument_types! {
+    f64: |v, w| w.double(v);
+    i32: |v, w| w.integer(v);
+    u8: |v, w| w.u8(c::TYPE_UBYTE).u8(v);
+    i8: |v, w| w.u8(c::TYPE_BYTE).u8(v.cast_unsigned());
+    &str: |v, w| w.string(v);
+    Color: |Color { r, g, b, a }, w| w.u8(c::TYPE_COLOR).u8(r).u8(g).u8(b).u8(a);
+    [f64; 2]: |v, w| w.position(v, false);
+    Doubles<'_>: |Doubles(v), w| w.double_list(v);
+    Empty: |Empty, w| w.compound(0);
+    Untyped: |Untyped(v), w| w.u8(v);
+    OnRoad<'_>: |OnRoad(edge, position, lane), w| w.road_position(edge, position, lane);
+    OnPlane: |OnPlane(position, is_geo), w| w.position(position, is_geo);
+    Points<'_>: |Points(points), w| w.polygon(points);
 }
 
-impl Argument for u8 {
-    fn write(self, w: &mut Writer) {
-        w.u8(c::TYPE_UBYTE).u8(self);
-    }
-}
+/// The argument of a call that has none.
+pub(super) struct Nothing;
+/// A compound without items.
+pub(super) struct Empty;
+/// A byte without a type.
+pub(super) struct Untyped(pub(super) u8);
+/// Edge, distance from its start \[m\], index of the lane.
+pub(super) struct OnRoad<'a>(pub(super) &'a str, pub(super) f64, pub(super) u8);
+/// x and y \[m\], or longitude and latitude \[deg\] if the second value is `true`.
+pub(super) struct OnPlane(pub(super) [f64; 2], pub(super) bool);
+/// Numbers.
+pub(super) struct Doubles<'a>(pub(super) &'a [f64]);
+/// Points of a line or an area \[m\].
+pub(super) struct Points<'a>(pub(super) &'a [[f64; 2]]);
 
-impl Argument for i8 {
-    fn write(self, w: &mut Writer) {
-        w.u8(c::TYPE_BYTE).u8(self.cast_unsigned());
-    }
-}
-
-impl Argument for &str {
-    fn write(self, w: &mut Writer) {
-        w.string(self);
-    }
+impl Argument for Nothing {
+    fn write(self, _: &mut Writer) {}
 }
 
 impl<T: AsRef<str>> Argument for &[T] {
@@ -215,14 +227,21 @@ impl<T: AsRef<str>> Argument for &[T] {
     }
 }
 
-impl Argument for Color {
-    fn write(self, w: &mut Writer) {
-        w.u8(c::TYPE_COLOR).u8(self.r).u8(self.g).u8(self.b).u8(self.a);
-    }
+/// Makes tuples arguments: they are compounds.
+macro_rules! compounds {
+    ($($item:ident)*) => {
+        #[allow(non_snake_case, reason = "one name for the type and the value of an item")]
+        impl<$($item: Argument),*> Argument for ($($item,)*) {
+            fn write(self, w: &mut Writer) {
+                let ($($item,)*) = self;
+                w.compound(const { <[&str]>::len(&[$(stringify!($item)),*]) as i32 });
+                $($item.write(w);)*
+            }
+        }
+        compounds! { @less $($item)* }
+    };
+    (@less $last:ident) => {};
+    (@less $first:ident $($item:ident)+) => { compounds! { $($item)+ } };
 }
 
-impl Argument for [f64; 2] {
-    fn write(self, w: &mut Writer) {
-        w.position(self, false);
-    }
-}
+compounds! { A B C D E F G H I J K L M N }

@@ -1,237 +1,27 @@
 //! Vehicles.
 
-use super::{Argument, Color, FromValue, Scope};
-use crate::sumo::{
-    Error,
-    batch::Call,
-    codec::{Value, Writer},
-    constants::Domain,
+use super::{
+    Color, Scope,
+    value::{Nothing, OnRoad, Untyped},
 };
+use crate::sumo::batch::Call;
 
 mod changes;
 mod filters;
+mod values;
 
 pub use changes::{Addition, Gap, Placement, Stop, StopChange};
+pub use values::{BestLane, LaneChangeState, Neighbor, NextStop, NextTls, Side, StopData};
 
 domain! {
     /// Calls for vehicles.
     Vehicle, "vehicle", VEHICLE
 }
-identifiers! { Vehicle, "vehicle", VEHICLE }
-type_attributes! { Vehicle, "vehicle", VEHICLE }
-emissions! { Vehicle, "vehicle", VEHICLE }
+identifiers! { Vehicle, "vehicle" }
+type_attributes! { Vehicle, "vehicle" }
+emissions! { Vehicle, "vehicle" }
 
-record! {
-    /// A neighbouring vehicle and the gap to it.
-    Neighbor {
-        /// Vehicle identifier.
-        id: String,
-        /// Distance from bumper to bumper, minus the minimum gap of the rear vehicle \[m\].
-        gap: f64,
-    }
-}
-flat_list! { Neighbor }
-
-impl FromValue for Option<Neighbor> {
-    fn from_value(value: Value) -> Result<Self, Error> {
-        let neighbor: Neighbor = super::compound(value, super::value::FromFields::from_fields)?;
-        Ok(Some(neighbor).filter(|neighbor| !neighbor.id.is_empty()))
-    }
-}
-
-record! {
-    /// A lane of the vehicle's edge and its suitability for the route.
-    BestLane {
-        /// Lane identifier.
-        lane: String,
-        /// Distance that the vehicle can drive without a lane change \[m\].
-        length: f64,
-        /// Length that other vehicles occupy on that distance \[m\].
-        occupation: f64,
-        /// Number of lanes from this lane to the best lane, to the left; negative: to the right.
-        offset: i32,
-        /// Whether the route continues from this lane.
-        allows_continuation: bool,
-        /// The lanes that follow on the route.
-        next: Vec<String>,
-    }
-}
-flat_list! { BestLane }
-
-record! {
-    /// A traffic light on the route ahead.
-    NextTls {
-        /// Traffic light identifier.
-        id: String,
-        /// Index of the signal.
-        index: i32,
-        /// Distance \[m\].
-        distance: f64,
-        /// State of the signal.
-        state: char,
-    }
-}
-flat_list! { NextTls }
-
-record! {
-    /// A stop ahead, in short form.
-    NextStop {
-        /// Lane.
-        lane: String,
-        /// Distance of the stop's end from the start of the lane \[m\].
-        end_pos: f64,
-        /// Bus stop, parking area or another kind of stopping place; empty for none.
-        stopping_place: String,
-        /// Bits. 1: stopped, 2: beside the road, 4: until a person boards, 8: until a container is
-        /// loaded, 16: bus stop, 32: container stop, 64: charging station, 128: parking area.
-        flags: i32,
-        /// Duration \[s\].
-        duration: f64,
-        /// Earliest departure \[s\].
-        until: f64,
-    }
-}
-flat_list! { NextStop }
-
-record! {
-    /// A past stop or a stop ahead.
-    StopData {
-        /// Lane.
-        lane: String,
-        /// Distance of the stop's end from the start of the lane \[m\].
-        end_pos: f64,
-        /// Bus stop, parking area or another kind of stopping place; empty for none.
-        stopping_place: String,
-        /// Bits, see [`Stop::flags`].
-        flags: i32,
-        /// Duration \[s\].
-        duration: f64,
-        /// Earliest departure \[s\].
-        until: f64,
-        /// Distance of the stop's start from the start of the lane \[m\].
-        start_pos: f64,
-        /// Planned arrival \[s\].
-        intended_arrival: f64,
-        /// Arrival \[s\].
-        arrival: f64,
-        /// Departure \[s\].
-        depart: f64,
-        /// The vehicle that is split off at the stop.
-        split: String,
-        /// The vehicle that joins with this one at the stop.
-        join: String,
-        /// Purpose of the stop.
-        act_type: String,
-        /// Trip after the stop.
-        trip_id: String,
-        /// Line after the stop.
-        line: String,
-        /// Speed at a stop that the vehicle only passes \[m/s\].
-        speed: f64,
-    }
-}
-flat_list! { StopData }
-
-record! {
-    /// State of a lane change to one side; bits as in SUMO's `LaneChangeAction`.
-    LaneChangeState {
-        /// State from SUMO's lane change model alone.
-        state: i32,
-        /// State after the requests that came through TraCI.
-        state_traci: i32,
-    }
-}
-impl FromValue for LaneChangeState {
-    fn from_value(value: Value) -> Result<Self, Error> {
-        super::compound(value, super::value::FromFields::from_fields)
-    }
-}
-
-/// A side of a vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
-    /// To the left.
-    Left,
-    /// To the right.
-    Right,
-}
-
-impl Side {
-    /// Returns SUMO's number of the neighbouring lane on this side, relative to the vehicle's lane.
-    const fn offset(self) -> i8 {
-        match self {
-            Side::Left => 1,
-            Side::Right => -1,
-        }
-    }
-
-    /// Returns the bit of [`LaneChangeState`] that says that the vehicle wants to change to this
-    /// side.
-    const fn bit(self) -> i32 {
-        match self {
-            Side::Left => 1 << 1,
-            Side::Right => 1 << 2,
-        }
-    }
-}
-
-impl Argument for Side {
-    fn write(self, w: &mut Writer) {
-        w.integer(self.offset().into());
-    }
-}
-
-/// Bits of [`LaneChangeState`] for a change that is blocked by leaders, followers, space or speed.
-const BLOCKED: i32 = 0b1111 << 9 | 1 << 14 | 1 << 28;
-/// Bit of [`LaneChangeState`] that says that no state is known.
-const UNKNOWN: i32 = 1 << 30;
-
-impl LaneChangeState {
-    fn blocked(state: i32) -> bool {
-        state & BLOCKED != 0
-    }
-
-    /// Whether the vehicle changed to this side in the last step, so that the state before the
-    /// change no longer applies.
-    fn changed(&self, side: Side) -> bool {
-        self.state_traci & side.bit() != 0 && !Self::blocked(self.state_traci)
-    }
-
-    fn could(&self, side: Side) -> bool {
-        !self.changed(side) && self.state != UNKNOWN && !Self::blocked(self.state)
-    }
-
-    fn wants_and_could(&self, side: Side) -> bool {
-        !self.changed(side) && self.state & side.bit() != 0 && !Self::blocked(self.state)
-    }
-
-    /// Returns SUMO's names of the bits of a state.
-    pub fn words(state: i32) -> Vec<&'static str> {
-        let bits = STATE_WORDS.iter().enumerate().filter(|(bit, _)| state & (1 << bit) != 0);
-        bits.map(|(_, word)| *word).collect()
-    }
-}
-
-const STATE_WORDS: [&str; 16] = [
-    "stay",
-    "left",
-    "right",
-    "strategic",
-    "cooperative",
-    "speedGain",
-    "keepRight",
-    "TraCI",
-    "urgent",
-    "blocked by left leader",
-    "blocked by left follower",
-    "blocked by right leader",
-    "blocked by right follower",
-    "overlapping",
-    "insufficient space",
-    "sublane",
-];
-
-getters! { Vehicle, "vehicle", VEHICLE;
+getters! { Vehicle, "vehicle";
     /// Speed \[m/s\].
     get_speed "getSpeed" VAR_SPEED 0x40 -> f64;
     /// Speed to the left \[m/s\].
@@ -342,114 +132,93 @@ getters! { Vehicle, "vehicle", VEHICLE;
     /// Routing mode. 0: default, 1: aggregated travel times, 2: effort, 3: both, 4: travel times
     /// and efforts that were set for this vehicle.
     get_routing_mode "getRoutingMode" VAR_ROUTING_MODE 0x89 -> i32;
+    /// The distance along the route \[m\] to a position, which is given by edge, distance from the
+    /// start of the lane \[m\] and lane.
+    get_driving_distance "getDrivingDistance" 0x83 {edge: &str, pos: f64, lane: u8} -> f64
+        => (OnRoad(edge, pos, lane), DRIVING);
+    /// The distance along the route to a position \[m\].
+    get_driving_distance2d "getDrivingDistance2D" 0x83 {position: [f64; 2]} -> f64
+        => (position, DRIVING);
 }
 
-const STOP_STATE: Call = Call::get("vehicle.getStopState", Domain::VEHICLE, VAR_STOPSTATE.number());
-const DISTANCE: u8 = 0x83;
-const DRIVING: u8 = 1;
+/// Says that a distance is one along the roads.
+const DRIVING: Untyped = Untyped(1);
+
+global_getters! { Vehicle, "vehicle";
+    /// The taxis in a state. -1: all, 0: empty, 1: on the way to a customer, 2: with a customer, 3:
+    /// with a customer and on the way to another.
+    get_taxi_fleet "getTaxiFleet" 0x20 {state: i32} -> Vec<String> => state;
+}
+
+/// Defines calls that read neighbouring vehicles; the columns are as in [`getters`], with the mode
+/// of [`Vehicle::get_neighbors`] in place of the number.
+macro_rules! neighbors {
+    ($($(#[$doc:meta])* $method:ident $sumo:literal $mode:literal;)+) => {
+        impl<S: Scope> Vehicle<'_, S> {
+            $(
+                $(#[$doc])*
+                #[doc(alias = $sumo)]
+                pub fn $method(
+                    &mut self,
+                    id: &str,
+                    blocking_only: bool,
+                ) -> S::Output<Vec<Neighbor>> {
+                    self.get_neighbors(id, if blocking_only { $mode | 4 } else { $mode })
+                }
+            )+
+        }
+    };
+}
+
+neighbors! {
+    /// The vehicles behind on the lane to the right, or only those that block a lane change.
+    get_right_followers "getRightFollowers" 1;
+    /// The vehicles ahead on the lane to the right, or only those that block a lane change.
+    get_right_leaders "getRightLeaders" 3;
+    /// The vehicles behind on the lane to the left, or only those that block a lane change.
+    get_left_followers "getLeftFollowers" 0;
+    /// The vehicles ahead on the lane to the left, or only those that block a lane change.
+    get_left_leaders "getLeftLeaders" 2;
+}
+
+/// Defines calls that read bits of [`Vehicle::get_stop_state`]; the columns are as in [`getters`],
+/// with the bits in place of the number.
+macro_rules! stop_states {
+    ($($(#[$doc:meta])* $method:ident $sumo:literal $bits:literal;)+) => {
+        impl<S: Scope> Vehicle<'_, S> {
+            $(
+                $(#[$doc])*
+                #[doc(alias = $sumo)]
+                pub fn $method(&mut self, id: &str) -> S::Output<bool> {
+                    let number = VAR_STOPSTATE.number();
+                    let call = Call::get("vehicle.getStopState", DOMAIN, number);
+                    super::get_as(self.0, call, id, Nothing, |state| {
+                        Ok(super::value::<i32>(state)? & $bits != 0)
+                    })
+                }
+            )+
+        }
+    };
+}
+
+stop_states! {
+    /// Whether the vehicle has stopped at a planned stop.
+    is_stopped "isStopped" 0b1;
+    /// Whether the vehicle has stopped beside the road.
+    is_stopped_parking "isStoppedParking" 0b10;
+    /// Whether the vehicle has stopped until a person boards or a container is loaded.
+    is_stopped_triggered "isStoppedTriggered" 0b1100;
+    /// Whether the vehicle has stopped at a bus stop.
+    is_at_bus_stop "isAtBusStop" 0b1_0000;
+    /// Whether the vehicle has stopped at a container stop.
+    is_at_container_stop "isAtContainerStop" 0b10_0000;
+}
 
 impl<S: Scope> Vehicle<'_, S> {
-    /// Returns the vehicles behind on the lane to the right, or only those that block a lane
-    /// change.
-    pub fn get_right_followers(
-        &mut self,
-        id: &str,
-        blocking_only: bool,
-    ) -> S::Output<Vec<Neighbor>> {
-        self.get_neighbors(id, if blocking_only { 5 } else { 1 })
-    }
-
-    /// Returns the vehicles ahead on the lane to the right, or only those that block a lane change.
-    pub fn get_right_leaders(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
-        self.get_neighbors(id, if blocking_only { 7 } else { 3 })
-    }
-
-    /// Returns the vehicles behind on the lane to the left, or only those that block a lane change.
-    pub fn get_left_followers(
-        &mut self,
-        id: &str,
-        blocking_only: bool,
-    ) -> S::Output<Vec<Neighbor>> {
-        self.get_neighbors(id, if blocking_only { 4 } else { 0 })
-    }
-
-    /// Returns the vehicles ahead on the lane to the left, or only those that block a lane change.
-    pub fn get_left_leaders(&mut self, id: &str, blocking_only: bool) -> S::Output<Vec<Neighbor>> {
-        self.get_neighbors(id, if blocking_only { 6 } else { 2 })
-    }
-
     /// Subscribes to the vehicle ahead within `distance` \[m\]; each step reports it as
     /// [`VAR_LEADER`].
     pub fn subscribe_leader(&mut self, id: &str, distance: f64) -> S::Output<()> {
         self.subscribe_with(id, VAR_LEADER, distance)
-    }
-
-    /// Returns the distance along the route \[m\] to a position, which is given by edge, distance
-    /// from the start of the lane \[m\] and lane.
-    pub fn get_driving_distance(
-        &mut self,
-        id: &str,
-        edge: &str,
-        pos: f64,
-        lane: u8,
-    ) -> S::Output<f64> {
-        let call = Call::get("vehicle.getDrivingDistance", Domain::VEHICLE, DISTANCE);
-        super::get(self.0, call, id, |w| {
-            w.compound(2).road_position(edge, pos, lane).u8(DRIVING);
-        })
-    }
-
-    /// Returns the distance along the route to a position \[m\].
-    pub fn get_driving_distance2d(&mut self, id: &str, position: [f64; 2]) -> S::Output<f64> {
-        let call = Call::get("vehicle.getDrivingDistance2D", Domain::VEHICLE, DISTANCE);
-        super::get(self.0, call, id, |w| {
-            w.compound(2).position(position, false).u8(DRIVING);
-        })
-    }
-
-    /// Returns the taxis in a state. -1: all, 0: empty, 1: on the way to a customer, 2: with a
-    /// customer, 3: with a customer and on the way to another.
-    pub fn get_taxi_fleet(&mut self, state: i32) -> S::Output<Vec<String>> {
-        super::get(self.0, Call::get("vehicle.getTaxiFleet", Domain::VEHICLE, 0x20), "", |w| {
-            w.integer(state);
-        })
-    }
-
-    /// Whether the vehicle has stopped at a planned stop.
-    pub fn is_stopped(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1 != 0))
-    }
-
-    /// Whether the vehicle has stopped beside the road.
-    pub fn is_stopped_parking(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b10 != 0))
-    }
-
-    /// Whether the vehicle has stopped until a person boards or a container is loaded.
-    pub fn is_stopped_triggered(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(self.0, STOP_STATE, id, |_| {}, |v| Ok(super::value::<i32>(v)? & 0b1100 != 0))
-    }
-
-    /// Whether the vehicle has stopped at a bus stop.
-    pub fn is_at_bus_stop(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(
-            self.0,
-            STOP_STATE,
-            id,
-            |_| {},
-            |v| Ok(super::value::<i32>(v)? & 0b1_0000 != 0),
-        )
-    }
-
-    /// Whether the vehicle has stopped at a container stop.
-    pub fn is_at_container_stop(&mut self, id: &str) -> S::Output<bool> {
-        super::get_as(
-            self.0,
-            STOP_STATE,
-            id,
-            |_| {},
-            |v| Ok(super::value::<i32>(v)? & 0b10_0000 != 0),
-        )
     }
 
     /// Like `get_lane_change_state`, as SUMO's names of the bits: from the lane change model alone,
@@ -484,7 +253,7 @@ impl<S: Scope> Vehicle<'_, S> {
     }
 
     fn lane_change<T>(&mut self, id: &str, side: Side, decode: super::Decode<T>) -> S::Output<T> {
-        let call = Call::get("vehicle.getLaneChangeState", Domain::VEHICLE, 0x13);
-        super::get_as(self.0, call, id, |w| side.write(w), decode)
+        let call = Call::get("vehicle.getLaneChangeState", DOMAIN, 0x13);
+        super::get_as(self.0, call, id, side, decode)
     }
 }

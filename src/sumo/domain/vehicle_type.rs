@@ -1,21 +1,20 @@
 //! Vehicle types.
 
-use super::{Color, Scope};
-use crate::sumo::{batch::Call, constants::Domain};
+use super::Color;
 
 domain! {
     /// Calls for vehicle types.
     VehicleType, "vehicletype", VEHICLE_TYPE
 }
-identifiers! { VehicleType, "vehicletype", VEHICLE_TYPE }
-type_attributes! { VehicleType, "vehicletype", VEHICLE_TYPE }
+identifiers! { VehicleType, "vehicletype" }
+type_attributes! { VehicleType, "vehicletype" }
 
-getters! { VehicleType, "vehicletype", VEHICLE_TYPE;
+getters! { VehicleType, "vehicletype";
     /// Factor on the number of vehicles of the type.
     get_scale "getScale" VAR_SCALE 0x8e -> f64;
 }
 
-setters! { VehicleType, "vehicletype", VEHICLE_TYPE;
+setters! { VehicleType, "vehicletype";
     /// Sets the standard deviation of the speed factor.
     set_speed_deviation "setSpeedDeviation" 0x5f (deviation: f64);
     /// Sets the factor on the number of vehicles of the type.

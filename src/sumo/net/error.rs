@@ -1,76 +1,75 @@
 //! Errors of nets and of routes through them, and how their messages show names.
 
-use std::{io, path::PathBuf};
+use std::{error::Error, fmt, io, path::PathBuf};
 
 use super::XmlError;
 
 /// A reason why a net cannot be read or a route cannot be built on it.
+#[derive(Debug)]
+pub struct NetError {
+    /// The net file.
+    pub path: PathBuf,
+    /// Line and column in the file, from 1, where the problem has a place there.
+    pub place: Option<(u32, u32)>,
+    /// What is wrong.
+    pub problem: Problem,
+}
+
+impl fmt::Display for NetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.path.display())?;
+        if let Some((line, column)) = self.place {
+            write!(f, ":{line}:{column}")?;
+        }
+        write!(f, ": {}", self.problem)
+    }
+}
+
+impl Error for NetError {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        self.problem.source()
+    }
+}
+
+/// What is wrong with a net, or with a route through it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum NetError {
+pub enum Problem {
     /// The file does not exist or cannot be read as text.
-    #[error("{}: cannot read the net", path.display())]
+    #[error("cannot read the net")]
     Read {
-        /// The net file.
-        path: PathBuf,
         /// The operating system's reason.
         source: io::Error,
     },
     /// The file is larger than this program reads.
-    #[error("{}: the net is larger than {limit} bytes", path.display())]
+    #[error("the net is larger than {limit} bytes")]
     TooLarge {
-        /// The net file.
-        path: PathBuf,
         /// Largest size \[bytes\].
         limit: u64,
     },
     /// The file is not XML, or uses XML that this program does not read.
-    #[error("{}:{line}:{column}: cannot be read as XML", path.display())]
+    #[error("cannot be read as XML")]
     Xml {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// The parser's reason.
         source: XmlError,
     },
     /// The file is XML, but not a net.
-    #[error("{}:{line}:{column}: expected the element <net>, found <{found}>", path.display())]
+    #[error("expected the element <net>, found <{found}>")]
     NotNet {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// Name of the root element.
         found: String,
     },
     /// A required element or attribute is missing.
-    #[error("{}:{line}:{column}: <{element}> lacks {what}", path.display())]
+    #[error("<{element}> lacks {what}")]
     Missing {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// Element in which something is missing.
         element: String,
         /// The missing element or attribute.
         what: String,
     },
     /// An attribute has a value that is not allowed.
-    #[error("{}:{line}:{column}: `{value}` is not a valid {key} of <{element}>, allowed: {allowed}", path.display())]
+    #[error("`{value}` is not a valid {key} of <{element}>, allowed: {allowed}")]
     Value {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// Element.
         element: String,
         /// Attribute.
@@ -81,14 +80,8 @@ pub enum NetError {
         allowed: &'static str,
     },
     /// A connection names an edge or lane that the net does not have.
-    #[error("{}:{line}:{column}: {key}=`{value}` names nothing in this net{}", path.display(), did_you_mean(nearest.as_deref()))]
+    #[error("{key}=`{value}` names nothing in this net{}", did_you_mean(nearest.as_deref()))]
     Reference {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// Attribute.
         key: String,
         /// The id or lane number.
@@ -97,76 +90,59 @@ pub enum NetError {
         nearest: Option<String>,
     },
     /// An id occurs twice.
-    #[error("{}:{line}:{column}: a second {kind} with the id `{id}`", path.display())]
+    #[error("a second {kind} with the id `{id}`")]
     Duplicate {
-        /// The net file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u32,
-        /// Column, from 1.
-        column: u32,
         /// `edge`, `lane` or `junction`.
         kind: &'static str,
         /// The id.
         id: String,
     },
     /// A route has no edge or no length.
-    #[error("{}: a route needs at least one edge of some length", path.display())]
-    EmptyRoute {
-        /// The net file.
-        path: PathBuf,
-    },
+    #[error("a route needs at least one edge of some length")]
+    EmptyRoute,
     /// A route names an edge that the net does not have.
-    #[error("{}: the net has no edge `{edge}`{}", path.display(), did_you_mean(nearest.as_deref()))]
+    #[error("the net has no edge `{edge}`{}", did_you_mean(nearest.as_deref()))]
     NoEdge {
-        /// The net file.
-        path: PathBuf,
         /// The unknown id.
         edge: String,
         /// A similar edge that the net has.
         nearest: Option<String>,
     },
     /// A route names an edge that is part of a junction or that cars cannot use.
-    #[error("{}: the edge `{edge}` is no road that a route can name", path.display())]
+    #[error("the edge `{edge}` is no road that a route can name")]
     NotRoad {
-        /// The net file.
-        path: PathBuf,
         /// The id.
         edge: String,
     },
     /// No lane of an edge leads to the route's next edge.
-    #[error("{}: the edge `{from}` does not lead to `{to}`", path.display())]
+    #[error("the edge `{from}` does not lead to `{to}`")]
     NotConnected {
-        /// The net file.
-        path: PathBuf,
         /// Edge.
         from: String,
         /// The route's next edge.
         to: String,
     },
     /// No route connects the edges of a trip without lane changes.
-    #[error("{}: no way leads from the edge `{from}` to `{to}` that can be driven without changing lanes", path.display())]
+    #[error(
+        "no route leads from the edge `{from}` to `{to}` that can be driven without changing lanes"
+    )]
     NoTrip {
-        /// The net file.
-        path: PathBuf,
         /// First edge.
         from: String,
         /// Last edge.
         to: String,
     },
     /// A walk names an edge without a lane for pedestrians.
-    #[error("{}: nobody can walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)", path.display())]
+    #[error(
+        "nobody can walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)"
+    )]
     NoSidewalk {
-        /// The net file.
-        path: PathBuf,
         /// The id.
         edge: String,
     },
     /// A walk begins or ends beyond the end of its edge.
-    #[error("{}: {position} m is not on the edge `{edge}`, which is {length} m long", path.display())]
+    #[error("{position} m is not on the edge `{edge}`, which is {length} m long")]
     OffEdge {
-        /// The net file.
-        path: PathBuf,
         /// The id.
         edge: String,
         /// Position from the start of the edge \[m\].
@@ -176,10 +152,10 @@ pub enum NetError {
     },
     /// Two consecutive edges of a walk are not connected by walking areas and crossings, except by
     /// turning round.
-    #[error("{}: no way on foot leads from the edge `{from}` straight to `{to}`: build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections), or name the edges between them", path.display())]
+    #[error(
+        "no walk leads from the edge `{from}` straight to `{to}`: build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections), or name the edges between them"
+    )]
     NotWalkable {
-        /// The net file.
-        path: PathBuf,
         /// Edge.
         from: String,
         /// The walk's next edge.
@@ -187,18 +163,14 @@ pub enum NetError {
     },
     /// Consecutive edges are connected, but only with lane changes between them, which a centre
     /// line cannot represent.
-    #[error("{}: the route `{route}` needs a lane change", path.display())]
+    #[error("the route `{route}` needs a lane change")]
     LaneChange {
-        /// The net file.
-        path: PathBuf,
         /// The route's edges, shortened if many.
         route: String,
     },
     /// The lanes of a route have more points than this program allows.
-    #[error("{}: a route of {points} points is longer than the {limit} that are allowed", path.display())]
+    #[error("a route of {points} points is longer than the {limit} that are allowed")]
     LongRoute {
-        /// The net file.
-        path: PathBuf,
         /// Number of points of the route's lanes.
         points: usize,
         /// Greatest number of points.
@@ -210,27 +182,27 @@ impl NetError {
     /// Returns advice for the user, where the message alone does not suggest what to do.
     #[must_use]
     pub fn hint(&self) -> Option<String> {
-        match self {
-            Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound => {
-                Some("build the net (`iwol scenario build`), or correct the file name".into())
+        Some(match &self.problem {
+            Problem::Read { source } if source.kind() == io::ErrorKind::NotFound => {
+                "build the net (`iwol scenario build`), or correct the file name".into()
             }
-            Self::Read { path, .. } if path.extension().is_some_and(|e| e == "gz") => {
-                Some("compressed nets are not read; unpack it with gunzip".into())
+            Problem::Read { .. } if self.path.extension().is_some_and(|e| e == "gz") => {
+                "compressed nets are not read; unpack it with gunzip".into()
             }
-            Self::NotNet { .. } => {
-                Some("give the .net.xml that netconvert writes, not its sources".into())
+            Problem::NotNet { .. } => {
+                "give the .net.xml that netconvert writes, not its sources".into()
             }
-            Self::Reference { .. }
-            | Self::Duplicate { .. }
-            | Self::Missing { .. }
-            | Self::Value { .. } => {
-                Some("build the net again with netconvert rather than editing it by hand".into())
+            Problem::Reference { .. }
+            | Problem::Duplicate { .. }
+            | Problem::Missing { .. }
+            | Problem::Value { .. } => {
+                "build the net again with netconvert rather than editing it by hand".into()
             }
-            Self::LaneChange { .. } => {
-                Some("split the route, or connect the lanes that it uses".into())
+            Problem::LaneChange { .. } => {
+                "split the route, or connect the lanes that it uses".into()
             }
-            _ => None,
-        }
+            _ => return None,
+        })
     }
 }
 

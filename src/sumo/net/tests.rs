@@ -4,7 +4,7 @@ use std::{f64::consts::FRAC_PI_2, path::Path as FilePath};
 
 use proptest::prelude::*;
 
-use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, XmlError, nearest};
+use super::{DEFAULT_LANE_WIDTH, EdgeFunction, Net, NetError, Path, Problem, XmlError, nearest};
 
 /// A net with two lanes before a bend: only lane 1 of `a` leads to `c`, over two chained internal
 /// lanes.
@@ -86,7 +86,7 @@ fn a_route_follows_chained_internal_lanes_from_the_lane_that_leads_on() {
 }
 
 #[test]
-fn sumos_count_of_a_way_can_be_taken_back() {
+fn sumos_distance_along_a_route_can_be_converted_back() {
     // Lane c_0 is 40 m long in SUMO, and its shape 20 m; the second internal lane is 5 m long in
     // SUMO, and its shape 15 m.
     let path = route(&["a", "c"]).unwrap();
@@ -143,7 +143,7 @@ fn the_gap_of_a_junction_without_internal_lanes_belongs_to_no_edge() {
 
 #[test]
 fn routes_that_cannot_be_driven_are_refused() {
-    assert!(matches!(route(&[]), Err(NetError::EmptyRoute { .. })));
+    assert!(matches!(route(&[]), Err(NetError { problem: Problem::EmptyRoute, .. })));
     assert_eq!(
         route(&["a", "cc"]).unwrap_err().to_string(),
         "x.net.xml: the net has no edge `cc`; did you mean `c`?"
@@ -178,7 +178,7 @@ fn broken_nets_are_refused_with_their_place() {
 #[test]
 fn entities_and_deep_nesting_are_harmless() {
     let bomb = "<!DOCTYPE net [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;'>]><net>&b;</net>";
-    assert!(matches!(parse(bomb), Err(NetError::Xml { .. })));
+    assert!(matches!(parse(bomb), Err(NetError { problem: Problem::Xml { .. }, .. })));
     assert!(parse(&"<net>".repeat(200_000)).is_err());
 }
 
@@ -192,17 +192,26 @@ fn more_than_the_parser_bears_is_refused_at_once() {
         "<a xmlns:a='a'/>".repeat(40_000)
     );
     let place = |text: &str| match parse(text).unwrap_err() {
-        NetError::Xml { line, column, source: XmlError::Excess { limit, .. }, .. } => {
-            (line, column, limit)
-        }
+        NetError {
+            place: Some((line, column)),
+            problem: Problem::Xml { source: XmlError::Excess { limit, .. } },
+            ..
+        } => (line, column, limit),
         error => panic!("{error}"),
     };
     assert_eq!(place(&attributes), (2, 2, 256));
     assert_eq!(place(&format!("<!-- don't -->\n{namespaces}")).0, 2);
-    // Quotes in texts, values and comments do not count as attributes.
+    let declaring = format!("<net>{}</net>", "<a xmlns:a='a'/>".repeat(65));
+    assert_eq!(place(&declaring), (1, 6 + 64 * 16, 64));
+    // Quotes in texts, values and comments do not count as attributes, nor `xmlns` there as a
+    // declaration.
     let text = NET.replace(
         "<location",
-        &format!("<!--{}--><a b=\"{}\">{0}</a><location", "\"'".repeat(999), "'".repeat(999)),
+        &format!(
+            "<!--{}--><a b=\"{}\">{0}</a><location",
+            "\"' a xmlns='a' xmlns:b='b'".repeat(999),
+            "'xmlns".repeat(999)
+        ),
     );
     assert!(parse(&text).is_ok());
 }
@@ -211,8 +220,11 @@ fn more_than_the_parser_bears_is_refused_at_once() {
 fn a_file_that_is_not_utf8_is_refused_with_the_place() {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), b"<net>\n \xc3\xa9\xe9</net>").unwrap();
-    let Err(NetError::Read { source, .. }) = Net::load(file.path()) else { panic!("read") };
-    assert_eq!(source.to_string(), "not UTF-8 at line 2, column 3");
+    let error = Net::load(file.path()).unwrap_err();
+    assert_eq!(
+        std::error::Error::source(&error).unwrap().to_string(),
+        "not UTF-8 at line 2, column 3"
+    );
 }
 
 #[test]
@@ -250,7 +262,7 @@ fn routes_of_very_many_points_are_refused() {
     assert!(net.route_path(&vec!["a".to_owned(); 32]).is_ok());
     assert!(matches!(
         net.route_path(&vec!["a".to_owned(); 33]),
-        Err(NetError::LongRoute { points: 67_584, .. })
+        Err(NetError { problem: Problem::LongRoute { points: 67_584, .. }, .. })
     ));
 }
 

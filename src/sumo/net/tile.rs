@@ -8,7 +8,7 @@ use std::{fmt::Write as _, path::Path as FilePath};
 
 use roxmltree::Node;
 
-use super::{NetError, xml};
+use super::{NetError, read::document};
 
 /// Free space between two copies, in addition to the diagonal of one copy \[m\].
 const GAP: f64 = 100.0;
@@ -36,13 +36,7 @@ pub fn tiled_id(world: u32, id: &str) -> String {
 /// As for [`super::Net::parse`].
 pub fn tile(text: &str, path: &FilePath, worlds: u32) -> Result<Tiled, NetError> {
     let net = super::Net::parse(text, path)?;
-    // `Net::parse` has already read the same text, so this cannot fail.
-    let document = xml::parse(text).map_err(|(source, at)| NetError::Xml {
-        path: path.into(),
-        line: at.row,
-        column: at.col,
-        source,
-    })?;
+    let document = document(text, path)?;
     let [low, high] = net.extent();
     let gap = GAP + (high[0] - low[0]).hypot(high[1] - low[1]);
     // Offsets are whole metres, so that the decimals of the coordinates stay the same.

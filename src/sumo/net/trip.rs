@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use super::{EdgeFunction, Net, NetError, shorten};
+use super::{EdgeFunction, Net, NetError, Problem, shorten};
 
 /// A lane, and the number of the trip's edges that have been reached there.
 type Node = (usize, usize);
@@ -13,14 +13,14 @@ impl Net {
     /// `stages`, passes all of them in order and ends on the last, without lane changes.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NotRoad`], or
-    /// [`NetError::NoTrip`] if no such route exists.
+    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`], or
+    /// [`Problem::NoTrip`] if no such route exists.
     pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
         let mut edges: Vec<usize> =
             stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
         edges.dedup();
         let Some(&first) = edges.first() else {
-            return Err(NetError::EmptyRoute { path: self.path.clone() });
+            return Err(self.error(Problem::EmptyRoute));
         };
         let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
         let mut open = BinaryHeap::new();
@@ -49,20 +49,19 @@ impl Net {
             }
         }
         let (from, to) = (shorten(&stages[0]), shorten(&stages[stages.len() - 1]));
-        Err(NetError::NoTrip { path: self.path.clone(), from, to })
+        Err(self.error(Problem::NoTrip { from, to }))
     }
 
     fn road(&self, id: &str) -> Result<usize, NetError> {
         self.edge_named(id)?;
-        self.edge_index(id).ok_or_else(|| NetError::EmptyRoute { path: self.path.clone() })
+        self.edge_index(id).ok_or_else(|| self.error(Problem::EmptyRoute))
     }
 
     /// Returns the edges of the route to a node, in driving order.
     fn edges_of(&self, last: Node, before: &HashMap<Node, (u64, Node)>) -> Vec<String> {
         let back = |node: &Node| Some(before[node].1).filter(|earlier| earlier != node);
-        let way = std::iter::successors(Some(last), back)
-            .map(|(lane, _)| &self.edges[self.lanes[lane].edge]);
-        let mut edges: Vec<String> = way
+        let mut edges: Vec<String> = std::iter::successors(Some(last), back)
+            .map(|(lane, _)| &self.edges[self.lanes[lane].edge])
             .filter(|edge| edge.function == EdgeFunction::Normal)
             .map(|edge| edge.id.clone())
             .collect();
@@ -76,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fastest_way_passes_all_stages() {
+    fn the_fastest_route_passes_all_stages() {
         let net = Net::load(std::path::Path::new("sumo_nets/intersection_turns/one_lane.net.xml"))
             .expect("the net");
         let trip =
@@ -84,7 +83,7 @@ mod tests {
         let ids: Vec<&str> = net.roads().map(|edge| edge.id.as_str()).collect();
         let mut longest = 0;
         for from in &ids {
-            assert_eq!(trip(&[from]).expect("a way along one edge"), [from.to_owned()]);
+            assert_eq!(trip(&[from]).expect("a route along one edge"), [from.to_owned()]);
             for to in ids.iter().filter(|to| *to != from) {
                 let Ok(edges) = trip(&[from, to]) else { continue };
                 assert_eq!((edges[0].as_str(), edges[edges.len() - 1].as_str()), (*from, *to));
@@ -94,12 +93,18 @@ mod tests {
         }
         assert!(longest >= 2);
         assert_eq!(trip(&[ids[0], ids[0]]).expect("there already"), [ids[0].to_owned()]);
-        assert!(matches!(trip(&[ids[0], "nowhere"]), Err(NetError::NoEdge { .. })));
+        assert!(matches!(
+            trip(&[ids[0], "nowhere"]),
+            Err(NetError { problem: Problem::NoEdge { .. }, .. })
+        ));
         // This net has no turns, so no route leads round a corner.
         let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml"))
             .expect("the net");
         let stages = |to: &str| ["west_in".to_owned(), to.to_owned()];
         assert_eq!(net.trip(&stages("east_out")).expect("straight on"), stages("east_out"));
-        assert!(matches!(net.trip(&stages("north_out")), Err(NetError::NoTrip { .. })));
+        assert!(matches!(
+            net.trip(&stages("north_out")),
+            Err(NetError { problem: Problem::NoTrip { .. }, .. })
+        ));
     }
 }

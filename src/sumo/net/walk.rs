@@ -4,7 +4,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use super::{EdgeFunction, MAX_POINTS, Net, NetError, Path, nearest, shorten};
+use super::{EdgeFunction, MAX_POINTS, Net, NetError, Path, Problem, shorten};
 
 /// A walk through a net.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,15 +39,15 @@ impl Net {
     /// the last edge, and a walk along a single edge goes in the edge's direction.
     ///
     /// # Errors
-    /// [`NetError::EmptyRoute`], [`NetError::NoEdge`], [`NetError::NoSidewalk`],
-    /// [`NetError::OffEdge`], [`NetError::NotWalkable`] or [`NetError::LongRoute`].
+    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NoSidewalk`],
+    /// [`Problem::OffEdge`], [`Problem::NotWalkable`] or [`Problem::LongRoute`].
     pub fn walk(
         &self,
         edges: &[String],
         depart: f64,
         arrival: Option<f64>,
     ) -> Result<Walk, NetError> {
-        let empty = || NetError::EmptyRoute { path: self.path.clone() };
+        let empty = || self.error(Problem::EmptyRoute);
         let lanes: Vec<usize> =
             edges.iter().map(|id| self.sidewalk(id)).collect::<Result<_, _>>()?;
         let (&first, &last) = (lanes.first().ok_or_else(empty)?, lanes.last().ok_or_else(empty)?);
@@ -57,12 +57,8 @@ impl Net {
         {
             if let Some(position) = at.filter(|at| !(0.0..=length(lane)).contains(at)) {
                 let edge = shorten(edge.map_or("", String::as_str));
-                return Err(NetError::OffEdge {
-                    path: self.path.clone(),
-                    edge,
-                    position,
-                    length: length(lane),
-                });
+                let length = length(lane);
+                return Err(self.error(Problem::OffEdge { edge, position, length }));
             }
         }
         let left = |backwards: bool| if backwards { depart } else { length(first) - depart };
@@ -83,13 +79,13 @@ impl Net {
         for (i, pair) in lanes.windows(2).enumerate() {
             let mut onward: Vec<Leg> = Vec::new();
             for backwards in [false, true] {
-                let joined = legs.iter().enumerate().filter_map(|(k, way)| {
+                let joined = legs.iter().enumerate().filter_map(|(k, leg)| {
                     let (metres, areas) =
-                        self.over_junction((pair[0], way.backwards), (pair[1], backwards), &links)?;
+                        self.over_junction((pair[0], leg.backwards), (pair[1], backwards), &links)?;
                     let more =
                         if i + 2 == lanes.len() { to_go(backwards) } else { length(pair[1]) };
                     Some(Leg {
-                        metres: way.metres + metres + more,
+                        metres: leg.metres + metres + more,
                         backwards,
                         before: Some((k, areas)),
                     })
@@ -98,16 +94,16 @@ impl Net {
             }
             if onward.is_empty() {
                 let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
-                return Err(NetError::NotWalkable { path: self.path.clone(), from, to });
+                return Err(self.error(Problem::NotWalkable { from, to }));
             }
             junctions.push(std::mem::replace(&mut legs, onward));
         }
-        let mut way =
+        let mut leg =
             legs.into_iter().min_by(|a, b| a.metres.total_cmp(&b.metres)).ok_or_else(empty)?;
-        let (mut directions, mut between) = (vec![way.backwards], Vec::new());
-        while let (Some((k, areas)), Some(mut earlier)) = (way.before, junctions.pop()) {
-            way = earlier.swap_remove(k);
-            directions.push(way.backwards);
+        let (mut directions, mut between) = (vec![leg.backwards], Vec::new());
+        while let (Some((k, areas)), Some(mut earlier)) = (leg.before, junctions.pop()) {
+            leg = earlier.swap_remove(k);
+            directions.push(leg.backwards);
             between.push(areas);
         }
         directions.reverse();
@@ -125,7 +121,7 @@ impl Net {
         }
         let points = steps.iter().map(|&(lane, _)| self.lanes[lane].shape.len()).sum();
         if points > MAX_POINTS {
-            return Err(NetError::LongRoute { path: self.path.clone(), points, limit: MAX_POINTS });
+            return Err(self.error(Problem::LongRoute { points, limit: MAX_POINTS }));
         }
         let path = Path::on_foot(self, &steps).ok_or_else(empty)?;
         let far =
@@ -140,14 +136,12 @@ impl Net {
                 && edge.lanes.clone().any(|lane| self.lanes[lane].pedestrians)
         };
         let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
-            let ids = self.edges.iter().filter(walkable).map(|edge| edge.id.as_str());
-            let nearest = nearest(id, ids).map(Into::into);
-            return Err(NetError::NoEdge { path: self.path.clone(), edge: shorten(id), nearest });
+            return Err(self.no_edge(id, self.edges.iter().filter(walkable)));
         };
         let lanes = || edge.lanes.clone().filter(|&lane| self.lanes[lane].pedestrians);
         let lane = lanes().find(|&lane| self.lanes[lane].is_sidewalk()).or_else(|| lanes().next());
         let lane = lane.filter(|_| edge.function == EdgeFunction::Normal);
-        lane.ok_or_else(|| NetError::NoSidewalk { path: self.path.clone(), edge: shorten(id) })
+        lane.ok_or_else(|| self.error(Problem::NoSidewalk { edge: shorten(id) }))
     }
 
     /// Returns the adjacent lanes of each lane for pedestrians, who walk in both directions: lanes
@@ -192,9 +186,9 @@ impl Net {
                 if next == to.0 {
                     let back =
                         |lane: &usize| Some(before[lane].1).filter(|&before| before != from.0);
-                    let mut way: Vec<usize> = std::iter::successors(Some(lane), back).collect();
-                    way.reverse();
-                    return Some((length as f64 / 1e3, way));
+                    let mut lanes: Vec<usize> = std::iter::successors(Some(lane), back).collect();
+                    lanes.reverse();
+                    return Some((length as f64 / 1e3, lanes));
                 }
                 let longer = length + millimetres(next);
                 if self.joins(next, junction)
@@ -237,33 +231,33 @@ mod tests {
     }
 
     #[test]
-    fn walks_go_both_ways_over_the_crossings_that_lie_between() {
+    fn walks_go_in_both_directions_over_the_crossings_that_lie_between() {
         let straight = walk("south_in north_out", 0.0).expect("over the eastern arm");
         let lanes = net();
         let length = |edge: &str| lanes.lanes[lanes.sidewalk(edge).expect("a sidewalk")].length;
         assert_eq!(straight.end, length("north_out"));
-        let way = straight.path.length();
-        assert!((90.0..110.0).contains(&way), "two sidewalks and a crossing: {way} m");
+        let metres = straight.path.length();
+        assert!((90.0..110.0).contains(&metres), "two sidewalks and a crossing: {metres} m");
         // The crossing of the eastern arm lies at x = 5.5.
         assert!(
             straight.path.points.contains(&[5.5, -3.5])
                 && straight.path.points.contains(&[5.5, 3.5])
         );
-        let back = walk("north_out south_in", length("north_out")).expect("the same way back");
+        let back = walk("north_out south_in", length("north_out")).expect("the same walk back");
         assert_eq!((back.end, straight.path.points.clone()), (0.0, reversed(&back.path)));
         let around = walk("west_in south_out east_out", 40.0);
         assert!(
-            matches!(around, Err(NetError::NotWalkable { .. })),
+            matches!(around, Err(NetError { problem: Problem::NotWalkable { .. }, .. })),
             "the south leads nowhere else"
         );
     }
 
     #[test]
-    fn the_way_depends_on_where_one_begins() {
+    fn the_walk_depends_on_where_it_begins() {
         // From the far end of the arm, the walk goes round that end; from near the junction, over
         // the crossing.
         let [far, near] =
-            [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a way").path);
+            [0.0, 30.0].map(|depart| walk("west_in west_out", depart).expect("a walk").path);
         assert!(
             near.points.contains(&[-5.5, 3.5]) && !far.points.contains(&[-5.5, 3.5]),
             "{:?}",
@@ -276,14 +270,20 @@ mod tests {
     }
 
     #[test]
-    fn ways_that_nobody_can_walk_are_refused() {
+    fn walks_that_are_not_possible_are_refused() {
         assert!(
-            matches!(walk("west_inn", 0.0), Err(NetError::NoEdge { nearest: Some(id), .. }) if id == "west_in")
+            matches!(walk("west_inn", 0.0), Err(NetError { problem: Problem::NoEdge { nearest: Some(id), .. }, .. }) if id == "west_in")
         );
-        assert!(matches!(walk(":centre_c0", 0.0), Err(NetError::NoSidewalk { .. })));
+        assert!(matches!(
+            walk(":centre_c0", 0.0),
+            Err(NetError { problem: Problem::NoSidewalk { .. }, .. })
+        ));
         assert!(net().walk(&[], 0.0, None).is_err());
         assert!(
-            matches!(walk("west_in west_out", 42.6), Err(NetError::OffEdge { .. })),
+            matches!(
+                walk("west_in west_out", 42.6),
+                Err(NetError { problem: Problem::OffEdge { .. }, .. })
+            ),
             "the edge has 42.5 m"
         );
         let beyond = net()
@@ -295,7 +295,7 @@ mod tests {
             .expect("the shipped net");
         assert!(matches!(
             bare.walk(&["west_in".into(), "west_out".into()], 0.0, None),
-            Err(NetError::NotWalkable { .. })
+            Err(NetError { problem: Problem::NotWalkable { .. }, .. })
         ));
     }
 }

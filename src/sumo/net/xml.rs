@@ -52,13 +52,15 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Option<String>> {
 /// The reason why the text cannot be read, and the position.
 pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     let excess = |what, limit, at| Err((XmlError::Excess { what, limit }, position(text, at)));
-    let mut tags =
-        text.match_indices('<').filter(|(at, _)| !text[at + 1..].starts_with(['!', '?']));
-    if let Some((at, _)) = tags.find(|(at, _)| attributes(&text[at + 1..]) > MAX_ATTRIBUTES) {
-        return excess("attributes in an element", MAX_ATTRIBUTES, at);
-    }
-    if let Some((at, _)) = text.match_indices("xmlns").nth(MAX_NAMESPACES) {
-        return excess("declarations of namespaces", MAX_NAMESPACES, at);
+    let mut namespaces = 0;
+    for tag in tags(text) {
+        namespaces += tag.namespaces;
+        if tag.attributes > MAX_ATTRIBUTES {
+            return excess("attributes in an element", MAX_ATTRIBUTES, tag.at);
+        }
+        if namespaces > MAX_NAMESPACES {
+            return excess("declarations of namespaces", MAX_NAMESPACES, tag.at);
+        }
     }
     Document::parse(text).map_err(|error| {
         let at = error.pos();
@@ -66,25 +68,48 @@ pub(crate) fn parse(text: &str) -> Result<Document<'_>, (XmlError, TextPos)> {
     })
 }
 
-/// Returns the number of attributes, at most [`MAX_ATTRIBUTES`] + 1, of the tag at the start of
-/// `text`, whose `<` has been removed.
-fn attributes(text: &str) -> usize {
-    let mut bytes = text.bytes();
-    let mut count = 0;
-    while count <= MAX_ATTRIBUTES {
-        match bytes.next() {
-            Some(quote @ (b'"' | b'\'')) => {
-                count += 1;
-                // Skips to the closing quote.
-                if !bytes.any(|byte| byte == quote) {
+/// A start tag.
+struct Tag {
+    /// Position of its `<`.
+    at: usize,
+    attributes: usize,
+    /// Number of the attributes that declare a namespace.
+    namespaces: usize,
+}
+
+/// Returns the start tags of a text; ends where the text is certainly not XML.
+fn tags(text: &str) -> impl Iterator<Item = Tag> {
+    const OTHERS: [(&str, &str); 5] =
+        [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>"), ("<!", ">"), ("</", ">")];
+    let mut rest = 0;
+    std::iter::from_fn(move || {
+        loop {
+            let at = rest + text[rest..].find('<')?;
+            let other = OTHERS.iter().find(|(begin, _)| text[at..].starts_with(begin));
+            if let Some((begin, end)) = other {
+                let inside = at + begin.len();
+                rest = inside + text[inside..].find(end)? + end.len();
+                continue;
+            }
+            let mut tag = Tag { at, attributes: 0, namespaces: 0 };
+            rest = at + 1;
+            while let Some(more) = text[rest..].find(['"', '\'', '<', '>']) {
+                let (name, end) = (&text[rest..rest + more], text.as_bytes()[rest + more]);
+                rest += more;
+                if matches!(end, b'<' | b'>') {
                     break;
                 }
+                let name = name.trim_end().trim_end_matches('=').split_whitespace().next_back();
+                let declares = name.is_some_and(|n| n == "xmlns" || n.starts_with("xmlns:"));
+                tag.attributes += 1;
+                tag.namespaces += usize::from(declares);
+                let value = rest + 1;
+                let closing = text[value..].find(char::from(end));
+                rest = closing.map_or(text.len(), |closing| value + closing + 1);
             }
-            None | Some(b'>' | b'<') => break,
-            Some(_) => {}
+            return Some(tag);
         }
-    }
-    count
+    })
 }
 
 fn position(text: &str, at: usize) -> TextPos {

@@ -1,11 +1,10 @@
 //! Calls that change vehicles.
 
-use super::Vehicle;
+use super::{DOMAIN, Vehicle};
 use crate::sumo::{
-    batch::Call,
     codec::Writer,
-    constants::{self as c, Domain},
-    domain::{Highlight, Scope, set},
+    constants as c,
+    domain::{Argument, Highlight, Scope},
 };
 
 /// A new vehicle, see [`Vehicle::add`]. Departure and arrival are strings because SUMO accepts
@@ -65,6 +64,29 @@ impl<'a> Addition<'a> {
     }
 }
 
+impl Argument for &Addition<'_> {
+    fn write(self, w: &mut Writer) {
+        w.compound(14);
+        for text in [
+            self.route,
+            self.vehicle_type,
+            self.depart,
+            self.depart_lane,
+            self.depart_pos,
+            self.depart_speed,
+            self.arrival_lane,
+            self.arrival_pos,
+            self.arrival_speed,
+            self.from_taz,
+            self.to_taz,
+            self.line,
+        ] {
+            w.string(text);
+        }
+        w.integer(self.person_capacity).integer(self.person_number);
+    }
+}
+
 /// A stop, see [`Vehicle::set_stop`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop<'a> {
@@ -120,6 +142,13 @@ impl<'a> Stop<'a> {
     }
 }
 
+impl Argument for &Stop<'_> {
+    fn write(self, w: &mut Writer) {
+        let Stop { place, pos, lane, duration, flags, start_pos, until } = *self;
+        (place, pos, lane, duration, flags.cast_signed(), start_pos, until).write(w);
+    }
+}
+
 /// A change of the planned stops, see [`Vehicle::replace_stop`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StopChange<'a> {
@@ -131,17 +160,11 @@ pub struct StopChange<'a> {
     pub teleport: i8,
 }
 
-impl StopChange<'_> {
-    fn write(&self, w: &mut Writer) {
+impl Argument for &StopChange<'_> {
+    fn write(self, w: &mut Writer) {
         let Stop { place, pos, lane, duration, flags, start_pos, until } = self.stop;
-        w.compound(9)
-            .string(place)
-            .double(pos)
-            .u8(c::TYPE_BYTE)
-            .u8(lane.cast_unsigned())
-            .double(duration);
-        w.integer(flags.into()).double(start_pos).double(until).integer(self.index);
-        w.u8(c::TYPE_BYTE).u8(self.teleport.cast_unsigned());
+        let (flags, index, teleport) = (i32::from(flags), self.index, self.teleport);
+        (place, pos, lane, duration, flags, start_pos, until, index, teleport).write(w);
     }
 }
 
@@ -160,6 +183,30 @@ pub struct Gap<'a> {
     pub max_decel: f64,
     /// The vehicle to which the gap is kept; empty: the leader.
     pub reference: &'a str,
+}
+
+impl Gap<'_> {
+    /// The end of the control of a gap.
+    const OFF: Gap<'static> = Gap {
+        time_headway: -1.0,
+        space_headway: -1.0,
+        duration: -1.0,
+        change_rate: -1.0,
+        max_decel: -1.0,
+        reference: "",
+    };
+}
+
+impl Argument for &Gap<'_> {
+    fn write(self, w: &mut Writer) {
+        let Gap { time_headway, space_headway, duration, change_rate, max_decel, reference } =
+            *self;
+        if reference.is_empty() {
+            (time_headway, space_headway, duration, change_rate, max_decel).write(w);
+        } else {
+            (time_headway, space_headway, duration, change_rate, max_decel, reference).write(w);
+        }
+    }
 }
 
 /// Options for how [`Vehicle::move_to_xy`] matches a position to the net.
@@ -191,11 +238,7 @@ impl Default for Placement<'_> {
     }
 }
 
-const fn call(name: &'static str, variable: u8) -> Call {
-    Call::set(name, Domain::VEHICLE, variable)
-}
-
-setters! { Vehicle, "vehicle", VEHICLE;
+setters! { Vehicle, "vehicle";
     /// Sends the vehicle to another parking area on its route.
     reroute_parking_area "rerouteParkingArea" 0xc2 [parking_area: &str];
     /// Sets a parameter of a stop ahead, by the index of the stop.
@@ -264,179 +307,54 @@ setters! { Vehicle, "vehicle", VEHICLE;
     /// Removes the vehicle. `reason`: 0: teleport, 1: parking, 2: arrived, 3: vaporized, 4: arrived
     /// by teleport.
     remove "remove" 0x81 (reason: i8);
+    /// Adds a vehicle.
+    add "add" 0x85 (addition: &Addition<'_>);
+    /// Adds a stop to the plan, or changes the stop that the plan has at the same place.
+    set_stop "setStop" 0x12 (stop: &Stop<'_>);
+    /// Like `set_stop`, at a bus stop, for a duration \[s\]; the vehicle departs at the time
+    /// `until` \[s\] at the earliest ([`c::INVALID_DOUBLE_VALUE`]: no limit).
+    set_bus_stop "setBusStop" 0x12
+        {stop: &str, duration: f64, until: f64}
+        => &Stop::at(stop, duration, until, Stop::BUS_STOP);
+    /// Like `set_bus_stop`, at a container stop.
+    set_container_stop "setContainerStop" 0x12
+        {stop: &str, duration: f64, until: f64}
+        => &Stop::at(stop, duration, until, Stop::CONTAINER_STOP);
+    /// Like `set_bus_stop`, at a charging station.
+    set_charging_station_stop "setChargingStationStop" 0x12
+        {stop: &str, duration: f64, until: f64}
+        => &Stop::at(stop, duration, until, Stop::CHARGING_STATION);
+    /// Like `set_bus_stop`, at a parking area.
+    set_parking_area_stop "setParkingAreaStop" 0x12
+        {area: &str, duration: f64, until: f64}
+        => &Stop::at(area, duration, until, Stop::PARKING_AREA | Stop::PARKING);
+    /// Replaces a stop ahead and adapts the route between the stops before and after it.
+    replace_stop "replaceStop" 0x17 (change: &StopChange<'_>);
+    /// Inserts a stop before the stop at the index and adapts the route. SUMO 1.15 may crash if
+    /// this call or [`Vehicle::replace_stop`] follows for the same vehicle.
+    insert_stop "insertStop" 0x18 (change: &StopChange<'_>);
+    /// Changes lanes to the left by `offset` (negative: to the right), and keeps the vehicle there
+    /// for a duration \[s\].
+    change_lane_relative "changeLaneRelative" 0x13
+        {offset: i8, duration: f64} => (offset, duration, 1_i8);
+    /// Opens a gap to the leader.
+    open_gap "openGap" 0x16 (gap: &Gap<'_>);
+    /// Ends the control of a gap that was opened.
+    deactivate_gap_control "deactivateGapControl" 0x16 {} => &Gap::OFF;
+    /// Draws a circle around the vehicle in the graphical interface.
+    highlight "highlight" 0x6c (highlight: &Highlight);
+    /// Moves the centre of the front bumper to a position \[m\], after the movement of the next
+    /// step.
+    move_to_xy "moveToXY" 0xb4 {position: [f64; 2], placement: &Placement<'_>} => {
+        let Placement { edge, lane, angle, keep_route, match_threshold } = *placement;
+        let [x, y] = position;
+        (edge, lane, x, y, angle, keep_route.cast_signed(), match_threshold)
+    };
 }
 
 impl<S: Scope> Vehicle<'_, S> {
-    /// Adds a vehicle.
-    pub fn add(&mut self, id: &str, addition: &Addition<'_>) -> S::Output<()> {
-        set(self.0, call("vehicle.add", 0x85), id, |w| {
-            w.compound(14);
-            for text in [
-                addition.route,
-                addition.vehicle_type,
-                addition.depart,
-                addition.depart_lane,
-                addition.depart_pos,
-                addition.depart_speed,
-                addition.arrival_lane,
-                addition.arrival_pos,
-                addition.arrival_speed,
-                addition.from_taz,
-                addition.to_taz,
-                addition.line,
-            ] {
-                w.string(text);
-            }
-            w.integer(addition.person_capacity).integer(addition.person_number);
-        })
-    }
-
-    /// Adds a stop to the plan, or changes the stop that the plan has at the same place.
-    pub fn set_stop(&mut self, id: &str, stop: &Stop<'_>) -> S::Output<()> {
-        self.stop("vehicle.setStop", id, stop)
-    }
-
-    /// Like `set_stop`, at a bus stop, for a duration \[s\]; the vehicle departs at the time
-    /// `until` \[s\] at the earliest ([`c::INVALID_DOUBLE_VALUE`]: no limit).
-    pub fn set_bus_stop(
-        &mut self,
-        id: &str,
-        stop: &str,
-        duration: f64,
-        until: f64,
-    ) -> S::Output<()> {
-        self.stop("vehicle.setBusStop", id, &Stop::at(stop, duration, until, Stop::BUS_STOP))
-    }
-
-    /// Like `set_bus_stop`, at a container stop.
-    pub fn set_container_stop(
-        &mut self,
-        id: &str,
-        stop: &str,
-        duration: f64,
-        until: f64,
-    ) -> S::Output<()> {
-        self.stop(
-            "vehicle.setContainerStop",
-            id,
-            &Stop::at(stop, duration, until, Stop::CONTAINER_STOP),
-        )
-    }
-
-    /// Like `set_bus_stop`, at a charging station.
-    pub fn set_charging_station_stop(
-        &mut self,
-        id: &str,
-        stop: &str,
-        duration: f64,
-        until: f64,
-    ) -> S::Output<()> {
-        let stop = Stop::at(stop, duration, until, Stop::CHARGING_STATION);
-        self.stop("vehicle.setChargingStationStop", id, &stop)
-    }
-
-    /// Like `set_bus_stop`, at a parking area.
-    pub fn set_parking_area_stop(
-        &mut self,
-        id: &str,
-        area: &str,
-        duration: f64,
-        until: f64,
-    ) -> S::Output<()> {
-        let stop = Stop::at(area, duration, until, Stop::PARKING_AREA | Stop::PARKING);
-        self.stop("vehicle.setParkingAreaStop", id, &stop)
-    }
-
-    fn stop(&mut self, name: &'static str, id: &str, stop: &Stop<'_>) -> S::Output<()> {
-        set(self.0, call(name, 0x12), id, |w| {
-            let Stop { place, pos, lane, duration, flags, start_pos, until } = *stop;
-            w.compound(7)
-                .string(place)
-                .double(pos)
-                .u8(c::TYPE_BYTE)
-                .u8(lane.cast_unsigned())
-                .double(duration);
-            w.u8(c::TYPE_BYTE).u8(flags).double(start_pos).double(until);
-        })
-    }
-
-    /// Replaces a stop ahead and adapts the route between the stops before and after it.
-    pub fn replace_stop(&mut self, id: &str, change: &StopChange<'_>) -> S::Output<()> {
-        set(self.0, call("vehicle.replaceStop", 0x17), id, |w| change.write(w))
-    }
-
-    /// Inserts a stop before the stop at the index and adapts the route. SUMO 1.15 may crash if
-    /// this call or [`Vehicle::replace_stop`] follows for the same vehicle.
-    pub fn insert_stop(&mut self, id: &str, change: &StopChange<'_>) -> S::Output<()> {
-        set(self.0, call("vehicle.insertStop", 0x18), id, |w| change.write(w))
-    }
-
-    /// Changes lanes to the left by `offset` (negative: to the right), and keeps the vehicle there
-    /// for a duration \[s\].
-    pub fn change_lane_relative(&mut self, id: &str, offset: i8, duration: f64) -> S::Output<()> {
-        set(self.0, call("vehicle.changeLaneRelative", 0x13), id, |w| {
-            w.compound(3).u8(c::TYPE_BYTE).u8(offset.cast_unsigned()).double(duration);
-            w.u8(c::TYPE_BYTE).u8(1);
-        })
-    }
-
-    /// Opens a gap to the leader.
-    pub fn open_gap(&mut self, id: &str, gap: &Gap<'_>) -> S::Output<()> {
-        self.gap("vehicle.openGap", id, gap)
-    }
-
-    /// Ends the control of a gap that was opened.
-    pub fn deactivate_gap_control(&mut self, id: &str) -> S::Output<()> {
-        let off = -1.0;
-        let gap = Gap {
-            time_headway: off,
-            space_headway: off,
-            duration: off,
-            change_rate: off,
-            max_decel: off,
-            reference: "",
-        };
-        self.gap("vehicle.deactivateGapControl", id, &gap)
-    }
-
-    fn gap(&mut self, name: &'static str, id: &str, gap: &Gap<'_>) -> S::Output<()> {
-        set(self.0, call(name, 0x16), id, |w| {
-            w.compound(if gap.reference.is_empty() { 5 } else { 6 });
-            w.double(gap.time_headway).double(gap.space_headway).double(gap.duration);
-            w.double(gap.change_rate).double(gap.max_decel);
-            if !gap.reference.is_empty() {
-                w.string(gap.reference);
-            }
-        })
-    }
-
     /// Requests that the driver take over from the automation within a time \[s\].
     pub fn request_toc(&mut self, id: &str, lead_time: f64) -> S::Output<()> {
         self.set_parameter(id, "device.toc.requestToC", &lead_time.to_string())
-    }
-
-    /// Draws a circle around the vehicle in the graphical interface.
-    pub fn highlight(&mut self, id: &str, highlight: &Highlight) -> S::Output<()> {
-        set(self.0, call("vehicle.highlight", 0x6c), id, |w| highlight.write(w))
-    }
-
-    /// Moves the centre of the front bumper to a position \[m\], after the movement of the next
-    /// step.
-    pub fn move_to_xy(
-        &mut self,
-        id: &str,
-        position: [f64; 2],
-        placement: &Placement<'_>,
-    ) -> S::Output<()> {
-        set(self.0, call("vehicle.moveToXY", 0xb4), id, |w| {
-            let Placement { edge, lane, angle, keep_route, match_threshold } = *placement;
-            w.compound(7)
-                .string(edge)
-                .integer(lane)
-                .double(position[0])
-                .double(position[1])
-                .double(angle);
-            w.u8(c::TYPE_BYTE).u8(keep_route).double(match_threshold);
-        })
     }
 }

@@ -7,29 +7,25 @@ use crate::sumo::{
     batch::{Batch, Call},
     codec::Writer,
     constants::CMD_ADD_SUBSCRIPTION_FILTER,
-    domain::{Scope, done},
+    domain::{Argument, Scope, done, value::Nothing},
 };
 
 const LANES: u8 = 0x01;
-const NO_OPPOSITE: u8 = 0x02;
-const DOWNSTREAM_DISTANCE: u8 = 0x03;
-const UPSTREAM_DISTANCE: u8 = 0x04;
 const LEAD_FOLLOW: u8 = 0x05;
-const TURN: u8 = 0x07;
-const VEHICLE_CLASS: u8 = 0x08;
-const VEHICLE_TYPE: u8 = 0x09;
-const FIELD_OF_VISION: u8 = 0x0a;
-const LATERAL_DISTANCE: u8 = 0x0b;
 
-fn push(batch: &mut Batch, name: &'static str, filter: u8, content: impl FnOnce(&mut Writer)) {
+fn push(batch: &mut Batch, name: &'static str, filter: u8, argument: impl Argument) {
     batch.command(Call::new(name, CMD_ADD_SUBSCRIPTION_FILTER), |w| {
         w.u8(filter);
-        content(w);
+        argument.write(w);
     });
 }
 
-fn push_lanes(batch: &mut Batch, name: &'static str, lanes: &[i8]) {
-    push(batch, name, LANES, |w| {
+/// Lanes relative to the vehicle's own.
+struct Lanes<'a>(&'a [i8]);
+
+impl Argument for Lanes<'_> {
+    fn write(self, w: &mut Writer) {
+        let Lanes(lanes) = self;
         let once = || lanes.iter().enumerate().filter(|(i, lane)| !lanes[..*i].contains(lane));
         // The number of lanes fits into a byte: there are only 256 different `i8` values, and an
         // edge has fewer lanes than that.
@@ -37,35 +33,60 @@ fn push_lanes(batch: &mut Batch, name: &'static str, lanes: &[i8]) {
         for (_, lane) in once() {
             w.u8(lane.cast_unsigned());
         }
-    });
+    }
+}
+
+/// Defines filters; the columns are as in [`setters`].
+macro_rules! filters {
+    ($(
+        $(#[$doc:meta])* $method:ident $sumo:literal $filter:literal
+        $(($argument:ident: $kind:ty))? $({$given:ident: $given_kind:ty} => $value:expr)?;
+    )+) => {
+        impl<S: Scope> Vehicle<'_, S> {
+            $(
+                $(#[$doc])*
+                pub fn $method(
+                    &mut self,
+                    $($argument: $kind)? $($given: $given_kind)?
+                ) -> S::Output<()> {
+                    let name = concat!("vehicle.", $sumo);
+                    let argument = arguments!($(($argument))? $({$value})?);
+                    self.0.request(|batch| push(batch, name, $filter, argument), done)
+                }
+            )+
+        }
+    };
+}
+
+filters! {
+    /// Restricts the subscription to vehicles on given lanes: 0 is the vehicle's own lane, -1 the
+    /// next lane to the right, 1 the next lane to the left…
+    add_subscription_filter_lanes "addSubscriptionFilterLanes" 0x01 {lanes: &[i8]} => Lanes(lanes);
+    /// Excludes vehicles on the lanes of the opposite direction.
+    add_subscription_filter_no_opposite "addSubscriptionFilterNoOpposite" 0x02;
+    /// Sets how far ahead along the roads SUMO looks for vehicles \[m\].
+    add_subscription_filter_downstream_distance "addSubscriptionFilterDownstreamDistance" 0x03
+        (distance: f64);
+    /// Sets how far behind along the roads SUMO looks for vehicles \[m\].
+    add_subscription_filter_upstream_distance "addSubscriptionFilterUpstreamDistance" 0x04
+        (distance: f64);
+    /// Restricts the subscription to vehicles that approach the same junctions on conflicting
+    /// links, up to a distance before the junction \[m\].
+    add_subscription_filter_turn "addSubscriptionFilterTurn" 0x07 (foe_distance_to_junction: f64);
+    /// Restricts the subscription to vehicles of these classes.
+    add_subscription_filter_vclass "addSubscriptionFilterVClass" 0x08 (classes: &[impl AsRef<str>]);
+    /// Restricts the subscription to vehicles of these types.
+    add_subscription_filter_vtype "addSubscriptionFilterVType" 0x09 (types: &[impl AsRef<str>]);
+    /// Restricts the subscription to vehicles within an angle that opens ahead \[deg\].
+    add_subscription_filter_field_of_vision "addSubscriptionFilterFieldOfVision" 0x0a
+        (opening_angle: f64);
+    /// Restricts the subscription to vehicles up to a lateral distance from the vehicle's route
+    /// \[m\].
+    add_subscription_filter_lateral_distance "addSubscriptionFilterLateralDistance" 0x0b
+        (distance: f64);
 }
 
 impl<S: Scope> Vehicle<'_, S> {
-    /// Restricts the subscription to vehicles on given lanes: 0 is the vehicle's own lane, -1 the
-    /// next lane to the right, 1 the next lane to the left…
-    pub fn add_subscription_filter_lanes(&mut self, lanes: &[i8]) -> S::Output<()> {
-        self.0.request(|batch| push_lanes(batch, "vehicle.addSubscriptionFilterLanes", lanes), done)
-    }
-
-    /// Excludes vehicles on the lanes of the opposite direction.
-    pub fn add_subscription_filter_no_opposite(&mut self) -> S::Output<()> {
-        self.filter("vehicle.addSubscriptionFilterNoOpposite", NO_OPPOSITE, |_| {})
-    }
-
-    /// Sets how far ahead along the roads SUMO looks for vehicles \[m\].
-    pub fn add_subscription_filter_downstream_distance(&mut self, distance: f64) -> S::Output<()> {
-        self.distance(
-            "vehicle.addSubscriptionFilterDownstreamDistance",
-            DOWNSTREAM_DISTANCE,
-            distance,
-        )
-    }
-
-    /// Sets how far behind along the roads SUMO looks for vehicles \[m\].
-    pub fn add_subscription_filter_upstream_distance(&mut self, distance: f64) -> S::Output<()> {
-        self.distance("vehicle.addSubscriptionFilterUpstreamDistance", UPSTREAM_DISTANCE, distance)
-    }
-
     /// Restricts the subscription to the leader and the follower on the vehicle's own lane, which
     /// matter for car following.
     pub fn add_subscription_filter_cf_maneuver(&mut self) -> S::Output<()> {
@@ -88,56 +109,10 @@ impl<S: Scope> Vehicle<'_, S> {
         self.lead_follow("vehicle.addSubscriptionFilterLeadFollow", lanes)
     }
 
-    /// Restricts the subscription to vehicles that approach the same junctions on conflicting
-    /// links, up to a distance before the junction \[m\].
-    pub fn add_subscription_filter_turn(&mut self, foe_distance_to_junction: f64) -> S::Output<()> {
-        self.distance("vehicle.addSubscriptionFilterTurn", TURN, foe_distance_to_junction)
-    }
-
-    /// Restricts the subscription to vehicles of these classes.
-    pub fn add_subscription_filter_vclass(&mut self, classes: &[impl AsRef<str>]) -> S::Output<()> {
-        self.filter("vehicle.addSubscriptionFilterVClass", VEHICLE_CLASS, |w| {
-            w.string_list(classes);
-        })
-    }
-
-    /// Restricts the subscription to vehicles of these types.
-    pub fn add_subscription_filter_vtype(&mut self, types: &[impl AsRef<str>]) -> S::Output<()> {
-        self.filter("vehicle.addSubscriptionFilterVType", VEHICLE_TYPE, |w| {
-            w.string_list(types);
-        })
-    }
-
-    /// Restricts the subscription to vehicles within an angle that opens ahead \[deg\].
-    pub fn add_subscription_filter_field_of_vision(&mut self, opening_angle: f64) -> S::Output<()> {
-        self.distance("vehicle.addSubscriptionFilterFieldOfVision", FIELD_OF_VISION, opening_angle)
-    }
-
-    /// Restricts the subscription to vehicles up to a lateral distance from the vehicle's route
-    /// \[m\].
-    pub fn add_subscription_filter_lateral_distance(&mut self, distance: f64) -> S::Output<()> {
-        self.distance("vehicle.addSubscriptionFilterLateralDistance", LATERAL_DISTANCE, distance)
-    }
-
-    fn filter(
-        &mut self,
-        name: &'static str,
-        filter: u8,
-        content: impl FnOnce(&mut Writer),
-    ) -> S::Output<()> {
-        self.0.request(|batch| push(batch, name, filter, content), done)
-    }
-
-    fn distance(&mut self, name: &'static str, filter: u8, distance: f64) -> S::Output<()> {
-        self.filter(name, filter, |w| {
-            w.double(distance);
-        })
-    }
-
     fn lead_follow(&mut self, name: &'static str, lanes: &[i8]) -> S::Output<()> {
         let fill = |batch: &mut Batch| {
-            push(batch, name, LEAD_FOLLOW, |_| {});
-            push_lanes(batch, name, lanes);
+            push(batch, name, LEAD_FOLLOW, Nothing);
+            push(batch, name, LANES, Lanes(lanes));
         };
         self.0.request(fill, done)
     }

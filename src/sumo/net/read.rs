@@ -1,0 +1,300 @@
+//! Reads a net from the XML of its file.
+
+use std::{
+    collections::{HashMap, HashSet},
+    path::Path as FilePath,
+};
+
+use roxmltree::{Document, Node};
+
+use super::{
+    Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError, Problem,
+    nearest, shorten, xml,
+};
+
+/// Maximum size of a net file \[bytes\].
+const MAX_BYTES: u64 = 256 << 20;
+
+/// Minimum length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
+const MIN_LENGTH: f64 = 1e-3;
+
+/// SUMO's vehicle class of the vehicles in this program.
+const CARS: &str = "passenger";
+
+/// SUMO's vehicle class of pedestrians.
+const PEDESTRIANS: &str = "pedestrian";
+
+/// Maximum magnitude of any number in a net; keeps sums and products finite.
+const MAX_NUMBER: f64 = 1e9;
+
+impl Net {
+    /// Returns the text of a net file.
+    pub(in crate::sumo) fn text(path: &FilePath) -> Result<String, NetError> {
+        let text = xml::read(path, MAX_BYTES)
+            .map_err(|source| error(path, None, Problem::Read { source }))?;
+        text.ok_or_else(|| error(path, None, Problem::TooLarge { limit: MAX_BYTES }))
+    }
+
+    /// Reads a net from its text; `path` is for messages only.
+    ///
+    /// # Errors
+    /// As [`Net::load`].
+    pub fn parse(text: &str, path: &FilePath) -> Result<Self, NetError> {
+        Reader { path, document: &document(text, path)? }.net()
+    }
+}
+
+/// Reads the XML of a net file.
+pub(super) fn document<'t>(text: &'t str, path: &FilePath) -> Result<Document<'t>, NetError> {
+    xml::parse(text)
+        .map_err(|(source, at)| error(path, Some((at.row, at.col)), Problem::Xml { source }))
+}
+
+fn error(path: &FilePath, place: Option<(u32, u32)>, problem: Problem) -> NetError {
+    NetError { path: path.into(), place, problem }
+}
+
+/// Turns the elements of a net file into a [`Net`].
+struct Reader<'a, 'input> {
+    path: &'a FilePath,
+    document: &'a Document<'input>,
+}
+
+impl Reader<'_, '_> {
+    fn net(&self) -> Result<Net, NetError> {
+        let root = self.document.root_element();
+        if root.tag_name().name() != "net" {
+            let found = shorten(root.tag_name().name());
+            return Err(self.error(root.range().start, Problem::NotNet { found }));
+        }
+        let mut net = Net {
+            path: self.path.into(),
+            lanes: Vec::new(),
+            edges: Vec::new(),
+            junctions: Vec::new(),
+            connections: Vec::new(),
+            boundary: self.boundary(root)?,
+            edge_by_id: HashMap::new(),
+            leaving: Vec::new(),
+        };
+        let mut lane_by_id = HashMap::new();
+        for node in elements(root, "edge") {
+            self.edge(node, &mut net, &mut lane_by_id)?;
+        }
+        let mut junction_ids = HashSet::new();
+        for node in elements(root, "junction") {
+            let junction = Junction {
+                id: self.text(node, "id")?.into(),
+                kind: node.attribute("type").unwrap_or_default().into(),
+                x: self.number(node, "x", f64::NEG_INFINITY)?,
+                y: self.number(node, "y", f64::NEG_INFINITY)?,
+                shape: self.points(node, 0)?,
+            };
+            if !junction_ids.insert(junction.id.clone()) {
+                return Err(self.duplicate(node, "junction", &junction.id));
+            }
+            net.junctions.push(junction);
+        }
+        net.leaving = vec![Vec::new(); net.lanes.len()];
+        for node in elements(root, "connection") {
+            let via = node.attribute("via").map(|id| {
+                let &lane = lane_by_id.get(id).ok_or_else(|| {
+                    self.reference(node, "via", id, lane_by_id.keys().map(String::as_str))
+                })?;
+                if net.edges[net.lanes[lane].edge].function == EdgeFunction::Normal {
+                    return Err(self.value(node, "via", "a lane within a junction"));
+                }
+                Ok(lane)
+            });
+            let via = via.transpose()?;
+            let from = self.lane_end(node, &net, "from", "fromLane")?;
+            let to = self.lane_end(node, &net, "to", "toLane")?;
+            let dir = node.attribute("dir").unwrap_or_default().to_owned();
+            net.leaving[from].push(net.connections.len());
+            net.connections.push(Connection { from, to, via, dir });
+        }
+        Ok(net)
+    }
+
+    fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
+        let location = elements(root, "location")
+            .next()
+            .ok_or_else(|| self.missing(root, "the element <location>"))?;
+        let text = self.text(location, "convBoundary")?;
+        let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
+        match numbers.as_deref() {
+            Some(&[x0, y0, x1, y1]) if x0 <= x1 && y0 <= y1 => Ok([[x0, y0], [x1, y1]]),
+            _ => Err(self.value(location, "convBoundary", "left,bottom,right,top")),
+        }
+    }
+
+    fn edge(
+        &self,
+        node: Node,
+        net: &mut Net,
+        lane_by_id: &mut HashMap<String, usize>,
+    ) -> Result<(), NetError> {
+        let id = self.text(node, "id")?.to_owned();
+        let edge = net.edges.len();
+        let start = net.lanes.len();
+        for lane_node in elements(node, "lane") {
+            let lane = self.lane(lane_node, edge)?;
+            if lane.index as usize != net.lanes.len() - start {
+                let allowed = "lanes numbered 0, 1, 2, ... in this order";
+                return Err(self.value(lane_node, "index", allowed));
+            }
+            if lane_by_id.insert(lane.id.clone(), net.lanes.len()).is_some() {
+                return Err(self.duplicate(lane_node, "lane", &lane.id));
+            }
+            net.lanes.push(lane);
+        }
+        if net.lanes.len() == start {
+            return Err(self.missing(node, "the element <lane>"));
+        }
+        if net.edge_by_id.insert(id.clone(), edge).is_some() {
+            return Err(self.duplicate(node, "edge", &id));
+        }
+        net.edges.push(Edge {
+            id,
+            from: node.attribute("from").map(Into::into),
+            to: node.attribute("to").map(Into::into),
+            function: match node.attribute("function") {
+                None | Some("normal") => EdgeFunction::Normal,
+                Some("internal") => EdgeFunction::Internal,
+                Some("crossing") => EdgeFunction::Crossing,
+                Some("walkingarea") => EdgeFunction::WalkingArea,
+                Some(_) => EdgeFunction::Other,
+            },
+            lanes: start..net.lanes.len(),
+        });
+        Ok(())
+    }
+
+    fn lane(&self, node: Node, edge: usize) -> Result<Lane, NetError> {
+        Ok(Lane {
+            id: self.text(node, "id")?.into(),
+            edge,
+            index: self.integer(node, "index")?,
+            speed: self.number(node, "speed", 0.0)?,
+            length: self.number(node, "length", MIN_LENGTH)?,
+            width: match node.attribute("width") {
+                None => DEFAULT_LANE_WIDTH,
+                Some(_) => self.number(node, "width", 0.0)?,
+            },
+            shape: self.points(node, 2)?,
+            cars: allows(node, CARS),
+            pedestrians: allows(node, PEDESTRIANS),
+        })
+    }
+
+    /// Returns the lane to which the edge id and the lane index of a connection refer.
+    fn lane_end(
+        &self,
+        node: Node,
+        net: &Net,
+        edge_key: &str,
+        lane_key: &str,
+    ) -> Result<usize, NetError> {
+        let id = self.text(node, edge_key)?;
+        let Some(edge) = net.edge_index(id) else {
+            let valid = net.edges.iter().map(|e| e.id.as_str());
+            return Err(self.reference(node, edge_key, id, valid));
+        };
+        let index = self.integer(node, lane_key)?;
+        let lane = net.edges[edge].lanes.clone().nth(index as usize);
+        lane.ok_or_else(|| self.reference(node, lane_key, &index.to_string(), std::iter::empty()))
+    }
+
+    fn text<'n>(&self, node: Node<'n, '_>, key: &str) -> Result<&'n str, NetError> {
+        node.attribute(key).ok_or_else(|| self.missing(node, &format!("the attribute `{key}`")))
+    }
+
+    fn number(&self, node: Node, key: &str, least: f64) -> Result<f64, NetError> {
+        let number = finite(self.text(node, key)?).filter(|&n| n >= least);
+        let allowed = match least {
+            0.0 => "a number of at least 0",
+            f64::NEG_INFINITY => "a number",
+            _ => "a number of at least 0.001",
+        };
+        number.ok_or_else(|| self.value(node, key, allowed))
+    }
+
+    fn integer(&self, node: Node, key: &str) -> Result<u32, NetError> {
+        self.text(node, key)?
+            .parse()
+            .map_err(|_| self.value(node, key, "a whole number of at least 0"))
+    }
+
+    /// Reads the attribute `shape`: points `x,y` or `x,y,z`, separated by spaces.
+    fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
+        let text = if least == 0 {
+            node.attribute("shape").unwrap_or_default()
+        } else {
+            self.text(node, "shape")?
+        };
+        let point = |text: &str| {
+            let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
+            matches!(numbers.len(), 2 | 3).then(|| [numbers[0], numbers[1]])
+        };
+        let points: Option<Vec<_>> = text.split_whitespace().map(point).collect();
+        let points = points.filter(|points| points.len() >= least);
+        points.ok_or_else(|| {
+            self.value(node, "shape", "points x,y separated by spaces, two or more for a lane")
+        })
+    }
+
+    fn error(&self, offset: usize, problem: Problem) -> NetError {
+        let at = self.document.text_pos_at(offset);
+        error(self.path, Some((at.row, at.col)), problem)
+    }
+
+    /// Returns an error at an attribute of an element, or at the element if it lacks the attribute.
+    fn error_at(&self, node: Node, key: &str, problem: Problem) -> NetError {
+        let attribute = node.attribute_node(key);
+        self.error(attribute.map_or(node.range().start, |a| a.range().start), problem)
+    }
+
+    fn missing(&self, node: Node, what: &str) -> NetError {
+        let element = node.tag_name().name().to_owned();
+        self.error(node.range().start, Problem::Missing { element, what: what.into() })
+    }
+
+    fn value(&self, node: Node, key: &str, allowed: &'static str) -> NetError {
+        let value = shorten(node.attribute(key).unwrap_or_default());
+        let element = node.tag_name().name().into();
+        self.error_at(node, key, Problem::Value { element, key: key.into(), value, allowed })
+    }
+
+    fn reference<'v>(
+        &self,
+        node: Node,
+        key: &str,
+        value: &str,
+        valid: impl Iterator<Item = &'v str>,
+    ) -> NetError {
+        let nearest = nearest(value, valid).map(Into::into);
+        let (key_name, value) = (key.into(), shorten(value));
+        self.error_at(node, key, Problem::Reference { key: key_name, value, nearest })
+    }
+
+    fn duplicate(&self, node: Node, kind: &'static str, id: &str) -> NetError {
+        self.error_at(node, "id", Problem::Duplicate { kind, id: shorten(id) })
+    }
+}
+
+/// Whether a vehicle class may use a lane.
+fn allows(lane: Node, class: &str) -> bool {
+    let named = |list: &str| list.split_whitespace().any(|name| name == "all" || name == class);
+    lane.attribute("allow").is_none_or(named) && !lane.attribute("disallow").is_some_and(named)
+}
+
+fn elements<'a, 'i>(
+    parent: Node<'a, 'i>,
+    name: &'static str,
+) -> impl Iterator<Item = Node<'a, 'i>> {
+    parent.children().filter(move |n| n.is_element() && n.tag_name().name() == name)
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.trim().parse::<f64>().ok().filter(|n| n.abs() <= MAX_NUMBER)
+}

@@ -1,0 +1,110 @@
+//! The lanes and the paths of routes.
+
+use std::collections::{HashMap, HashSet};
+
+use super::{Connection, Edge, EdgeFunction, MAX_POINTS, Net, NetError, Path, Problem, shorten};
+
+impl Net {
+    /// Returns the path of a route: the centre lines of its lanes from edge to edge along
+    /// connections, including internal lanes.
+    ///
+    /// Of the lanes from which the rest of the route can be driven without a lane change, the path
+    /// takes the rightmost one.
+    ///
+    /// # Errors
+    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`],
+    /// [`Problem::NotConnected`], [`Problem::LaneChange`] or [`Problem::LongRoute`].
+    pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
+        self.route_path_from(edges, None)
+    }
+
+    /// Returns the path of a route that starts on a given lane of the first edge, counted from the
+    /// right and starting at 0; `None`: on any lane, as [`Net::route_path`].
+    ///
+    /// # Errors
+    /// As [`Net::route_path`], with [`Problem::LaneChange`] if the route cannot be driven from
+    /// that lane.
+    pub fn route_path_from(&self, edges: &[String], lane: Option<u32>) -> Result<Path, NetError> {
+        let lanes = self.route_lanes(edges, lane)?;
+        let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
+        if points > MAX_POINTS {
+            return Err(self.error(Problem::LongRoute { points, limit: MAX_POINTS }));
+        }
+        Path::through(self, &lanes).ok_or_else(|| self.error(Problem::EmptyRoute))
+    }
+
+    /// Returns the lanes of a route in driving order, with the internal lanes between those of its
+    /// edges.
+    fn route_lanes(&self, edges: &[String], first: Option<u32>) -> Result<Vec<usize>, NetError> {
+        let Some(last) = edges.len().checked_sub(1) else {
+            return Err(self.error(Problem::EmptyRoute));
+        };
+        let route: Vec<&Edge> =
+            edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
+        // From the last edge to the first: for each lane, the best connection from which the
+        // route's end can be reached.
+        let mut onward: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
+        for i in (0..last).rev() {
+            let next = &route[i + 1].lanes;
+            let mut connected = false;
+            for lane in route[i].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
+                let connections = self
+                    .connections_from(lane)
+                    .filter(|c| next.contains(&c.to) && self.lanes[c.to].cars)
+                    .inspect(|_| connected = true);
+                let reaches_end = |c: &&Connection| {
+                    onward.get(i + 1).is_none_or(|later| later.contains_key(&c.to))
+                };
+                if let Some(best) = connections.filter(reaches_end).min_by_key(|c| c.to) {
+                    onward[i].insert(lane, best);
+                }
+            }
+            if !connected {
+                let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
+                return Err(self.error(Problem::NotConnected { from, to }));
+            }
+        }
+        let lane_change = || self.error(Problem::LaneChange { route: shorten(&edges.join(" ")) });
+        let wanted = |lane: usize| {
+            self.lanes[lane].cars && first.is_none_or(|first| self.lanes[lane].index == first)
+        };
+        let good = |lane: &usize| {
+            wanted(*lane) && onward.first().is_none_or(|first| first.contains_key(lane))
+        };
+        let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
+        let mut lanes = vec![lane];
+        for connections in &onward {
+            let connection = connections.get(&lane).ok_or_else(lane_change)?;
+            self.follow_internal(connection, &mut lanes);
+            lane = connection.to;
+            lanes.push(lane);
+        }
+        Ok(lanes)
+    }
+
+    /// Returns the first lane of a path from which several connections lead to the next road.
+    pub fn fork(&self, path: &Path) -> Option<usize> {
+        let road =
+            |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
+        let roads: Vec<usize> = path.lanes.iter().copied().filter(road).collect();
+        let forks = |pair: &&[usize]| {
+            let next = self.lanes[pair[1]].edge;
+            self.connections_from(pair[0]).filter(|c| self.lanes[c.to].edge == next).count() > 1
+        };
+        roads.windows(2).find(forks).map(|pair| pair[0])
+    }
+
+    /// Appends the internal lanes of a connection. There are several where vehicles may wait inside
+    /// the junction.
+    fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
+        let mut via = connection.via;
+        let mut passed = HashSet::new();
+        while let Some(lane) = via {
+            if !passed.insert(lane) {
+                break; // A cycle, which occurs only in an invalid net.
+            }
+            lanes.push(lane);
+            via = self.connections_from(lane).find(|c| c.to == connection.to).and_then(|c| c.via);
+        }
+    }
+}
