@@ -141,23 +141,18 @@ pub fn main() -> ExitCode {
 /// Returns the first hint along the chain of causes of an error.
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
-        if let Some(e) = cause.downcast_ref::<sumo::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<env::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<scenarios::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<scenarios::author::Error>() {
-            e.hint()
-        } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
-            e.hint()
-        } else if let Some(iwol_sumo::train::Error::Env(e)) =
-            cause.downcast_ref::<iwol_sumo::train::Error>()
-        {
-            e.hint()
-        } else {
-            None
-        }
+        (cause.downcast_ref::<sumo::Error>().and_then(sumo::Error::hint))
+            .or_else(|| cause.downcast_ref::<env::Error>()?.hint())
+            .or_else(|| cause.downcast_ref::<scenarios::Error>()?.hint())
+            .or_else(|| cause.downcast_ref::<scenarios::author::Error>()?.hint())
+            .or_else(|| match cause.downcast_ref::<config::Error>()? {
+                config::Error::Scenario(e) => e.hint(),
+                _ => None,
+            })
+            .or_else(|| match cause.downcast_ref::<iwol_sumo::train::Error>()? {
+                iwol_sumo::train::Error::Env(e) => e.hint(),
+                _ => None,
+            })
     })
 }
 
