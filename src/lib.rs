@@ -19,6 +19,7 @@ pub mod env;
 pub mod evaluate;
 mod fnv;
 pub mod inspect;
+mod markup;
 pub mod nn;
 pub mod plot;
 pub mod provenance;

@@ -49,15 +49,15 @@ fn wrong_names_are_told_what_there_is() {
 fn too_many_agents() {
     assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--agents", "49"])), @r#"
     2
-    error: scenarios/intersection.xml: agents: 49 is outside of 4 to 48
+    error: scenarios/intersection.xml: 49 agents are not allowed, allowed: 4 to 48
 
-    hint: ask for 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
+    hint: choose 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
     "#);
     assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--agents", "49", "--policy", "sumo"])), @r#"
     2
-    error: scenarios/intersection.xml: agents: 49 is outside of 4 to 48
+    error: scenarios/intersection.xml: 49 agents are not allowed, allowed: 4 to 48
 
-    hint: ask for 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
+    hint: choose 4 to 48 agents, or write a scenario with a larger net and a larger `max` of <agents>
     "#);
 }
 
@@ -82,7 +82,7 @@ fn a_mistake_in_a_scenario_is_located() {
     2
     error: nowhere.xml: cannot read the scenario: No such file or directory (os error 2)
 
-    hint: give the path of a scenario file, as scenarios/intersection.xml; a run names its own from the folder in which it was begun: go there, or give --scenario
+    hint: give the path of a scenario file, e.g. scenarios/intersection.xml; the settings of a run contain the path relative to the folder in which the run was started: change to that folder, or give --scenario
     "#);
 }
 
@@ -278,7 +278,7 @@ fn a_check_tells_good_from_bad_by_its_exit_code() {
     let (code, text) = check(&file, &["--steps", "40"]);
     assert_eq!(code, Some(0), "{text}");
     assert!(
-        text.contains("warning: with a range of 500 m")
+        text.contains("warning: all agents can communicate with each other")
             && text.contains("trial: 6 agents, 40 steps"),
         "{text}"
     );
@@ -338,7 +338,7 @@ fn a_scenario_is_made_built_and_drawn() {
     "#);
     assert_snapshot!(tidy(failure(iwol(&["scenario", "new", "site", "--template", "tee", "--root"]).arg(dir.path()))), @r#"
     2
-    error: `DIR/scenarios/site.xml` is there already; choose another name, or move it away
+    error: `DIR/scenarios/site.xml` already exists; choose another name, or move the file or folder away
     "#);
     assert_snapshot!(failure(&mut iwol(&["scenario", "new", "site", "--template", "circle"])), @r#"
     2

@@ -6,20 +6,21 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, each with the modules that it may name.
-const ALLOWED: [(&str, &[&str]); 23] = [
+const ALLOWED: [(&str, &[&str]); 24] = [
     ("rng", &["fnv"]),
     ("fnv", &[]),
+    ("markup", &[]),
     ("stats", &[]),
     ("suggest", &[]),
-    ("sumo", &[]),
+    ("sumo", &["markup"]),
     ("provenance", &["sumo"]),
-    ("scenario", &["fnv", "record", "sumo", "suggest"]),
+    ("scenario", &["fnv", "markup", "record", "sumo", "suggest"]),
     ("env", &["scenario", "sumo", "rng"]),
     ("nn", &["rng"]),
     ("rollout", &[]),
     ("algo", &["nn", "rollout", "rng", "env"]),
     ("record", &[]),
-    ("plot", &["record"]),
+    ("plot", &["markup", "record"]),
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
     ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
@@ -40,9 +41,9 @@ const ALLOWED: [(&str, &[&str]); 23] = [
         ],
     ),
     ("sweep", &["config", "record", "train"]),
-    ("report", &["plot", "provenance", "record", "stats", "sweep"]),
-    ("replay", &["env", "plot", "record", "sumo"]),
-    ("inspect", &["env", "plot", "rng", "scenario", "sumo"]),
+    ("report", &["markup", "plot", "provenance", "record", "stats", "sweep"]),
+    ("replay", &["env", "markup", "plot", "record", "sumo"]),
+    ("inspect", &["env", "markup", "plot", "rng", "scenario", "sumo"]),
     ("cli", &[]),
     ("main", &[]),
 ];

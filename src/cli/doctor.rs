@@ -12,6 +12,8 @@ use iwol_sumo::provenance::{Program, libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
 
+use super::chain;
+
 /// The libtorch version that the `tch` crate is made for.
 const TORCH: &str = "2.13.0";
 /// A small net to start SUMO with; it is compiled in, so the check does not depend on the current
@@ -243,17 +245,6 @@ fn files_below(folder: &Path, ending: &str) -> Vec<PathBuf> {
     }
     found.sort();
     found
-}
-
-/// Formats an error and its causes in one line.
-fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        let _ = write!(text, ": {error}");
-        cause = error.source();
-    }
-    text
 }
 
 #[cfg(test)]

@@ -13,9 +13,9 @@ use super::Verdict;
 /// state of the worlds.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Run folder (its best checkpoint) or checkpoint file
+    /// Run folder, whose best checkpoint is copied, or checkpoint file.
     run: PathBuf,
-    /// Folder to create
+    /// Folder to create.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
 }

@@ -42,7 +42,7 @@ use iwol_sumo::{config, env, scenario as scenarios, sumo};
 struct Cli {
     #[command(subcommand)]
     verb: Verb,
-    /// Print more log messages (-v: information, -vv: debugging)
+    /// Print log messages about the program's work (-v), and messages for debugging (-vv).
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
     /// Stop, as after SIGTERM, when the parent process with this id ends
@@ -52,25 +52,25 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Train agents on a scenario
+    /// Train agents on a scenario.
     Train(train::Args),
-    /// Evaluate trained and untrained policies, headless
+    /// Evaluate trained and untrained policies without a window.
     Evaluate(evaluate::Args),
-    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept
+    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept.
     Export(export::Args),
-    /// Train and evaluate a grid of settings and seeds
+    /// Train and evaluate a grid of settings and seeds.
     Sweep(sweep::Args),
-    /// Turn a sweep's results into tables and figures
+    /// Make tables and figures from the results of a sweep.
     Report(report::Args),
-    /// Convert a recorded episode to a player in one HTML file, or to a picture
+    /// Convert a recorded episode to a player in one HTML file, or to a picture.
     Replay(replay::Args),
-    /// Draw learning curves as PNG
+    /// Draw learning curves as PNG.
     Plot(plot::Args),
-    /// Create, import, build, check and draw scenarios
+    /// Create, import, build, check and draw scenarios.
     Scenario(scenario::Args),
-    /// Measure the speed of simulation, decisions and updates
+    /// Measure the speed of simulation, decisions and updates.
     Bench(bench::Args),
-    /// Check the installation and report problems
+    /// Check the installation and report problems.
     Doctor,
 }
 
@@ -141,24 +141,25 @@ pub fn main() -> ExitCode {
 /// Returns the first hint along the chain of causes of an error.
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
-        if let Some(e) = cause.downcast_ref::<sumo::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<env::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<scenarios::Error>() {
-            e.hint()
-        } else if let Some(e) = cause.downcast_ref::<scenarios::author::Error>() {
-            e.hint()
-        } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
-            e.hint()
-        } else if let Some(iwol_sumo::train::Error::Env(e)) =
-            cause.downcast_ref::<iwol_sumo::train::Error>()
-        {
-            e.hint()
-        } else {
-            None
-        }
+        (cause.downcast_ref::<sumo::Error>().and_then(sumo::Error::hint))
+            .or_else(|| cause.downcast_ref::<env::Error>()?.hint())
+            .or_else(|| cause.downcast_ref::<scenarios::Error>()?.hint())
+            .or_else(|| cause.downcast_ref::<scenarios::author::Error>()?.hint())
+            .or_else(|| match cause.downcast_ref::<config::Error>()? {
+                config::Error::Scenario(e) => e.hint(),
+                _ => None,
+            })
+            .or_else(|| match cause.downcast_ref::<iwol_sumo::train::Error>()? {
+                iwol_sumo::train::Error::Env(e) => e.hint(),
+                _ => None,
+            })
     })
+}
+
+/// Formats an error and its causes in one line.
+fn chain(error: &(dyn std::error::Error + 'static)) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 /// Installs a handler for Ctrl-C and termination signals and returns the flag that the first signal

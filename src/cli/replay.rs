@@ -11,15 +11,15 @@ use super::Verdict;
 /// picture of one step.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Recording that `iwol evaluate --record` wrote
+    /// Recording that `iwol evaluate --record` wrote.
     recording: PathBuf,
-    /// HTML file to write
+    /// HTML file to write.
     #[arg(long, short, value_name = "FILE", required_unless_present = "svg")]
     out: Option<PathBuf>,
-    /// SVG picture of one step to write
+    /// SVG picture of one step to write.
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Step that the picture shows [default: the middle of the episode]
+    /// Step that the picture shows [default: the middle of the episode].
     #[arg(long, value_name = "STEP", requires = "svg")]
     at: Option<usize>,
 }

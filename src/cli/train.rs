@@ -15,45 +15,46 @@ use toml::Value;
 
 use super::Verdict;
 
-/// Settings in rising priority: defaults, `--config`, `--set`, other flags. The resolved settings
-/// are stored in the run folder.
+/// Settings have rising priority in this order: defaults, `--config`, `--set`, other options. The
+/// resolved settings are stored in the run folder.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Scenario file, e.g. scenarios/intersection.xml
+    /// Scenario file, e.g. scenarios/intersection.xml.
     #[arg(long)]
     scenario: Option<PathBuf>,
-    /// Learning algorithm
-    #[arg(long, value_name = "NAME", help = format!("Algorithm: {}", algo::NAMES.join(", ")))]
+    /// Learning algorithm.
+    #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
-    /// Number of vehicles at spawn places; all are agents unless env.penetration is below 1
+    /// Number of vehicles at spawn places, which are all agents unless env.penetration is below 1
+    /// [default: the scenario's].
     #[arg(long)]
     agents: Option<u32>,
-    /// Seed of all random numbers
+    /// Seed of all random numbers [default: 0].
     #[arg(long)]
     seed: Option<u64>,
-    /// Maximum number of environment steps, summed over all worlds, rounded up to whole rollouts
+    /// Maximum number of environment steps of all worlds together, rounded up to whole rollouts.
     #[arg(long)]
     steps: Option<u64>,
-    /// Start from the weights in a run folder or checkpoint of the same algorithm; the number of
-    /// agents may differ (CommFormer: must be the same)
+    /// Start from the weights in a run folder or checkpoint of the same algorithm. The number of
+    /// agents may differ, except with CommFormer.
     #[arg(long, value_name = "CHECKPOINT")]
     init_from: Option<PathBuf>,
-    /// Device on which the networks are computed
+    /// Device on which the networks are computed [default: cpu].
     #[arg(long, value_name = "cpu|cuda")]
     device: Option<String>,
-    /// Interface to SUMO; results do not depend on it
+    /// Interface to SUMO, on which results do not depend [default: auto].
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
-    /// TOML file with settings, e.g. the config.toml of a run folder
+    /// TOML file with settings, e.g. the config.toml of a run folder.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// One setting, e.g. --set ppo.gamma=0.995; may be repeated
+    /// One setting, e.g. --set ppo.gamma=0.995. The option may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N]
+    /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Continue from the last checkpoint in the run folder, with the settings stored there
+    /// Continue from the last checkpoint in the run folder, with the settings stored there.
     #[arg(long)]
     resume: bool,
 }
@@ -63,34 +64,24 @@ impl Args {
         let integer = |v: u64| {
             i64::try_from(v)
                 .map(Value::Integer)
-                .with_context(|| format!("{v} is too large: numbers must be below 2^63"))
+                .with_context(|| format!("{v} is too large, allowed: numbers below 2^63"))
         };
-        let mut flags = Vec::new();
-        if let Some(path) = &self.scenario {
-            flags.push(("scenario", Value::String(path.display().to_string())));
-        }
-        if let Some(name) = &self.algorithm {
-            flags.push(("algorithm", Value::String(name.clone())));
-        }
-        if let Some(agents) = self.agents {
-            flags.push(("agents", integer(agents.into())?));
-        }
-        if let Some(seed) = self.seed {
-            flags.push(("seed", integer(seed)?));
-        }
-        if let Some(path) = &self.init_from {
-            flags.push(("init_from", Value::String(path.display().to_string())));
-        }
-        if let Some(device) = &self.device {
-            flags.push(("device", Value::String(device.clone())));
-        }
-        if let Some(backend) = &self.backend {
-            flags.push(("simulation.backend", Value::String(backend.clone())));
-        }
-        if let Some(steps) = self.steps {
-            flags.push(("steps", integer(steps)?));
-        }
-        Ok(flags)
+        let number = |value: Option<u64>| value.map(integer).transpose();
+        let text = |value: &Option<String>| value.clone().map(Value::String);
+        let path = |value: &Option<PathBuf>| {
+            value.as_ref().map(|path| Value::String(path.display().to_string()))
+        };
+        let flags = [
+            ("scenario", path(&self.scenario)),
+            ("algorithm", text(&self.algorithm)),
+            ("agents", number(self.agents.map(u64::from))?),
+            ("seed", number(self.seed)?),
+            ("init_from", path(&self.init_from)),
+            ("device", text(&self.device)),
+            ("simulation.backend", text(&self.backend)),
+            ("steps", number(self.steps)?),
+        ];
+        Ok(flags.into_iter().filter_map(|(key, value)| Some((key, value?))).collect())
     }
 }
 

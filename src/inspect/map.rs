@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use crate::env::{Pose, Task};
-use crate::plot::{Picture, Rgb, escaped};
+use crate::markup::escape as escaped;
+use crate::plot::{Picture, Rgb};
 use crate::scenario::SpawnPlace;
 use crate::sumo::net::{EdgeFunction, Net};
 

@@ -18,7 +18,6 @@ use plotters::prelude::*;
 use axis::{Axis, enclosing, runs, usable};
 use canvas::{Canvas, Drawn, FINE, Placement, averaged, line, provide_font, px, text_width, write};
 
-pub(crate) use picture::escaped;
 pub use picture::{Picture, Rgb};
 
 use crate::record;

@@ -7,6 +7,7 @@ use plotters::prelude::*;
 
 use super::canvas::{Canvas, Drawn, FINE, Placement, provide_font, px, write};
 use super::{Error, INK, save};
+use crate::markup::escape as escaped;
 
 /// Length of the longer side of the drawing \[pixels\].
 const SIDE: f64 = 1200.0;
@@ -263,11 +264,6 @@ impl Frame {
 
 fn hex([r, g, b]: Rgb) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
-}
-
-/// Escapes text for use in an element of SVG or HTML.
-pub(crate) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
 }
 
 #[cfg(test)]

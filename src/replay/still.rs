@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{Lane, Recording, Status};
-use crate::plot::escaped;
+use crate::markup::escape as escaped;
 
 /// Margin around the net \[m\].
 const MARGIN: f64 = 4.0;

@@ -2,17 +2,21 @@
 //! per rule.
 
 use super::author::{State, state};
-use super::check::Map;
-use super::finding::{Finding, Position, Severity};
+use super::check::{Map, net_nodes};
 use super::reader::Reader;
-use super::{Net, Scenario};
+use super::{Demand, Finding, Net, Scenario, Severity, describe};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
 
 /// Returns all advice on a scenario. `maps` are its nets, with `None` for nets that have errors.
-pub(super) fn advise(scenario: &Scenario, maps: &[Option<Map>], reader: &Reader) -> Vec<Finding> {
+pub(super) fn advise(
+    scenario: &Scenario,
+    maps: &[Option<Map>],
+    demand: &Demand,
+    reader: &Reader,
+) -> Vec<Finding> {
     let adviser = Adviser { scenario, reader };
     let mut findings = Vec::new();
     let sound: Vec<(&Net, &Map)> = scenario
@@ -35,6 +39,8 @@ pub(super) fn advise(scenario: &Scenario, maps: &[Option<Map>], reader: &Reader)
     findings.extend(adviser.sight());
     findings.extend(adviser.reward());
     adviser.unused(&mut findings);
+    adviser.without_effect(&mut findings);
+    findings.extend(unused(demand));
     findings
 }
 
@@ -44,29 +50,23 @@ struct Adviser<'a, 'doc, 'input> {
 }
 
 impl Adviser<'_, '_, '_> {
-    /// Returns a warning about the attribute `key`, at the first element `element` for which
-    /// `which` accepts the attribute's value.
-    fn warning(
-        &self,
-        element: &str,
-        key: &str,
-        which: impl Fn(&str) -> bool,
-        message: String,
-        hint: &str,
-    ) -> Finding {
-        let elements = self.reader.document.descendants().filter(|node| node.has_tag_name(element));
-        let node = elements.into_iter().find(|node| node.attribute(key).is_some_and(&which));
-        let at = node.map(|node| {
-            let (line, column) = self.reader.position(Reader::offset(node, key));
-            Position { line, column }
-        });
-        let file = self.scenario.path.clone();
-        Finding { severity: Severity::Warning, file, at, message, hint: Some(hint.to_owned()) }
+    /// Returns a warning about the attribute `key` of the first element called `element`.
+    fn warning(&self, element: &'static str, key: &str, message: String, hint: &str) -> Finding {
+        Finding::warning(self.reader.place_in(element, key), message, hint)
     }
 
     fn net_warning(&self, net: &Net, message: String, hint: &str) -> Finding {
-        let folder = self.scenario.path.parent().unwrap_or(std::path::Path::new(""));
-        self.warning("net", "file", |file| folder.join(file) == net.file, message, hint)
+        let index = self.scenario.nets.iter().position(|other| std::ptr::eq(other, net));
+        let node = index.and_then(|index| net_nodes(self.reader).get(index).copied());
+        let place = node.map_or_else(|| self.reader.at(0), |node| self.reader.place(node, "file"));
+        Finding::warning(place, message, hint)
+    }
+
+    /// Returns a warning about a route with the index `route`.
+    fn route_warning(&self, route: usize, message: String, hint: &str) -> Finding {
+        let node = self.reader.all("route").nth(route);
+        let place = node.map_or_else(|| self.reader.at(0), |node| self.reader.place(node, "id"));
+        Finding::warning(place, message, hint)
     }
 
     /// Warns of junctions with rules that do not suit agents, which observe neither signals nor
@@ -86,15 +86,16 @@ impl Adviser<'_, '_, '_> {
             if junction.kind == "unregulated" {
                 findings.push(self.net_warning(
                     net,
-                    format!("junction `{id}` is of type `unregulated`, in which SUMO sees no collisions"),
-                    "make it `priority` or `right_before_left` in the sources and build again, or live without SUMO's half of the audit",
+                    format!("junction `{id}` is of type `unregulated`, where SUMO detects no collisions"),
+                    "set the type `priority` or `right_before_left` in the net's sources and run `iwol scenario build`; otherwise SUMO \
+                     cannot confirm the collisions that this program detects",
                 ));
             }
             if junction.kind.starts_with("traffic_light") || junction.kind == "rail_signal" {
                 findings.push(self.net_warning(
                     net,
-                    format!("junction `{id}` has signals, which agents do not see"),
-                    "make it `priority` in the sources, or give netconvert `--tls.discard-loaded`, and build again",
+                    format!("junction `{id}` has signals, which agents do not observe"),
+                    "set the type `priority` in the net's sources, or netconvert's option `tls.discard-loaded`, and run `iwol scenario build`",
                 ));
             }
         }
@@ -109,7 +110,7 @@ impl Adviser<'_, '_, '_> {
             findings.push(self.net_warning(
                 net,
                 "the net has no lanes over its junctions: vehicles jump from road to road".into(),
-                "build it without netconvert's `--no-internal-links`",
+                "build the net without netconvert's option `no-internal-links`",
             ));
         }
     }
@@ -120,19 +121,17 @@ impl Adviser<'_, '_, '_> {
         if self.scenario.control.steering.is_some() {
             return;
         }
-        for (route, path) in self.scenario.routes.iter().zip(&map.paths) {
+        for (index, path) in map.paths.iter().enumerate() {
             if let Some(lane) = map.net.fork(path) {
-                findings.push(self.warning(
-                    "route",
-                    "id",
-                    |id| id == route.id,
+                findings.push(self.route_warning(
+                    index,
                     format!(
-                        "in {} lane `{}` leads to several lanes of the next road, of which SUMO may choose another than the route `{}`",
+                        "SUMO may leave the route `{}`: in {} lane `{}` leads to several lanes of the next road",
+                        shorten(&self.scenario.routes[index].id),
                         net.file.display(),
-                        shorten(&map.net.lanes[lane].id),
-                        shorten(&route.id)
+                        shorten(&map.net.lanes[lane].id)
                     ),
-                    "leave one of its connections in the .con.xml, and build again",
+                    "keep one of the lane's connections in the .con.xml, and run `iwol scenario build`",
                 ));
             }
         }
@@ -149,12 +148,11 @@ impl Adviser<'_, '_, '_> {
             findings.push(self.warning(
                 "vehicle",
                 "maxSpeed",
-                |_| true,
                 format!(
-                    "agents may drive {top} m/s, but the limit of lane `{id}` of {} is {limit} m/s",
+                    "agents may drive {top} m/s, but the speed limit of lane `{id}` of {} is {limit} m/s",
                     net.file.display()
                 ),
-                "nothing holds agents to limits but maxSpeed; lower it if they count",
+                "speed limits of lanes do not slow agents down; reduce maxSpeed if agents should keep the limit",
             ));
         }
     }
@@ -170,7 +168,7 @@ impl Adviser<'_, '_, '_> {
             Err(error) => Some(self.net_warning(
                 net,
                 error.to_string(),
-                "correct or delete the configuration",
+                "correct or delete the configuration of netconvert",
             )),
             Ok(_) => None,
         }
@@ -198,13 +196,13 @@ impl Adviser<'_, '_, '_> {
         }
         let id = shorten(&self.scenario.routes[route].id);
         let message = format!(
-            "route `{id}` takes {steps:.0} steps at the speed limit, and the horizon is {horizon}"
+            "route `{id}` takes {steps:.0} steps at the speed limit, but the horizon is {horizon} steps"
         );
         let hint = format!(
-            "give the horizon {:.0} steps or more, as vehicles have to wait",
+            "set the horizon to {:.0} steps or more, because vehicles have to wait",
             (4.0 * steps).ceil()
         );
-        let finding = self.warning("termination", "horizon", |_| true, message, &hint);
+        let finding = self.warning("termination", "horizon", message, &hint);
         let severity = if steps > horizon { Severity::Error } else { Severity::Warning };
         Some(Finding { severity, ..finding })
     }
@@ -224,7 +222,7 @@ impl Adviser<'_, '_, '_> {
     fn radio(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
         let range = self.scenario.communication.range;
         let warn = |message: String, hint: &str| {
-            Some(self.warning("communication", "range", |_| true, message, hint))
+            Some(self.warning("communication", "range", message, hint))
         };
         let spacings =
             self.scenario.nets.iter().flat_map(|net| &net.spawns).filter(|row| row.count > 1);
@@ -232,9 +230,9 @@ impl Adviser<'_, '_, '_> {
         if range < nearest && nearest.is_finite() {
             return warn(
                 format!(
-                    "with a range of {range} m no vehicle hears the next one in its row, {nearest} m away"
+                    "agents cannot communicate with the next agent in their row: the range is {range} m, the distance {nearest} m"
                 ),
-                "make the range longer, unless nobody is to communicate",
+                "increase the range, unless agents should not communicate",
             );
         }
         let diagonal = |(_, map): &(&Net, &Map)| {
@@ -245,9 +243,9 @@ impl Adviser<'_, '_, '_> {
         if largest > 0.0 && range >= largest {
             return warn(
                 format!(
-                    "with a range of {range} m every vehicle hears every other: the largest net is {largest:.0} m across"
+                    "all agents can communicate with each other: the range is {range} m, and the largest net is {largest:.0} m across"
                 ),
-                "make the range shorter if it is to matter who is near whom",
+                "reduce the range if communication should depend on the distance between agents",
             );
         }
         None
@@ -264,9 +262,9 @@ impl Adviser<'_, '_, '_> {
             return Some(self.warning(
                 "observation",
                 "groups",
-                |_| true,
                 "agents observe no vehicle that crosses their route".into(),
-                "set neighbours (nearest), conflictStreams (conflict), encounters or lidarBeams above 0",
+                "set one of neighbours (with groups `nearest`), conflictStreams (with groups `conflict`), encounters and lidarBeams \
+                 to a number above 0",
             ));
         }
         let hardest = c.brake.last().map_or(c.drag, |point| point.1).max(1e-3);
@@ -275,12 +273,11 @@ impl Adviser<'_, '_, '_> {
             self.warning(
                 "observation",
                 "detectionRange",
-                |_| true,
                 format!(
-                    "at {} m/s a vehicle needs {needed:.0} m to stop, and sees {} m",
+                    "at {} m/s a vehicle needs {needed:.0} m to stop, but agents observe only {} m",
                     v.max_speed, o.detection_range
                 ),
-                "make the range longer, or maxSpeed lower",
+                "increase detectionRange, or reduce maxSpeed",
             )
         })
     }
@@ -292,16 +289,15 @@ impl Adviser<'_, '_, '_> {
             Some(self.warning(
                 "reward",
                 key,
-                |_| true,
                 message.into(),
-                "see the weights in scenarios/intersection.xml",
+                "scenarios/intersection.xml has weights with which agents learn",
             ))
         };
         if reward.progress <= 0.0 && reward.arrive <= 0.0 && reward.speed <= 0.0 {
-            return warn("arrive", "nothing rewards a vehicle that gets on or arrives");
+            return warn("arrive", "no weight rewards progress, speed or arrival");
         }
         if reward.crash >= reward.arrive {
-            return warn("crash", "a crash is rewarded no less than an arrival");
+            return warn("crash", "the reward of a crash is not below the reward of an arrival");
         }
         None
     }
@@ -316,14 +312,79 @@ impl Adviser<'_, '_, '_> {
                 .flat_map(|net| &net.spawns)
                 .any(|row| row.routes.contains(&i));
             if !used {
-                findings.push(self.warning(
-                    "route",
-                    "id",
-                    |id| id == route.id,
-                    format!("no vehicle takes the route `{}`", shorten(&route.id)),
-                    "name it in a <spawn>, or delete it",
+                findings.push(self.route_warning(
+                    i,
+                    format!("no spawn place uses the route `{}`", shorten(&route.id)),
+                    "name the route in a <spawn>, or delete the route",
                 ));
             }
         }
+    }
+
+    /// Warns of attributes that other values of the scenario make ineffective.
+    fn without_effect(&self, findings: &mut Vec<Finding>) {
+        let (s, o) = (self.scenario, &self.scenario.observation);
+        let follows = s.control.steering.is_none();
+        let rules = [
+            ("route", "offLane", follows, "vehicles do not steer"),
+            ("termination", "border", follows, "vehicles do not steer"),
+            ("termination", "brokenLines", follows, "vehicles do not steer"),
+            ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
+            ("observation", "foresight", o.encounters == 0, "encounters is 0"),
+            ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
+            ("traffic", "type", s.traffic.penetration >= 1.0, "penetration is 1"),
+            ("traffic", "capacity", s.traffic.files.is_empty(), "there are no files"),
+        ];
+        for (element, key, idle, why) in rules {
+            let known = describe().all().into_iter().find(|known| known.name == element);
+            let default = known.and_then(|known| known.attribute(key)?.default.clone());
+            let given = |node: &roxmltree::Node| {
+                node.attribute(key).is_some_and(|value| Some(value) != default.as_deref())
+            };
+            if let Some(node) = self.reader.all(element).find(given).filter(|_| idle) {
+                let message = format!("{key} of <{element}> has no effect, because {why}");
+                let hint = "delete the attribute, or change the other value";
+                findings.push(Finding::warning(self.reader.place(node, key), message, hint));
+            }
+        }
+    }
+}
+
+/// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO
+/// uses them and this program does not.
+fn unused(demand: &Demand) -> impl Iterator<Item = Finding> {
+    demand.unused.iter().map(|((element, key), (count, place))| {
+        let message = format!("{key} of <{element}> has no effect ({count} times)");
+        let hint = "correct its name, or delete the attribute if the traffic does not depend on it";
+        Finding::warning(place.clone(), message, hint)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attributes_that_others_make_ineffective_are_named() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(root.join("scenarios/intersection.xml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.xml");
+        let changed = text.replacen("wreckTime=", "border=\"kerb\" wreckTime=", 1).replacen(
+            "conflictStreams=",
+            "foresight=\"4\" lidarRange=\"50\" conflictStreams=",
+            1,
+        );
+        let idle = |text: &str| -> Vec<String> {
+            std::fs::write(&file, text).unwrap();
+            let messages = Scenario::check(&file).list.into_iter().map(|finding| finding.message);
+            messages.filter(|message| message.contains("has no effect")).collect()
+        };
+        assert!(idle(&text).is_empty());
+        let expected = [
+            "foresight of <observation> has no effect, because encounters is 0",
+            "border of <termination> has no effect, because vehicles do not steer",
+        ];
+        assert_eq!(idle(&changed), expected);
     }
 }

@@ -1,40 +1,16 @@
 //! Checks a scenario against its nets: routes must be drivable, and finish lines and spawn places
 //! must lie on them.
 
-use super::{Demand, Error, Net, Route, Scenario, reader::Reader};
+use roxmltree::Node;
+
+use super::{Demand, Error, Net, Place, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
 const SLACK: f64 = 1e-6;
 
-/// Byte offsets, in the scenario file, of the parts that are checked against the nets.
-pub(super) struct StartPlaces {
-    /// Parts of each route.
-    pub(super) routes: Vec<RoutePlaces>,
-    /// Parts of each net.
-    pub(super) nets: Vec<NetPlaces>,
-    /// Attribute `lateral` of `<jitter>`.
-    pub(super) lateral: usize,
-    /// Attribute `type` of `<traffic>`.
-    pub(super) traffic_type: usize,
-    /// Attribute `files` of `<traffic>`.
-    pub(super) traffic_files: usize,
-    /// Attribute `brokenLines` of `<termination>`.
-    pub(super) broken_lines: usize,
-}
-
-/// Byte offsets of the parts of a route.
-pub(super) struct RoutePlaces {
-    pub(super) edges: usize,
-    pub(super) arrival_pos: usize,
-}
-
-/// Byte offsets of the parts of a net.
-pub(super) struct NetPlaces {
-    pub(super) file: usize,
-    /// Start of each spawn row.
-    pub(super) spawns: Vec<usize>,
-}
+/// Hint for spawn places that are too close to each other or to the ends of an edge.
+const MOVE: &str = "move the places, lower their number, or make the longitudinal jitter smaller";
 
 /// A net and the centre lines of all routes through it.
 pub(super) struct Map {
@@ -42,122 +18,99 @@ pub(super) struct Map {
     pub(super) paths: Vec<Path>,
 }
 
-/// Reads every net of a scenario and checks the scenario against it. Returns all errors, and for
-/// each net its map if the routes and spawn places fit the net.
-pub(super) fn nets(
-    scenario: &Scenario,
-    places: &StartPlaces,
-    reader: &Reader,
-) -> (Vec<Error>, Vec<Option<Map>>) {
+/// Result of [`files`].
+pub(super) struct Checked {
+    pub(super) errors: Vec<Error>,
+    /// The nets in the order of [`Scenario::nets`]; `None` for a net that routes or spawn places do
+    /// not fit.
+    pub(super) maps: Vec<Option<Map>>,
+    /// Contents of the route files, if they can be read.
+    pub(super) demand: Demand,
+}
+
+/// Reads the nets and route files of a scenario and checks the scenario against them.
+pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
     let mut errors = Vec::new();
-    let demand = demand(scenario, places, reader).unwrap_or_else(|error| {
+    let demand = demand(scenario, reader).unwrap_or_else(|error| {
         errors.push(error);
         Demand::default()
     });
-    let mut check = |net: &Net, at: &NetPlaces| {
-        let map = net::Net::load(&net.file).map_err(|source| {
-            let (line, column) = reader.position(at.file);
-            Error::Net { path: scenario.path.clone(), line, column, source: Box::new(source) }
+    let mut check = |(net, node): (&Net, Node)| {
+        let map = net::Net::load(&net.file).map_err(|source| Error::Net {
+            place: reader.place(node, "file"),
+            source: Box::new(source),
         });
         let map = map.map_err(|error| errors.push(error)).ok()?;
-        let paths = scenario
-            .routes
-            .iter()
-            .zip(&places.routes)
-            .map(|(r, at)| route(scenario, r, &map, at, reader));
-        let (paths, wrong): (Vec<_>, Vec<_>) = paths.partition(Result::is_ok);
+        let routes = scenario.routes.iter().zip(reader.all("route"));
+        let (paths, wrong): (Vec<_>, Vec<_>) =
+            routes.map(|(r, node)| route(scenario, r, &map, node, reader)).partition(Result::is_ok);
         errors.extend(wrong.into_iter().filter_map(Result::err));
         let paths: Vec<Path> = paths.into_iter().flatten().collect();
         if paths.len() < scenario.routes.len() {
             return None;
         }
         errors.extend(undrivable(&demand, &map));
-        errors.extend(no_edge(scenario, &map, places, reader));
-        let placed = spawns(scenario, net, &map, &paths, &at.spawns, reader);
-        let placed = placed.and_then(|()| lanes(scenario, &map, &paths, places, reader));
+        errors.extend(no_edge(scenario, &map, reader));
+        let placed = spawns(scenario, net, &map, &paths, node, reader);
+        let placed = placed.and_then(|()| lanes(scenario, &map, &paths, reader));
         placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
     };
-    let maps = scenario.nets.iter().zip(&places.nets).map(|(net, at)| check(net, at)).collect();
-    (errors, maps)
+    let maps = scenario.nets.iter().zip(net_nodes(reader)).map(&mut check).collect();
+    Checked { errors, maps, demand }
+}
+
+/// Returns the elements `<net>` in the order of [`Scenario::nets`].
+pub(super) fn net_nodes<'a, 'input>(reader: &Reader<'a, 'input>) -> Vec<Node<'a, 'input>> {
+    let capacity = |net: &Node| -> u32 {
+        let counts = net.children().filter_map(|spawn| spawn.attribute("count"));
+        counts.filter_map(|count| count.trim().parse::<u32>().ok()).sum()
+    };
+    let mut nodes: Vec<_> = reader.all("net").collect();
+    nodes.sort_by_key(capacity);
+    nodes
 }
 
 /// Returns the contents of the route files of `<traffic>`.
-fn demand(scenario: &Scenario, places: &StartPlaces, reader: &Reader) -> Result<Demand, Error> {
+fn demand(scenario: &Scenario, reader: &Reader) -> Result<Demand, Error> {
+    let refuse = |key, value: &str, allowed: String| {
+        Error::value(reader.place_in("traffic", key), "traffic", key, value, allowed)
+    };
     let demand = Demand::load(&scenario.traffic.files).map_err(|error| match error {
-        Error::Read { path: file, source } => {
-            let (line, column) = reader.position(places.traffic_files);
-            let allowed = format!("route files that can be read ({source})");
-            let (path, value) = (scenario.path.clone(), shorten(&file.to_string_lossy()));
-            Error::Value {
-                path,
-                line,
-                column,
-                element: "traffic".into(),
-                key: "files",
-                value,
-                allowed,
-            }
-        }
+        Error::Read { path, source } => refuse(
+            "files",
+            &path.to_string_lossy(),
+            format!("route files that can be read ({source})"),
+        ),
         other => other,
     })?;
-    match &scenario.traffic.kind {
-        Some(kind)
-            if demand
-                .mix(kind)
-                .is_none_or(|mix| mix.iter().any(|entry| demand.types[entry.0].walks)) =>
-        {
-            let (line, column) = reader.position(places.traffic_type);
-            let allowed = "the id of a vType or vTypeDistribution of vehicles of the files".into();
-            let (path, value) = (scenario.path.clone(), shorten(kind));
-            Err(Error::Value {
-                path,
-                line,
-                column,
-                element: "traffic".into(),
-                key: "type",
-                value,
-                allowed,
-            })
+    if let Some(kind) = &scenario.traffic.kind {
+        let vehicles =
+            |mix: Vec<(usize, f64)>| mix.iter().all(|entry| !demand.types[entry.0].walks);
+        if !demand.mix(kind).is_some_and(vehicles) {
+            let allowed = "the id of a vType or vTypeDistribution of vehicles in the files";
+            return Err(refuse("type", kind, allowed.into()));
         }
-        _ => Ok(demand),
     }
+    Ok(demand)
 }
 
 /// Returns an error for the first route or walk of the route files that the net does not allow.
 fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
     demand.routes.iter().find_map(|route| {
         let source = Box::new(route.lay(map).err()?);
-        let (path, line, column) = route.place.clone();
-        Some(Error::Route { path, line, column, route: shorten(&route.id), source })
+        Some(Error::Route { place: route.place.clone(), route: shorten(&route.id), source })
     })
 }
 
 /// Returns an error for the first edge of `brokenLines` that the net does not have.
-fn no_edge(
-    scenario: &Scenario,
-    map: &net::Net,
-    places: &StartPlaces,
-    reader: &Reader,
-) -> Option<Error> {
+fn no_edge(scenario: &Scenario, map: &net::Net, reader: &Reader) -> Option<Error> {
     let edge =
         scenario.termination.broken_lines.iter().find(|edge| map.edge_index(edge).is_none())?;
-    let (line, column) = reader.position(places.broken_lines);
-    let ids = map
-        .edges
-        .iter()
-        .filter(|edge| edge.function == EdgeFunction::Normal)
-        .map(|edge| edge.id.as_str());
-    let allowed = format!("edges of {}{}", map.path.display(), did_you_mean(nearest(edge, ids)));
-    let (path, value) = (scenario.path.clone(), shorten(edge));
-    Some(Error::Value {
-        path,
-        line,
-        column,
-        element: "termination".into(),
-        key: "brokenLines",
-        value,
-        allowed,
-    })
+    let roads = map.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal);
+    let similar = nearest(edge, roads.map(|edge| edge.id.as_str()));
+    let allowed = format!("edges of {}{}", map.path.display(), did_you_mean(similar));
+    let place = reader.place_in("termination", "brokenLines");
+    Some(Error::value(place, "termination", "brokenLines", edge, allowed))
 }
 
 /// Returns the centre line of a route after checking that its edges are connected and that the
@@ -166,36 +119,19 @@ fn route(
     scenario: &Scenario,
     route: &Route,
     map: &net::Net,
-    at: &RoutePlaces,
+    node: Node,
     reader: &Reader,
 ) -> Result<Path, Error> {
-    let path = map.route_path_from(&route.edges, route.lane).map_err(|source| {
-        let (line, column) = reader.position(at.edges);
-        Error::Route {
-            path: scenario.path.clone(),
-            line,
-            column,
-            route: shorten(&route.id),
-            source: Box::new(source),
-        }
+    let path = map.route_path_from(&route.edges, route.lane).map_err(|source| Error::Route {
+        place: reader.place(node, "edges"),
+        route: shorten(&route.id),
+        source: Box::new(source),
     })?;
     let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
-    let refused = |allowed: String| {
-        let (line, column) = reader.position(at.arrival_pos);
-        let (path, value) = (scenario.path.clone(), route.arrival_pos.to_string());
-        Error::Value {
-            path,
-            line,
-            column,
-            element: "route".into(),
-            key: "arrivalPos",
-            value,
-            allowed,
-        }
-    };
     if route.arrival_pos.abs() > length + SLACK {
         let edge = shorten(route.edges.last().map_or("", String::as_str));
-        return Err(refused(format!("{} to {length} m on edge `{edge}`", -length)));
+        let allowed = format!("{} to {length} m on edge `{edge}`", -length);
+        return Err(reader.value(node, "arrivalPos", allowed));
     }
     // The centre must reach the finish line while the front bumper is still on the route; otherwise
     // SUMO removes the vehicle first.
@@ -204,9 +140,10 @@ fn route(
     let left =
         if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
     if left < ahead - SLACK {
-        return Err(refused(format!(
-            "at least {ahead:.2} m before the end: half a vehicle and the way of one step"
-        )));
+        let allowed = format!(
+            "at least {ahead:.2} m before the end of the edge: half a vehicle and the distance of one step at maxSpeed"
+        );
+        return Err(reader.value(node, "arrivalPos", allowed));
     }
     Ok(path)
 }
@@ -218,30 +155,25 @@ fn spawns(
     net: &Net,
     map: &net::Net,
     paths: &[Path],
-    rows: &[usize],
+    node: Node,
     reader: &Reader,
 ) -> Result<(), Error> {
+    let refuse = |place: Place, message| Error::Invalid { place, message, hint: Some(MOVE) };
     let half = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
     let mut taken = Vec::new();
-    for (row, &offset) in net.spawns.iter().zip(rows) {
+    for (row, spawn) in net.spawns.iter().zip(node.children().filter(Node::is_element)) {
         // All routes of a row begin on one lane, so that the nearest finish line limits the places.
         let route = &scenario.routes[row.routes[0]];
         let lane = paths[row.routes[0]].lanes[0];
+        let place = reader.at(spawn.range().start);
         if let Some(&other) = row.routes.iter().find(|&&other| paths[other].lanes[0] != lane) {
-            let (line, column) = reader.position(offset);
-            return Err(Error::Value {
-                path: scenario.path.clone(),
-                line,
-                column,
-                element: "spawn".into(),
-                key: "route",
-                value: shorten(&scenario.routes[other].id),
-                allowed: format!(
-                    "a route that begins on lane `{}`, as `{}` does; say so with its `lane`",
-                    shorten(&map.lanes[lane].id),
-                    shorten(&route.id)
-                ),
-            });
+            let allowed = format!(
+                "a route that begins on lane `{}`, as `{}` does; set the attribute `lane` of the routes",
+                shorten(&map.lanes[lane].id),
+                shorten(&route.id)
+            );
+            let id = &scenario.routes[other].id;
+            return Err(Error::value(place, "spawn", "route", id, allowed));
         }
         let length = map.lanes[lane].length;
         let ends =
@@ -253,19 +185,16 @@ fn spawns(
         let end = ends.fold(length, f64::min);
         for pos in (0..row.count).map(|i| row.first + row.spacing * f64::from(i)) {
             if pos - half < -SLACK || pos + half > end + SLACK {
-                let (line, column) = reader.position(offset);
-                return Err(Error::Place {
-                    path: scenario.path.clone(),
-                    line,
-                    column,
-                    route: shorten(&route.id),
-                    pos,
-                    edge: shorten(&route.edges[0]),
-                    half,
-                    end,
-                });
+                let (id, edge) = (shorten(&route.id), shorten(&route.edges[0]));
+                return Err(refuse(
+                    place,
+                    format!(
+                        "the spawn place at {pos} m of route `{id}` does not fit on edge `{edge}`: a place needs {half} m on \
+                         both sides within 0 to {end} m"
+                    ),
+                ));
             }
-            taken.push((lane, pos, offset));
+            taken.push((lane, pos, spawn.range().start));
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -274,16 +203,13 @@ fn spawns(
     let Some([(lane, first, a), (_, second, b)]) = close else {
         return Ok(());
     };
-    let (line, column) = reader.position(*a.max(b));
-    Err(Error::Overlap {
-        path: scenario.path.clone(),
-        line,
-        column,
-        lane: shorten(&map.lanes[*lane].id),
-        first: *first,
-        second: *second,
-        needed,
-    })
+    let lane = shorten(&map.lanes[*lane].id);
+    Err(refuse(
+        reader.at(*a.max(b)),
+        format!(
+            "the spawn places at {first} m and {second} m of lane `{lane}` overlap: vehicle and jitter need {needed} m"
+        ),
+    ))
 }
 
 /// Checks that the jitter does not move a vehicle beyond the sides of its lane.
@@ -291,27 +217,20 @@ fn lanes(
     scenario: &Scenario,
     map: &net::Net,
     paths: &[Path],
-    places: &StartPlaces,
     reader: &Reader,
 ) -> Result<(), Error> {
     let needed = scenario.vehicle.width + 2.0 * scenario.jitter.lateral;
-    let starts = paths.iter().map(|path| &map.lanes[path.lanes[0]]);
-    let Some(narrow) = starts.into_iter().find(|lane| lane.width < needed - SLACK) else {
+    let mut starts = paths.iter().map(|path| &map.lanes[path.lanes[0]]);
+    let Some(narrow) = starts.find(|lane| lane.width < needed - SLACK) else {
         return Ok(());
     };
-    let (line, column) = reader.position(places.lateral);
-    Err(Error::Value {
-        path: scenario.path.clone(),
-        line,
-        column,
-        element: "jitter".into(),
-        key: "lateral",
-        value: scenario.jitter.lateral.to_string(),
-        allowed: format!(
-            "what keeps a vehicle {} m wide on lane `{}`, {} m wide",
-            scenario.vehicle.width,
-            shorten(&narrow.id),
-            narrow.width
-        ),
-    })
+    let allowed = format!(
+        "at most half of the width that a vehicle {} m wide leaves free on lane `{}`, {} m wide",
+        scenario.vehicle.width,
+        shorten(&narrow.id),
+        narrow.width
+    );
+    let value = scenario.jitter.lateral.to_string();
+    let place = reader.place_in("jitter", "lateral");
+    Err(Error::value(place, "jitter", "lateral", &value, allowed))
 }

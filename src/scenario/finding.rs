@@ -1,13 +1,12 @@
-//! Findings of a scenario check: all errors that make the scenario unusable, and warnings about
-//! settings that are probably not intended.
+//! A finding of a scenario check: an error that makes the scenario unusable, or a warning about a
+//! setting that is probably not intended.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::reader::{Reader, document};
-use super::{Error, Scenario, advice, check, load};
+use super::{Error, Place};
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -44,50 +43,14 @@ pub struct Position {
     pub column: u32,
 }
 
-/// Result of [`Scenario::check`].
-#[derive(Debug)]
-pub struct Findings {
-    /// The scenario, if it can be used.
-    pub scenario: Option<Scenario>,
-    /// All findings, sorted by position in the file.
-    pub list: Vec<Finding>,
-}
-
-impl Scenario {
-    /// Reads a scenario file and returns all errors and warnings, where [`Scenario::load`] stops at
-    /// the first error. A mistake in the file's syntax, names or values ends the check, because
-    /// further findings would be misleading consequences of this mistake.
-    pub fn check(path: &Path) -> Findings {
-        let mut list = Vec::new();
-        let scenario = inspect(path, &mut list).unwrap_or_else(|error| {
-            list.push(Finding::of(&error, path));
-            None
-        });
-        list.sort_by_key(|finding| finding.at.map(|at| (at.line, at.column)));
-        Findings { scenario, list }
-    }
-}
-
-/// Returns the scenario if it can be used, and appends the findings to `list`.
-fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Error> {
-    let text = load::text(path)?;
-    let document = document(&text, path)?;
-    let reader = Reader { path, document: &document };
-    let (scenario, places) = reader.scenario()?;
-    let (errors, maps) = check::nets(&scenario, &places, &reader);
-    list.extend(errors.iter().map(|error| Finding::of(error, error.path())));
-    list.extend(advice::advise(&scenario, &maps, &reader));
-    Ok(errors.is_empty().then_some(scenario))
-}
-
-impl Findings {
-    /// Returns whether at least one finding is an error.
-    pub fn has_errors(&self) -> bool {
-        self.list.iter().any(|finding| finding.severity == Severity::Error)
-    }
-}
-
 impl Finding {
+    /// Returns a warning.
+    pub(super) fn warning(place: Place, message: String, hint: &str) -> Self {
+        let Place { path: file, line, column } = place;
+        let at = Some(Position { line, column });
+        Self { severity: Severity::Warning, file, at, message, hint: Some(hint.to_owned()) }
+    }
+
     /// Converts an error to a finding about the scenario file `path`.
     pub fn of(error: &Error, path: &Path) -> Self {
         let at = error.position().map(|(line, column)| Position { line, column });

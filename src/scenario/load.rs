@@ -1,67 +1,20 @@
 //! Reads scenario files strictly: a misspelt key is an error, not a default, and every error has
-//! its position.
+//! its position. The schema decides about single values; this file checks how values fit together.
 
-use std::{
-    collections::{HashMap, HashSet},
-    path::Path,
-};
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use std::sync::Arc;
 
-use roxmltree::Node;
-
+use super::attribute::Field;
+use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
-    AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar, NeighbourOrder,
-    Net, Observation, ObservationGroups, Reward, Route, Scenario, SpawnRow, Steering, Termination,
-    Traffic, Vehicle, check,
-    check::{NetPlaces, RoutePlaces, StartPlaces},
-    reader::{Names, Reader, document, finite, in_element},
+    AgentRange, Communication, Control, Error, Intention, Jitter, Net, Observation, Reward, Route,
+    Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
 };
-use crate::sumo::net::{nearest, shorten, xml};
-
-/// Largest file that is read \[bytes\].
-const MAX_BYTES: u64 = 4 << 20;
+use crate::sumo::net::{did_you_mean, nearest, shorten};
 
 /// Largest number of spawn places in a net.
 const MAX_PLACES: u32 = 10_000;
-
-/// Largest number of nets, of routes, and of edges of a route. The check locates every route in
-/// every net.
-const MAX_NETS: usize = 64;
-const MAX_ROUTES: usize = 256;
-const MAX_EDGES: usize = 4096;
-
-/// Child elements of `<scenario>`.
-const PARTS: Names = &[
-    "description",
-    "agents",
-    "routes",
-    "nets",
-    "vehicle",
-    "jitter",
-    "control",
-    "observation",
-    "reward",
-    "termination",
-    "communication",
-    "traffic",
-];
-const OBSERVATION: Names = &[
-    "groups",
-    "detectionRange",
-    "neighbours",
-    "neighbourOrder",
-    "intention",
-    "signalDistance",
-    "conflictStreams",
-    "streamVehicles",
-    "encounters",
-    "foresight",
-    "priorityDistance",
-    "borders",
-    "lidarBeams",
-    "lidarRange",
-];
-const REWARD: Names =
-    &["progress", "speed", "arrive", "outOfRoad", "crash", "cooperation", "shareRange"];
 
 impl Scenario {
     /// Reads a scenario file and checks it against its nets.
@@ -73,8 +26,8 @@ impl Scenario {
         let text = text(path)?;
         let document = document(&text, path)?;
         let reader = Reader { path, document: &document };
-        let (scenario, places) = reader.scenario()?;
-        let (errors, _) = check::nets(&scenario, &places, &reader);
+        let scenario = reader.scenario()?;
+        let errors = check::files(&scenario, &reader).errors;
         errors.into_iter().next().map_or(Ok(scenario), Err)
     }
 
@@ -101,8 +54,7 @@ impl Scenario {
         if text.len() as u64 > MAX_BYTES {
             return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
-        let document = document(text, path)?;
-        Reader { path, document: &document }.scenario().map(|(scenario, _)| scenario)
+        Reader { path, document: &document(text, path)? }.scenario()
     }
 
     /// Returns the smallest net with a spawn place for each of `agents` agents.
@@ -121,504 +73,272 @@ impl Scenario {
     }
 }
 
-/// Returns the text of a scenario or route file.
-pub(super) fn text(path: &Path) -> Result<String, Error> {
-    let text =
-        xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
-    text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })
-}
-
-impl<'a, 'input> Reader<'a, 'input> {
-    pub(super) fn scenario(&self) -> Result<(Scenario, StartPlaces), Error> {
-        let root = self.document.root_element();
-        if !root.has_tag_name("scenario") {
-            return Err(self.unknown(
-                root,
-                "element",
-                root.tag_name().name(),
-                "the file".into(),
-                &["scenario"],
-            ));
+impl Reader<'_, '_> {
+    /// Reads the scenario without its nets.
+    pub(super) fn scenario(&self) -> Result<Scenario, Error> {
+        let root = &self.root()?;
+        let name: String = Field::read(root, "name")?;
+        if !Scenario::is_name(&name) {
+            let allowed = "1 to 64 letters, digits, `-` and `_`";
+            return Err(self.value(root.node, "name", allowed));
         }
-        self.expect(root, &["name"], PARTS)?;
-        let part = |name| self.child(root, name);
-
-        let (routes, route_places) = self.routes(part("routes")?)?;
-        let (nets, net_places) = self.nets(part("nets")?, &routes)?;
-        let agents = self.agents(part("agents")?, &nets)?;
-        let jitter = self.leaf(part("jitter")?, &["longitudinal", "lateral"])?;
-        let traffic = root.children().find(|node| node.has_tag_name("traffic")).unwrap_or(root);
-        let termination =
-            self.leaf(part("termination")?, &["horizon", "wreckTime", "border", "brokenLines"])?;
-        let places = StartPlaces {
-            routes: route_places,
-            nets: net_places,
-            lateral: Self::offset(jitter, "lateral"),
-            traffic_type: Self::offset(traffic, "type"),
-            traffic_files: Self::offset(traffic, "files"),
-            broken_lines: Self::offset(termination, "brokenLines"),
-        };
-        let vehicle = self.leaf(part("vehicle")?, &["length", "width", "maxSpeed"])?;
-        let observation = self.leaf(part("observation")?, OBSERVATION)?;
-        let intention = self.intention(observation)?;
-        let reward = self.leaf(part("reward")?, REWARD)?;
-        let communication = self.leaf(part("communication")?, &["range"])?;
-
-        let scenario = Scenario {
-            name: self.name(root)?,
+        let description: String = require(root, "description")?
+            .node
+            .children()
+            .filter_map(|node| node.text().filter(|_| node.is_text()))
+            .collect();
+        let routes = routes(root)?;
+        let nets = nets(root, &routes)?;
+        Ok(Scenario {
+            name,
             path: self.path.into(),
-            description: self.description(part("description")?)?,
-            agents,
+            description: description.split_whitespace().collect::<Vec<_>>().join(" "),
+            agents: agents(root, &nets)?,
             nets,
             routes,
-            vehicle: Vehicle {
-                length: self.positive(vehicle, "length")?,
-                width: self.positive(vehicle, "width")?,
-                max_speed: self.positive(vehicle, "maxSpeed")?,
-            },
-            jitter: Jitter {
-                longitudinal: self.not_negative(jitter, "longitudinal")?,
-                lateral: self.not_negative(jitter, "lateral")?,
-            },
-            control: self.control(part("control")?)?,
-            observation: Observation {
-                groups: self.groups(observation)?,
-                detection_range: self.positive(observation, "detectionRange")?,
-                neighbours: self.whole(observation, "neighbours", 0, 16)? as usize,
-                neighbour_order: self.neighbour_order(observation)?,
-                intention,
-                signal_distance: self.signal_distance(observation, intention)?,
-                conflict_streams: self.whole(observation, "conflictStreams", 0, 16)? as usize,
-                stream_vehicles: self.whole(observation, "streamVehicles", 0, 16)? as usize,
-                encounters: self.whole_or(observation, "encounters", 0, 16)? as usize,
-                foresight: match observation.attribute("foresight") {
-                    None => 0.0,
-                    Some(_) => self.number(observation, "foresight", "0 to 10", |v| {
-                        (0.0..=10.0).contains(&v)
-                    })?,
-                },
-                priority_distance: match observation.attribute("priorityDistance") {
-                    None => 0.0,
-                    Some(_) => self.number(observation, "priorityDistance", "0 to 100", |v| {
-                        (0.0..=100.0).contains(&v)
-                    })?,
-                },
-                borders: match observation.attribute("borders") {
-                    None => 0.0,
-                    Some(_) => self
-                        .number(observation, "borders", "0 to 20", |v| (0.0..=20.0).contains(&v))?,
-                },
-                lidar: Lidar {
-                    beams: self.whole_or(observation, "lidarBeams", 0, Lidar::MOST as u32)?
-                        as usize,
-                    range: match observation.attribute("lidarRange") {
-                        None => Lidar::default().range,
-                        Some(_) => self.number(observation, "lidarRange", "1 to 200", |v| {
-                            (1.0..=200.0).contains(&v)
-                        })?,
-                    },
-                },
-            },
-            reward: Reward {
-                progress: self.any(reward, "progress")?,
-                speed: self.any(reward, "speed")?,
-                arrive: self.any(reward, "arrive")?,
-                out_of_road: self.any(reward, "outOfRoad")?,
-                crash: self.any(reward, "crash")?,
-                cooperation: self
-                    .number(reward, "cooperation", "0 to 1", |v| (0.0..=1.0).contains(&v))?,
-                share_range: match reward.attribute("shareRange") {
-                    None => f64::INFINITY,
-                    Some(_) => self.not_negative(reward, "shareRange")?,
-                },
-            },
-            termination: Termination {
-                horizon: self.whole(termination, "horizon", 1, 1_000_000)?,
-                wreck_time: self.not_negative(termination, "wreckTime")?,
-                border: self.border(termination)?,
-                broken_lines: termination
-                    .attribute("brokenLines")
-                    .unwrap_or_default()
-                    .split_whitespace()
-                    .map(Into::into)
-                    .collect(),
-            },
-            communication: Communication { range: self.not_negative(communication, "range")? },
-            traffic: self.traffic(root)?,
-        };
-        Ok((scenario, places))
-    }
-
-    /// Returns an attribute as a whole number from 0 to `max`, or `otherwise` if the attribute is
-    /// missing.
-    fn whole_or(
-        &self,
-        node: Node<'a, 'input>,
-        key: &'static str,
-        otherwise: u32,
-        max: u32,
-    ) -> Result<u32, Error> {
-        if node.has_attribute(key) { self.whole(node, key, 0, max) } else { Ok(otherwise) }
-    }
-
-    /// Reads the element `<traffic>`, which is optional.
-    fn traffic(&self, root: Node<'a, 'input>) -> Result<Traffic, Error> {
-        if !root.children().any(|node| node.has_tag_name("traffic")) {
-            return Ok(Traffic::default());
-        }
-        let node =
-            self.leaf(self.child(root, "traffic")?, &["penetration", "type", "files", "capacity"])?;
-        let folder = self.path.parent().unwrap_or(Path::new(""));
-        let otherwise = Traffic::default();
-        let share = |v: f64| v > 0.0 && v <= 1.0;
-        let files: Vec<_> = node
-            .attribute("files")
-            .unwrap_or("")
-            .split_whitespace()
-            .map(|f| folder.join(f))
-            .collect();
-        let kind = node.attribute("type").map(Into::into);
-        if kind.is_some() && files.is_empty() {
-            return Err(self.missing(node, "attribute", "files"));
-        }
-        Ok(Traffic {
-            penetration: match node.attribute("penetration") {
-                None => otherwise.penetration,
-                Some(_) => self.number(node, "penetration", "above 0, to 1", share)?,
-            },
-            kind,
-            files,
-            capacity: match node.attribute("capacity") {
-                None => otherwise.capacity,
-                Some(_) => self.whole(node, "capacity", 1, 1000)?,
-            },
+            vehicle: part::<Vehicle>(root, "vehicle")?,
+            jitter: part::<Jitter>(root, "jitter")?,
+            control: control(root)?,
+            observation: observation(root)?,
+            reward: part::<Reward>(root, "reward")?,
+            termination: part::<Termination>(root, "termination")?,
+            communication: part::<Communication>(root, "communication")?,
+            traffic: traffic(root)?,
         })
     }
+}
 
-    fn border(&self, node: Node<'a, 'input>) -> Result<Border, Error> {
-        if !node.has_attribute("border") {
-            return Ok(Border::Line);
+/// Reads a required child element that has only attributes.
+fn part<T: Field>(root: &Element, name: &'static str) -> Result<T, Error> {
+    T::read(&require(root, name)?, "")
+}
+
+/// Returns a required child element.
+fn require<'a, 'input>(
+    parent: &Element<'a, 'input>,
+    name: &'static str,
+) -> Result<Element<'a, 'input>, Error> {
+    parent.child(name).ok_or_else(|| parent.reader.missing(parent.node, "element", name))
+}
+
+fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
+    let element = require(root, "agents")?;
+    let range = AgentRange::read(&element, "")?;
+    let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
+    let refuse = |key, allowed: String| Err(element.reader.value(element.node, key, allowed));
+    if range.max < range.min || range.max > largest {
+        let places = "the number of places of the largest net";
+        return refuse("max", format!("{} to {largest}, {places}", range.min));
+    }
+    if !(range.min..=range.max).contains(&range.default) {
+        return refuse("default", format!("whole number from {} to {}", range.min, range.max));
+    }
+    Ok(range)
+}
+
+fn routes(root: &Element) -> Result<Vec<Route>, Error> {
+    let (mut routes, mut ids) = (Vec::new(), HashSet::new());
+    for element in require(root, "routes")?.children("route") {
+        let route = Route::read(&element, "")?;
+        let special = |c: char| c.is_whitespace() || "|\\'\";,<>&".contains(c);
+        if route.id.is_empty() || route.id.chars().any(special) {
+            let allowed = "a word without spaces, quotes and any of |\\;,<>&";
+            return Err(element.reader.value(element.node, "id", allowed));
         }
-        let name = self.text(node, "border")?;
-        let known = Border::NAMES.iter().find(|entry| entry.0 == name);
-        known.map(|entry| entry.1).ok_or_else(|| self.value(node, "border", "line or kerb"))
-    }
-
-    fn groups(&self, node: Node<'a, 'input>) -> Result<ObservationGroups, Error> {
-        let name = self.text(node, "groups")?;
-        let known = ObservationGroups::NAMES.iter().find(|entry| entry.0 == name);
-        known
-            .map(|entry| entry.1)
-            .ok_or_else(|| self.value(node, "groups", "nearest, conflict or both"))
-    }
-
-    fn neighbour_order(&self, node: Node<'a, 'input>) -> Result<NeighbourOrder, Error> {
-        let Some(name) = node.attribute("neighbourOrder") else {
-            return Ok(NeighbourOrder::default());
-        };
-        let known = NeighbourOrder::NAMES.iter().find(|entry| entry.0 == name);
-        known
-            .map(|entry| entry.1)
-            .ok_or_else(|| self.value(node, "neighbourOrder", "distance or bearing"))
-    }
-
-    fn intention(&self, node: Node<'a, 'input>) -> Result<Intention, Error> {
-        let Some(name) = node.attribute("intention") else { return Ok(Intention::default()) };
-        let known = Intention::NAMES.iter().find(|entry| entry.0 == name);
-        known.map(|entry| entry.1).ok_or_else(|| {
-            let similar = nearest(name, Intention::NAMES.iter().map(|entry| entry.0));
-            let similar =
-                similar.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
-            self.value(node, "intention", format!("seen, signalled or hidden{similar}"))
-        })
-    }
-
-    fn signal_distance(&self, node: Node<'a, 'input>, intention: Intention) -> Result<f64, Error> {
-        if !node.has_attribute("signalDistance") {
-            return Ok(Observation::SIGNAL_DISTANCE);
+        if !ids.insert(route.id.clone()) {
+            return Err(element.reader.duplicate(element.node, "route"));
         }
-        if intention != Intention::Signalled {
-            let allowed =
-                "only with intention=\"signalled\": otherwise no vehicle has an indicator";
-            return Err(self.value(node, "signalDistance", allowed));
-        }
-        self.number(node, "signalDistance", "1 to 200", |v| (1.0..=200.0).contains(&v))
+        routes.push(route);
     }
+    Ok(routes)
+}
 
-    fn name(&self, root: Node<'a, 'input>) -> Result<String, Error> {
-        let name = self.text(root, "name")?;
-        if !Scenario::is_name(name) {
-            return Err(self.value(root, "name", "1 to 64 letters, digits, `-` and `_`"));
-        }
-        Ok(name.into())
-    }
-
-    fn description(&self, node: Node<'a, 'input>) -> Result<String, Error> {
-        self.expect_attributes(node, &[])?;
-        if let Some(inner) = node.children().find(Node::is_element) {
-            return Err(self.unknown(
-                inner,
-                "element",
-                inner.tag_name().name(),
-                in_element(node),
-                &[],
-            ));
-        }
-        let text: String = node.children().filter(Node::is_text).filter_map(|n| n.text()).collect();
-        Ok(text.split_whitespace().collect::<Vec<_>>().join(" "))
-    }
-
-    fn agents(&self, node: Node<'a, 'input>, nets: &[Net]) -> Result<AgentRange, Error> {
-        self.leaf(node, &["min", "max", "default"])?;
-        let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
-        let min = self.whole(node, "min", 1, MAX_PLACES)?;
-        let max = self.whole(node, "max", min, MAX_PLACES)?;
-        if max > largest {
-            let allowed = format!("{min} to {largest}, the number of places of the largest net");
-            return Err(self.value(node, "max", allowed));
-        }
-        Ok(AgentRange { min, max, default: self.whole(node, "default", min, max)? })
-    }
-
-    fn routes(&self, node: Node<'a, 'input>) -> Result<(Vec<Route>, Vec<RoutePlaces>), Error> {
-        self.expect(node, &[], &["route"])?;
-        let (mut routes, mut places, mut ids) = (Vec::new(), Vec::new(), HashSet::new());
-        for route in self.few(node, MAX_ROUTES)? {
-            self.leaf(route, &["id", "edges", "lane", "arrivalPos", "reserved", "offLane"])?;
-            let id = self.text(route, "id")?;
-            if id.is_empty() || id.chars().any(|c| c.is_whitespace() || "|\\'\";,<>&".contains(c)) {
-                return Err(self.value(
-                    route,
-                    "id",
-                    "a word without spaces, quotes and any of |\\;,<>&",
-                ));
-            }
-            if !ids.insert(id) {
-                return Err(self.duplicate(
-                    Self::offset(route, "id"),
-                    format!("route with the id `{}`", shorten(id)),
-                ));
-            }
-            let edges: Vec<String> =
-                self.text(route, "edges")?.split_whitespace().map(Into::into).collect();
-            if !(1..=MAX_EDGES).contains(&edges.len()) {
-                return Err(self.value(
-                    route,
-                    "edges",
-                    format!("1 to {MAX_EDGES} edge ids separated by spaces"),
-                ));
-            }
-            let lane = match route.attribute("lane") {
-                None => None,
-                Some(_) => Some(self.whole(route, "lane", 0, 63)?),
+/// Reads the nets, in ascending order of their numbers of places.
+fn nets(root: &Element, routes: &[Route]) -> Result<Vec<Net>, Error> {
+    let index: HashMap<&str, usize> =
+        routes.iter().enumerate().map(|(i, route)| (route.id.as_str(), i)).collect();
+    let folder = root.reader.path.parent().unwrap_or(Path::new(""));
+    let mut nets = Vec::new();
+    for element in require(root, "nets")?.children("net") {
+        let file: String = Field::read(&element, "file")?;
+        let (mut spawns, mut room) = (Vec::new(), MAX_PLACES);
+        for spawn in element.children("spawn") {
+            let row = row(&spawn, routes, &index)?;
+            let Some(left) = room.checked_sub(row.count) else {
+                let allowed = format!("at most {MAX_PLACES} places in a net");
+                return Err(spawn.reader.value(spawn.node, "count", allowed));
             };
-            let reserved = route.has_attribute("reserved") && self.flag(route, "reserved")?;
-            let off_lane =
-                if route.has_attribute("offLane") { self.any(route, "offLane")? } else { 1.0 };
-            let arrival_pos = self.any(route, "arrivalPos")?;
-            routes.push(Route { id: id.into(), edges, lane, arrival_pos, reserved, off_lane });
-            places.push(RoutePlaces {
-                edges: Self::offset(route, "edges"),
-                arrival_pos: Self::offset(route, "arrivalPos"),
-            });
+            room = left;
+            spawns.push(row);
         }
-        if routes.is_empty() {
-            return Err(self.missing(node, "element", "route"));
-        }
-        Ok((routes, places))
+        destinations(&element, &spawns, routes)?;
+        nets.push(Net { file: folder.join(file), spawns });
     }
+    nets.sort_by_key(Net::capacity);
+    Ok(nets)
+}
 
-    fn nets(
-        &self,
-        node: Node<'a, 'input>,
-        routes: &[Route],
-    ) -> Result<(Vec<Net>, Vec<NetPlaces>), Error> {
-        self.expect(node, &[], &["net"])?;
-        let index: HashMap<&str, usize> =
-            routes.iter().enumerate().map(|(i, r)| (r.id.as_str(), i)).collect();
-        let folder = self.path.parent().unwrap_or(Path::new(""));
-        let mut nets = Vec::new();
-        for net in self.few(node, MAX_NETS)? {
-            self.expect(net, &["file"], &["spawn"])?;
-            let file = self.text(net, "file")?;
-            if file.is_empty() {
-                return Err(self.value(net, "file", "a .net.xml"));
-            }
-            let (mut spawns, mut places, mut room) = (Vec::new(), Vec::new(), MAX_PLACES);
-            for spawn in net.children().filter(Node::is_element) {
-                let row = self.spawn(spawn, routes, &index, room)?;
-                room -= row.count;
-                spawns.push(row);
-                places.push(spawn.range().start);
-            }
-            if spawns.is_empty() {
-                return Err(self.missing(net, "element", "spawn"));
-            }
-            self.destinations(net, &spawns, routes)?;
-            let at = NetPlaces { file: Self::offset(net, "file"), spawns: places };
-            nets.push((Net { file: folder.join(file), spawns }, at));
+/// Checks that every vehicle that needs a reserved destination finds a free one, whichever routes
+/// the other vehicles draw.
+fn destinations(net: &Element, rows: &[SpawnRow], routes: &[Route]) -> Result<(), Error> {
+    let reserved = |&i: &usize| routes[i].reserved;
+    let wanted: u32 =
+        rows.iter().filter(|row| row.routes.iter().any(reserved)).map(|row| row.count).sum();
+    for (row, spawn) in rows.iter().zip(net.children("spawn")) {
+        let ends: HashSet<_> = row.routes.iter().map(|&i| routes[i].edges.last()).collect();
+        if row.routes.iter().all(reserved) && (ends.len() as u32) < wanted {
+            let allowed = format!(
+                "reserved routes to at least {wanted} edges, because up to {wanted} vehicles need a reserved destination"
+            );
+            return Err(net.reader.value(spawn.node, "route", allowed));
         }
-        if nets.is_empty() {
-            return Err(self.missing(node, "element", "net"));
-        }
-        nets.sort_by_key(|(net, _)| net.capacity());
-        Ok(nets.into_iter().unzip())
     }
+    Ok(())
+}
 
-    /// Checks that every vehicle that needs a reserved destination finds a free one, whichever
-    /// routes the other vehicles draw.
-    fn destinations(
-        &self,
-        net: Node<'a, 'input>,
-        rows: &[SpawnRow],
-        routes: &[Route],
-    ) -> Result<(), Error> {
-        let reserved = |&i: &usize| routes[i].reserved;
-        let wanted: u32 =
-            rows.iter().filter(|row| row.routes.iter().any(reserved)).map(|row| row.count).sum();
-        for (row, node) in rows.iter().zip(net.children().filter(Node::is_element)) {
-            let ends: HashSet<_> = row.routes.iter().map(|&i| routes[i].edges.last()).collect();
-            if row.routes.iter().all(reserved) && (ends.len() as u32) < wanted {
-                let allowed = format!(
-                    "reserved routes to {wanted} edges or more: so many vehicles may want one"
-                );
-                return Err(self.value(node, "route", allowed));
-            }
-        }
-        Ok(())
-    }
-
-    fn spawn(
-        &self,
-        node: Node<'a, 'input>,
-        routes: &[Route],
-        index: &HashMap<&str, usize>,
-        room: u32,
-    ) -> Result<SpawnRow, Error> {
-        self.leaf(node, &["route", "first", "spacing", "count"])?;
-        let mut drawn = Vec::new();
-        for id in self.text(node, "route")?.split_whitespace() {
-            let Some(&route) = index.get(id) else {
-                let (line, column) = self.position(Self::offset(node, "route"));
-                let nearest = nearest(id, routes.iter().map(|r| r.id.as_str())).map(Into::into);
-                let value = shorten(id);
-                return Err(Error::Reference {
-                    path: self.path.into(),
-                    line,
-                    column,
-                    key: "route",
-                    value,
-                    nearest,
-                });
-            };
-            let begins = |r: &Route| (r.edges[0].clone(), r.lane);
-            if drawn
-                .first()
-                .is_some_and(|&first: &usize| begins(&routes[first]) != begins(&routes[route]))
-            {
-                return Err(self.value(
-                    node,
-                    "route",
-                    "routes that begin on the same edge and the same `lane`",
-                ));
-            }
-            drawn.push(route);
-        }
-        if drawn.is_empty() {
-            return Err(self.value(
-                node,
-                "route",
-                "the id of a route, or several separated by spaces",
-            ));
-        }
-        let count = self.whole(node, "count", 1, MAX_PLACES)?;
-        if count > room {
-            return Err(self.value(node, "count", format!("at most {MAX_PLACES} places in a net")));
-        }
-        Ok(SpawnRow {
-            routes: drawn.into(),
-            first: self.not_negative(node, "first")?,
-            spacing: self.positive(node, "spacing")?,
-            count,
-        })
-    }
-
-    fn control(&self, node: Node<'a, 'input>) -> Result<Control, Error> {
-        let attributes = &["mode", "interval", "accel", "drag", "brake", "initialThrottle"];
-        let steered = match self.text(node, "mode")? {
-            "throttle" => false,
-            "steering" => true,
-            _ => return Err(self.value(node, "mode", "throttle or steering")),
+fn row(
+    element: &Element,
+    routes: &[Route],
+    index: &HashMap<&str, usize>,
+) -> Result<SpawnRow, Error> {
+    let ids: Vec<String> = Field::read(element, "route")?;
+    let mut drawn = Vec::new();
+    for id in &ids {
+        let Some(&route) = index.get(id.as_str()) else {
+            let similar = did_you_mean(nearest(id, routes.iter().map(|r| r.id.as_str())));
+            let message = format!("route `{}` is not the id of a route{similar}", shorten(id));
+            let place = element.reader.place(element.node, "route");
+            return Err(Error::Invalid { place, message, hint: None });
         };
-        self.expect(node, attributes, if steered { &["steering"] } else { &[] })?;
-        let in_milliseconds = |v: f64| (v * 1000.0 - (v * 1000.0).round()).abs() < 1e-6;
-        let interval = |v: f64| (0.001..=10.0).contains(&v) && in_milliseconds(v);
-        let interval =
-            self.number(node, "interval", "0.001 to 10, a multiple of 0.001", interval)?;
-        let steering =
-            if steered { Some(self.steering(self.child(node, "steering")?)?) } else { None };
-        Ok(Control {
-            interval,
-            steering,
-            accel: self.positive(node, "accel")?,
-            drag: self.not_negative(node, "drag")?,
-            brake: self.brake(node)?,
-            initial_throttle: match node.attribute("initialThrottle") {
-                None => Control::INITIAL_THROTTLE,
-                Some(_) => {
-                    self.number(node, "initialThrottle", "-1 to 1", |v| (-1.0..=1.0).contains(&v))?
-                }
-            },
-        })
+        drawn.push(route);
     }
+    let begins = |&route: &usize| (&routes[route].edges[0], routes[route].lane);
+    if drawn.iter().any(|route| begins(route) != begins(&drawn[0])) {
+        let allowed = "routes that begin on the same edge and have the same `lane`";
+        return Err(element.reader.value(element.node, "route", allowed));
+    }
+    Ok(SpawnRow {
+        routes: Arc::from(drawn),
+        first: Field::read(element, "first")?,
+        spacing: Field::read(element, "spacing")?,
+        count: Field::read(element, "count")?,
+    })
+}
 
-    fn steering(&self, node: Node<'a, 'input>) -> Result<Steering, Error> {
-        self.leaf(
-            node,
-            &["maxAngle", "frontAxle", "rearAxle", "track", "friction", "yawInertia", "reverse"],
-        )?;
-        let angle = |v: f64| (0.1..=80.0).contains(&v);
-        let otherwise = Steering::default();
-        // Every car is well within these bounds, which keep the motion stable.
-        let or = |key: &'static str, otherwise: f64, least: f64, most: f64| match node
-            .attribute(key)
-        {
-            None => Ok(otherwise),
-            Some(_) => self
-                .number(node, key, &format!("{least} to {most}"), |v| (least..=most).contains(&v)),
+fn control(root: &Element) -> Result<Control, Error> {
+    let element = require(root, "control")?;
+    let control = Control::read(&element, "")?;
+    let refuse = |key, allowed: &str| Err(element.reader.value(element.node, key, allowed));
+    match (element.attribute("mode"), &control.steering) {
+        (Some("steering"), None) => {
+            return Err(element.reader.missing(element.node, "element", "steering"));
+        }
+        (Some("throttle"), Some(_)) => {
+            return refuse("mode", "`steering`, because the element contains <steering>");
+        }
+        _ => {}
+    }
+    let milliseconds = control.interval * 1000.0;
+    if (milliseconds - milliseconds.round()).abs() >= 1e-6 {
+        return refuse("interval", "a multiple of 0.001 from 0.001 to 10");
+    }
+    let curve = &control.brake;
+    let positive = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
+    let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
+    let limited = curve.last().is_some_and(|last| last.0 == 1.0 && last.1 <= 1e9);
+    if !(positive && ascending && limited) {
+        return refuse(
+            "brake",
+            "pairs magnitude:deceleration with numbers above 0, magnitudes that ascend to 1, and decelerations that do not decrease",
+        );
+    }
+    Ok(control)
+}
+
+fn observation(root: &Element) -> Result<Observation, Error> {
+    let element = require(root, "observation")?;
+    let observation = Observation::read(&element, "")?;
+    let given = element.node.has_attribute("signalDistance");
+    if given && observation.intention != Intention::Signalled {
+        let allowed =
+            "no value unless intention is `signalled`: otherwise no vehicle has an indicator";
+        return Err(element.reader.value(element.node, "signalDistance", allowed));
+    }
+    Ok(observation)
+}
+
+fn traffic(root: &Element) -> Result<Traffic, Error> {
+    let Some(element) = root.child("traffic") else { return Ok(Traffic::default()) };
+    let mut traffic = Traffic::read(&element, "")?;
+    if traffic.kind.is_some() && traffic.files.is_empty() {
+        return Err(element.reader.missing(element.node, "attribute", "files"));
+    }
+    let folder = root.reader.path.parent().unwrap_or(Path::new(""));
+    traffic.files.iter_mut().for_each(|file| *file = folder.join(&*file));
+    Ok(traffic)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Lidar, Steering, describe};
+    use super::*;
+
+    /// Every attribute in the schema is a field, and every field is in the schema.
+    #[test]
+    fn fields_and_schema_agree() {
+        fn names<T: Field>(more: &[&str]) -> Vec<String> {
+            let mut names = more.iter().map(ToString::to_string).collect();
+            T::names("", &mut names);
+            names
+        }
+        let read = |element: &str| match element {
+            "scenario" => vec!["name".into()],
+            "net" => vec!["file".into()],
+            "spawn" => ["route", "first", "spacing", "count"].map(String::from).to_vec(),
+            "agents" => names::<AgentRange>(&[]),
+            "route" => names::<Route>(&[]),
+            "vehicle" => names::<Vehicle>(&[]),
+            "jitter" => names::<Jitter>(&[]),
+            "control" => names::<Control>(&["mode"]),
+            "steering" => names::<Steering>(&[]),
+            "observation" => names::<Observation>(&[]),
+            "reward" => names::<Reward>(&[]),
+            "termination" => names::<Termination>(&[]),
+            "communication" => names::<Communication>(&[]),
+            "traffic" => names::<Traffic>(&[]),
+            _ => Vec::new(),
         };
-        Ok(Steering {
-            max_angle: self.number(node, "maxAngle", "an angle from 0.1 to 80", angle)?,
-            front_axle: or("frontAxle", otherwise.front_axle, 0.1, 20.0)?,
-            rear_axle: or("rearAxle", otherwise.rear_axle, 0.1, 20.0)?,
-            track: or("track", otherwise.track, 0.1, 5.0)?,
-            friction: or("friction", otherwise.friction, 0.01, 5.0)?,
-            yaw_inertia: or("yawInertia", otherwise.yaw_inertia, 0.01, 200.0)?,
-            reverse: self.flag(node, "reverse")?,
-        })
-    }
-
-    fn flag(&self, node: Node<'a, 'input>, key: &'static str) -> Result<bool, Error> {
-        match self.text(node, key)? {
-            "true" => Ok(true),
-            "false" => Ok(false),
-            _ => Err(self.value(node, key, "true or false")),
+        for element in describe().all() {
+            let mut read = read(&element.name);
+            read.sort();
+            let mut declared: Vec<_> = element.attributes.iter().map(|a| a.name.clone()).collect();
+            declared.sort();
+            assert_eq!(read, declared, "<{}>", element.name);
         }
     }
 
-    fn brake(&self, node: Node<'a, 'input>) -> Result<Vec<(f64, f64)>, Error> {
-        let pair = |text: &str| {
-            let (magnitude, deceleration) = text.split_once(':')?;
-            Some((finite(magnitude)?, finite(deceleration)?))
+    #[test]
+    fn defaults_of_structs_are_those_of_the_schema() {
+        let default = |element: &str, attribute: &str| {
+            let all = describe().all();
+            let element = all.into_iter().find(|known| known.name == element).unwrap();
+            element.attribute(attribute).unwrap().default.clone().unwrap()
         };
-        let curve: Option<Vec<(f64, f64)>> =
-            self.text(node, "brake")?.split_whitespace().map(pair).collect();
-        let curve = curve.filter(|curve| {
-            let from_origin = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
-            let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
-            from_origin && ascending && curve.last().is_some_and(|last| last.0 == 1.0)
-        });
-        let allowed = "pairs magnitude:deceleration, both greater than 0, magnitudes ascending to 1, decelerations never falling";
-        curve.ok_or_else(|| self.value(node, "brake", allowed))
+        let steering = Steering::default();
+        for (element, attribute, value) in [
+            ("steering", "frontAxle", steering.front_axle),
+            ("steering", "rearAxle", steering.rear_axle),
+            ("steering", "track", steering.track),
+            ("steering", "friction", steering.friction),
+            ("steering", "yawInertia", steering.yaw_inertia),
+            ("control", "initialThrottle", Control::INITIAL_THROTTLE),
+            ("observation", "signalDistance", Observation::SIGNAL_DISTANCE),
+            ("observation", "lidarBeams", Lidar::default().beams as f64),
+            ("observation", "lidarRange", Lidar::default().range),
+            ("traffic", "penetration", Traffic::default().penetration),
+            ("traffic", "capacity", f64::from(Traffic::default().capacity)),
+        ] {
+            assert_eq!(default(element, attribute), value.to_string(), "{attribute}");
+        }
     }
 }

@@ -1,20 +1,22 @@
-//! Reads elements and values of a scenario's XML. Every mistake becomes an error with its position.
+//! Reads elements and values of XML files. Every mistake becomes an error with its position.
 
 use std::{fmt::Display, path::Path};
 
-use roxmltree::{Attribute, Document, Node};
+use roxmltree::{Document, Node};
 
-use super::Error;
-use crate::sumo::net::{nearest, shorten, xml};
+use super::schema::{self, Kind, MAX_NUMBER};
+use super::{Error, Place};
+use crate::sumo::net::{did_you_mean, nearest, shorten, xml};
 
-/// Largest magnitude of a number in a scenario, which keeps sums and products finite.
-const MAX_NUMBER: f64 = 1e9;
+/// Largest file that is read \[bytes\].
+pub(super) const MAX_BYTES: u64 = 4 << 20;
 
-/// Namespace of `xsi:noNamespaceSchemaLocation`, which names the schema for editors.
+/// Namespace and names of the attributes that name the schema for editors.
 const XSI: &str = "http://www.w3.org/2001/XMLSchema-instance";
+const SCHEMA_LOCATION: [&str; 2] = ["noNamespaceSchemaLocation", "schemaLocation"];
 
-/// Names that are valid at one place of a file.
-pub(super) type Names = &'static [&'static str];
+/// Hint for missing elements and attributes.
+const REFERENCE: &str = "`iwol scenario reference` prints all elements and attributes";
 
 /// The XML of a scenario or route file, and the path of the file.
 pub(super) struct Reader<'a, 'input> {
@@ -22,157 +24,187 @@ pub(super) struct Reader<'a, 'input> {
     pub(super) document: &'a Document<'input>,
 }
 
+/// Returns the text of a scenario or route file.
+pub(super) fn text(path: &Path) -> Result<String, Error> {
+    let text =
+        xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
+    text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })
+}
+
 /// Parses the text of a file.
 pub(super) fn document<'t>(text: &'t str, path: &Path) -> Result<Document<'t>, Error> {
     xml::parse(text).map_err(|(source, at)| Error::Parse {
-        path: path.into(),
-        line: at.row,
-        column: at.col,
+        place: Place { path: path.into(), line: at.row, column: at.col },
         source,
     })
 }
 
+/// An element that the schema accepts.
+pub(super) struct Element<'a, 'input> {
+    pub(super) reader: &'a Reader<'a, 'input>,
+    pub(super) node: Node<'a, 'input>,
+    schema: &'static schema::Element,
+}
+
+impl<'a, 'input> Element<'a, 'input> {
+    /// Returns the text of an attribute, or its default.
+    pub(super) fn attribute(&self, name: &str) -> Option<&'a str> {
+        self.node.attribute(name).or_else(|| self.schema.attribute(name)?.default.as_deref())
+    }
+
+    /// Returns the child elements called `name`.
+    pub(super) fn children(&self, name: &str) -> impl Iterator<Item = Self> + use<'a, 'input> {
+        let (reader, node, schema) = (self.reader, self.node, self.schema.child(name));
+        schema.into_iter().flat_map(move |schema| {
+            let nodes = node.children().filter(move |node| node.has_tag_name(schema.name.as_str()));
+            nodes.map(move |node| Self { reader, node, schema })
+        })
+    }
+
+    /// Returns the first child element called `name`.
+    pub(super) fn child(&self, name: &str) -> Option<Self> {
+        self.children(name).next()
+    }
+
+    /// Returns an error: the attribute has none of the values that the schema allows.
+    pub(super) fn refuse(&self, name: &str) -> Error {
+        let kind = self.schema.attribute(name).map(|known| &known.kind);
+        let similar = match kind {
+            Some(Kind::Choice(words)) => nearest(
+                self.node.attribute(name).unwrap_or_default(),
+                words.iter().map(String::as_str),
+            ),
+            _ => None,
+        };
+        let allowed = kind.map(Kind::allowed).unwrap_or_default();
+        self.reader.value(self.node, name, allowed + &did_you_mean(similar))
+    }
+
+    /// Checks the element and all elements in it against the schema.
+    fn check(&self) -> Result<(), Error> {
+        let Self { reader, node, schema } = self;
+        reader.expect_attributes(*node, &names(&schema.attributes, |known| &known.name))?;
+        let valid = names(&schema.children, |known| &known.name);
+        reader.expect_children(*node, &valid, schema.is_text)?;
+        for known in &schema.children {
+            let mut found = node.children().filter(|child| child.has_tag_name(known.name.as_str()));
+            if known.least > 0 && found.clone().next().is_none() {
+                return Err(reader.missing(*node, "element", &known.name).hinted(REFERENCE));
+            }
+            if let Some(excess) = known.most.and_then(|most| found.nth(most)) {
+                let name = &known.name;
+                let message = match known.most {
+                    Some(1) => format!("a second element <{name}>"),
+                    most => format!("more than {} elements <{name}>", most.unwrap_or_default()),
+                };
+                return Err(reader.invalid(excess.range().start, message));
+            }
+        }
+        for known in &schema.attributes {
+            match node.attribute(known.name.as_str()) {
+                None if known.required => {
+                    return Err(reader.missing(*node, "attribute", &known.name).hinted(REFERENCE));
+                }
+                Some(text) if !known.kind.accepts(text) => return Err(self.refuse(&known.name)),
+                _ => {}
+            }
+        }
+        schema
+            .children
+            .iter()
+            .flat_map(|known| self.children(&known.name))
+            .try_for_each(|child| child.check())
+    }
+}
+
+fn names<T>(list: &'static [T], name: impl Fn(&'static T) -> &'static String) -> Vec<&'static str> {
+    list.iter().map(|known| name(known).as_str()).collect()
+}
+
 impl<'a, 'input> Reader<'a, 'input> {
-    /// Checks that an element has only the given attributes and child elements, and no text.
-    pub(super) fn expect(
+    /// Returns the root element after checking the whole document against the schema.
+    pub(super) fn root(&'a self) -> Result<Element<'a, 'input>, Error> {
+        let (node, schema) = (self.document.root_element(), schema::describe());
+        self.expect_root(node, &[&schema.name])?;
+        let root = Element { reader: self, node, schema };
+        root.check().map(|()| root)
+    }
+
+    /// Checks the name of the root element.
+    pub(super) fn expect_root(&self, root: Node, valid: &[&'static str]) -> Result<(), Error> {
+        if valid.iter().any(|&name| root.has_tag_name(name)) {
+            return Ok(());
+        }
+        Err(self.unknown(root, "element", root.tag_name().name(), "the file".into(), valid))
+    }
+
+    /// Checks that an element has only the given child elements and, unless `text` is allowed, no
+    /// text.
+    pub(super) fn expect_children(
         &self,
         node: Node,
-        attributes: Names,
-        children: Names,
+        valid: &[&'static str],
+        text: bool,
     ) -> Result<(), Error> {
-        self.expect_attributes(node, attributes)?;
+        let parent = || format!("<{}>", node.tag_name().name());
         for child in node.children() {
-            if child.is_element() && !children.iter().any(|&name| child.has_tag_name(name)) {
-                return Err(self.unknown(
-                    child,
-                    "element",
-                    child.tag_name().name(),
-                    in_element(node),
-                    children,
-                ));
+            let name = child.tag_name().name();
+            if child.is_element() && !valid.iter().any(|&known| child.has_tag_name(known)) {
+                return Err(self.unknown(child, "element", name, parent(), valid));
             }
-            let text =
-                child.text().map(str::trim).filter(|text| child.is_text() && !text.is_empty());
-            if let Some(text) = text {
-                return Err(self.unknown(child, "text", text, in_element(node), &[]));
+            let content = child.text().map(str::trim).filter(|text| !text.is_empty());
+            if let Some(content) = content.filter(|_| child.is_text() && !text) {
+                return Err(self.unknown(child, "text", content, parent(), &[]));
             }
         }
         Ok(())
     }
 
-    pub(super) fn expect_attributes(&self, node: Node, attributes: Names) -> Result<(), Error> {
-        let known = |a: &Attribute| match a.namespace() {
-            None => attributes.contains(&a.name()),
-            Some(namespace) => namespace == XSI,
-        };
-        let Some(attribute) = node.attributes().find(|a| !known(a)) else {
-            return Ok(());
-        };
-        let (line, column) = self.position(attribute.range().start);
+    /// Checks that an element has only the given attributes.
+    pub(super) fn expect_attributes(
+        &self,
+        node: Node,
+        valid: &[&'static str],
+    ) -> Result<(), Error> {
+        let unknown = node.attributes().find(|a| match a.namespace() {
+            None => !valid.contains(&a.name()),
+            Some(namespace) => namespace != XSI || !SCHEMA_LOCATION.contains(&a.name()),
+        });
+        let Some(attribute) = unknown else { return Ok(()) };
         Err(Error::Unknown {
-            path: self.path.into(),
-            line,
-            column,
+            place: self.at(attribute.range().start),
             kind: "attribute",
             key: shorten(attribute.name()),
-            parent: in_element(node),
-            nearest: nearest(attribute.name(), attributes.iter().copied()),
-            valid: attributes,
+            parent: format!("<{}>", node.tag_name().name()),
+            nearest: nearest(attribute.name(), valid.iter().copied()),
+            valid: valid.to_vec(),
         })
     }
 
-    /// Returns an element after checking that it has only the given attributes and no content.
-    pub(super) fn leaf<'n>(
-        &self,
-        node: Node<'n, 'input>,
-        attributes: Names,
-    ) -> Result<Node<'n, 'input>, Error> {
-        self.expect(node, attributes, &[])?;
-        Ok(node)
-    }
-
-    /// Returns the only child with this name.
-    pub(super) fn child(
-        &self,
-        parent: Node<'a, 'input>,
-        name: &'static str,
-    ) -> Result<Node<'a, 'input>, Error> {
-        let mut found = parent.children().filter(|n| n.has_tag_name(name));
-        let child = found.next().ok_or_else(|| self.missing(parent, "element", name))?;
-        match found.next() {
-            None => Ok(child),
-            Some(second) => Err(self.duplicate(second.range().start, format!("element <{name}>"))),
-        }
-    }
-
-    /// Returns the child elements, at most `limit`.
-    pub(super) fn few(
-        &self,
-        parent: Node<'a, 'input>,
-        limit: usize,
-    ) -> Result<Vec<Node<'a, 'input>>, Error> {
-        let children: Vec<_> = parent.children().filter(Node::is_element).collect();
-        let Some(excess) = children.get(limit) else {
-            return Ok(children);
-        };
-        let (line, column) = self.position(excess.range().start);
-        let element = excess.tag_name().name().into();
-        Err(Error::TooMany { path: self.path.into(), line, column, element, limit })
-    }
-
-    pub(super) fn text(&self, node: Node<'a, '_>, key: &'static str) -> Result<&'a str, Error> {
+    pub(super) fn text<'n>(&self, node: Node<'n, '_>, key: &str) -> Result<&'n str, Error> {
         node.attribute(key).ok_or_else(|| self.missing(node, "attribute", key))
-    }
-
-    pub(super) fn any(&self, node: Node, key: &'static str) -> Result<f64, Error> {
-        self.number(node, key, "a number", |_| true)
-    }
-
-    pub(super) fn positive(&self, node: Node, key: &'static str) -> Result<f64, Error> {
-        self.number(node, key, "a number greater than 0", |v| v > 0.0)
-    }
-
-    pub(super) fn not_negative(&self, node: Node, key: &'static str) -> Result<f64, Error> {
-        self.number(node, key, "a number of at least 0", |v| v >= 0.0)
     }
 
     pub(super) fn number(
         &self,
         node: Node,
-        key: &'static str,
+        key: &str,
         allowed: &str,
         valid: impl Fn(f64) -> bool,
     ) -> Result<f64, Error> {
-        let Some(text) = node.attribute(key) else {
-            return Err(self.missing(node, "attribute", key));
-        };
-        finite(text).filter(|&v| valid(v)).ok_or_else(|| self.value(node, key, allowed))
+        let number = finite(self.text(node, key)?).filter(|&v| valid(v));
+        number.ok_or_else(|| self.value(node, key, allowed))
     }
 
-    pub(super) fn whole(
-        &self,
-        node: Node,
-        key: &'static str,
-        least: u32,
-        most: u32,
-    ) -> Result<u32, Error> {
-        let Some(text) = node.attribute(key) else {
-            return Err(self.missing(node, "attribute", key));
-        };
-        let number = text.trim().parse().ok().filter(|v| (least..=most).contains(v));
-        number
-            .ok_or_else(|| self.value(node, key, format!("a whole number from {least} to {most}")))
-    }
-
-    /// Returns line and column, both from 1, of a byte offset.
-    pub(super) fn position(&self, offset: usize) -> (u32, u32) {
+    /// Returns the place of a byte offset.
+    pub(super) fn at(&self, offset: usize) -> Place {
         let at = self.document.text_pos_at(offset);
-        (at.row, at.col)
+        Place { path: self.path.into(), line: at.row, column: at.col }
     }
 
-    /// Returns the byte offset of an attribute, or of its element if the attribute is missing.
-    pub(super) fn offset(node: Node, key: &str) -> usize {
-        node.attribute_node(key).map_or(node.range().start, |a| a.range().start)
+    /// Returns the place of an attribute, or of its element if the attribute is missing.
+    pub(super) fn place(&self, node: Node, key: &str) -> Place {
+        self.at(node.attribute_node(key).map_or(node.range().start, |a| a.range().start))
     }
 
     pub(super) fn unknown(
@@ -180,43 +212,49 @@ impl<'a, 'input> Reader<'a, 'input> {
         node: Node,
         kind: &'static str,
         key: &str,
-        parent: Box<str>,
-        valid: Names,
+        parent: String,
+        valid: &[&'static str],
     ) -> Error {
-        let (line, column) = self.position(node.range().start);
-        let nearest = nearest(key, valid.iter().copied());
-        let key = shorten(key);
-        Error::Unknown { path: self.path.into(), line, column, kind, key, parent, nearest, valid }
-    }
-
-    pub(super) fn missing(&self, node: Node, kind: &'static str, key: &'static str) -> Error {
-        let (line, column) = self.position(node.range().start);
-        Error::Missing {
-            path: self.path.into(),
-            line,
-            column,
+        Error::Unknown {
+            place: self.at(node.range().start),
             kind,
-            key,
-            parent: node.tag_name().name().into(),
+            key: shorten(key),
+            parent,
+            nearest: nearest(key, valid.iter().copied()),
+            valid: valid.to_vec(),
         }
     }
 
-    pub(super) fn duplicate(&self, offset: usize, key: String) -> Error {
-        let (line, column) = self.position(offset);
-        Error::Duplicate { path: self.path.into(), line, column, key }
+    /// Returns all elements called `name` in document order.
+    pub(super) fn all(&self, name: &'static str) -> impl Iterator<Item = Node<'a, 'input>> {
+        self.document.descendants().filter(move |node| node.has_tag_name(name))
     }
 
-    pub(super) fn value(&self, node: Node, key: &'static str, allowed: impl Display) -> Error {
-        let (line, column) = self.position(Self::offset(node, key));
-        let value = shorten(node.attribute(key).unwrap_or_default());
-        let (element, allowed) = (node.tag_name().name().into(), allowed.to_string());
-        Error::Value { path: self.path.into(), line, column, element, key, value, allowed }
+    /// Returns the place of an attribute of the first element called `name`.
+    pub(super) fn place_in(&self, name: &'static str, key: &str) -> Place {
+        self.all(name).next().map_or_else(|| self.at(0), |node| self.place(node, key))
     }
-}
 
-/// Returns the name of an element for messages, as `<agents>`.
-pub(super) fn in_element(node: Node) -> Box<str> {
-    format!("<{}>", node.tag_name().name()).into()
+    pub(super) fn invalid(&self, offset: usize, message: String) -> Error {
+        Error::Invalid { place: self.at(offset), message, hint: None }
+    }
+
+    pub(super) fn missing(&self, node: Node, kind: &str, key: &str) -> Error {
+        let parent = node.tag_name().name();
+        self.invalid(node.range().start, format!("<{parent}> lacks the {kind} `{key}`"))
+    }
+
+    pub(super) fn duplicate(&self, node: Node, what: &str) -> Error {
+        let id = shorten(node.attribute("id").unwrap_or_default());
+        let message = format!("a second {what} with the id `{id}`");
+        Error::Invalid { place: self.place(node, "id"), message, hint: None }
+    }
+
+    /// Returns an error: an attribute has a value that is not allowed.
+    pub(super) fn value(&self, node: Node, key: &str, allowed: impl Display) -> Error {
+        let value = node.attribute(key).unwrap_or_default();
+        Error::value(self.place(node, key), node.tag_name().name(), key, value, allowed)
+    }
 }
 
 pub(super) fn finite(text: &str) -> Option<f64> {

@@ -1,23 +1,30 @@
-//! Descriptions of all elements and attributes, read from `scenarios/scenario.xsd`. The
-//! documentation page and the comments in new scenario files are generated from them, so that each
-//! explanation stands in one place.
+//! The schema of scenario files, read from `scenarios/scenario.xsd`. Reading, writing, the reference
+//! page and the comments in new scenario files follow from it: a new attribute is a declaration in
+//! the schema and a field in `model.rs`.
 
-use std::fmt::Write as _;
+use std::sync::LazyLock;
 
 use roxmltree::{Document, Node};
 
 /// The schema, which is written beside new scenarios.
 pub const SCHEMA: &str = include_str!("../../scenarios/scenario.xsd");
 
+/// Largest magnitude of a number in a scenario, which keeps sums and products finite.
+pub(super) const MAX_NUMBER: f64 = 1e9;
+
 /// An element of a scenario file.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Element {
     /// Name.
     pub name: String,
     /// Purpose.
     pub text: String,
-    /// How often it occurs in its parent: `once`, `once or not at all`, `1 to 256 times`.
-    pub occurs: String,
+    /// Smallest number of occurrences in its parent: 0 or 1.
+    pub least: usize,
+    /// Largest number of occurrences in its parent; `None`: unlimited.
+    pub most: Option<usize>,
+    /// Whether the element contains text instead of elements.
+    pub is_text: bool,
     /// Attributes.
     pub attributes: Vec<Attribute>,
     /// Child elements.
@@ -25,7 +32,7 @@ pub struct Element {
 }
 
 /// An attribute of an element.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Attribute {
     /// Name.
     pub name: String,
@@ -33,12 +40,44 @@ pub struct Attribute {
     pub text: String,
     /// Unit, if it has one.
     pub unit: Option<String>,
-    /// Allowed values, in words.
-    pub allowed: String,
+    /// Allowed values.
+    pub kind: Kind,
     /// Whether it is required.
     pub required: bool,
     /// Default, if the schema declares one.
     pub default: Option<String>,
+}
+
+/// Kind of value that an attribute accepts.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Kind {
+    /// Text of at least `least` characters.
+    Text {
+        /// Smallest number of characters.
+        least: usize,
+    },
+    /// Text of a form that the reader checks in addition to the schema.
+    Pattern(String),
+    /// A number.
+    Number {
+        /// Whether the number is a whole number of at least 0.
+        whole: bool,
+        /// Smallest value.
+        least: Option<f64>,
+        /// Value that the number must exceed.
+        above: Option<f64>,
+        /// Largest value.
+        most: Option<f64>,
+    },
+    /// One of some words.
+    Choice(Vec<String>),
+    /// Several values separated by spaces.
+    List {
+        /// Kind of each value.
+        item: Box<Kind>,
+        /// Largest number of values; `None`: unlimited. There is at least one.
+        most: Option<usize>,
+    },
 }
 
 impl Element {
@@ -46,85 +85,89 @@ impl Element {
     pub fn all(&self) -> Vec<&Element> {
         std::iter::once(self).chain(self.children.iter().flat_map(Element::all)).collect()
     }
+
+    /// Returns the child element with this name.
+    pub fn child(&self, name: &str) -> Option<&Element> {
+        self.children.iter().find(|child| child.name == name)
+    }
+
+    /// Returns the attribute with this name.
+    pub fn attribute(&self, name: &str) -> Option<&Attribute> {
+        self.attributes.iter().find(|attribute| attribute.name == name)
+    }
+}
+
+impl Kind {
+    /// Returns whether the schema accepts a value.
+    pub fn accepts(&self, value: &str) -> bool {
+        match self {
+            Self::Text { least } => value.chars().count() >= *least,
+            Self::Pattern(_) => true,
+            Self::Choice(words) => words.iter().any(|word| word == value),
+            Self::List { item, most } => {
+                let count = value.split_whitespace().count();
+                (1..=most.unwrap_or(usize::MAX)).contains(&count)
+                    && value.split_whitespace().all(|value| item.accepts(value))
+            }
+            Self::Number { whole, least, above, most } => {
+                let value = value.trim();
+                let number = if *whole {
+                    value.parse::<u32>().ok().map(f64::from)
+                } else {
+                    value.parse::<f64>().ok()
+                };
+                number.is_some_and(|v| {
+                    v.abs() <= MAX_NUMBER
+                        && least.is_none_or(|least| v >= least)
+                        && above.is_none_or(|above| v > above)
+                        && most.is_none_or(|most| v <= most)
+                })
+            }
+        }
+    }
+
+    /// Returns the allowed values in words.
+    pub fn allowed(&self) -> String {
+        match self {
+            Self::Text { least: 0 } => "text".into(),
+            Self::Text { .. } => "text that is not empty".into(),
+            Self::Pattern(pattern) => format!("`{pattern}`"),
+            Self::Choice(words) => {
+                words.iter().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ")
+            }
+            Self::List { item, most } => {
+                let item = match &**item {
+                    Self::Text { .. } => "words".into(),
+                    item => format!("values of the form {}", item.allowed()),
+                };
+                let count = most.map_or("one or more".into(), |most| format!("1 to {most}"));
+                format!("{count} {item}, separated by spaces")
+            }
+            Self::Number { whole, least, above, most } => {
+                let base = if *whole { "whole number" } else { "number" };
+                let least = least.or(whole.then_some(0.0)).filter(|v| *v > -MAX_NUMBER);
+                match (least, above, most.filter(|v| *v < MAX_NUMBER)) {
+                    (Some(least), _, Some(most)) => format!("{base} from {least} to {most}"),
+                    (Some(least), _, None) => format!("{base} of at least {least}"),
+                    (None, Some(above), Some(most)) => {
+                        format!("{base} above {above}, up to {most}")
+                    }
+                    (None, Some(above), None) => format!("{base} above {above}"),
+                    (None, None, _) => base.into(),
+                }
+            }
+        }
+    }
 }
 
 /// Returns the description of the element `<scenario>`.
-pub fn describe() -> Element {
-    let document = Document::parse(SCHEMA).expect("the schema is well-formed");
-    let root = document.root_element();
-    Schema { root }.element(child(root, "element").expect("the schema declares <scenario>"))
-}
-
-/// Returns a Markdown page about all elements and attributes.
-pub fn markdown() -> String {
-    let mut page = String::from(
-        "# Scenario files\n\n\
-         Made from `scenarios/scenario.xsd` by `iwol scenario reference`; edit the schema, not this page. `iwol scenario new` \
-         writes a file with all but `<traffic>`, `iwol scenario check` says what is wrong with one.\n\n\
-         Lengths are in metres, times in seconds; positions on lanes are those of the vehicle's centre.\n",
-    );
-    for element in describe().all() {
-        // Writing to a string cannot fail.
-        let _ = element.write(&mut page);
-    }
-    page
-}
-
-/// Returns the explanation of an element and its contents as lines of an XML comment, or `None` for
-/// an unknown name.
-pub(super) fn comment(name: &str) -> Option<Vec<String>> {
-    let scenario = describe();
-    let element = scenario.all().into_iter().find(|element| element.name == name)?.clone();
-    let mut lines = Vec::new();
-    for (depth, element) in element.all().into_iter().enumerate() {
-        if !element.text.is_empty() {
-            let name = if depth == 0 { String::new() } else { format!("<{}> ", element.name) };
-            lines.push(format!("{name}{}", element.text));
-        }
-        for attribute in &element.attributes {
-            let unit = attribute.unit.as_ref().map_or(String::new(), |unit| format!(" [{unit}]"));
-            lines.push(format!("  {}{unit}: {}", attribute.name, attribute.text));
-        }
-    }
-    Some(lines)
-}
-
-impl Element {
-    fn write(&self, page: &mut String) -> std::fmt::Result {
-        writeln!(page, "\n## `<{}>`\n\n{} Occurs {}.", self.name, self.text, self.occurs)?;
-        if !self.attributes.is_empty() {
-            writeln!(
-                page,
-                "\n| attribute | unit | allowed | default | effect |\n|---|---|---|---|---|"
-            )?;
-        }
-        for attribute in &self.attributes {
-            let unit = attribute.unit.as_deref().unwrap_or("");
-            let default = match &attribute.default {
-                Some(default) => format!("`{default}`"),
-                None if attribute.required => "required".to_owned(),
-                None => "optional".to_owned(),
-            };
-            let (name, allowed, text) = (&attribute.name, &attribute.allowed, &attribute.text);
-            writeln!(
-                page,
-                "| `{name}` | {unit} | {} | {default} | {} |",
-                cell(allowed),
-                cell(text)
-            )?;
-        }
-        if !self.children.is_empty() {
-            let children: Vec<String> =
-                self.children.iter().map(|child| format!("`<{}>`", child.name)).collect();
-            writeln!(page, "\nWithin it: {}.", children.join(", "))?;
-        }
-        Ok(())
-    }
-}
-
-/// Escapes text for a cell of a Markdown table.
-fn cell(text: &str) -> String {
-    text.replace('|', "\\|")
+pub fn describe() -> &'static Element {
+    static ROOT: LazyLock<Element> = LazyLock::new(|| {
+        let document = Document::parse(SCHEMA).expect("the schema is well-formed");
+        let root = document.root_element();
+        Schema { root }.element(child(root, "element").expect("the schema declares <scenario>"))
+    });
+    &ROOT
 }
 
 struct Schema<'a, 'input> {
@@ -151,10 +194,13 @@ impl<'a, 'input> Schema<'a, 'input> {
             .flatten()
             .map(documentation)
             .find(|text| !text.is_empty());
+        let count = |key| node.attribute(key).map(str::parse::<usize>);
         Element {
             name: node.attribute("name").unwrap_or_default().into(),
             text: text.unwrap_or_default(),
-            occurs: occurs(node),
+            least: count("minOccurs").and_then(Result::ok).unwrap_or(1),
+            most: count("maxOccurs").map_or(Some(1), Result::ok),
+            is_text: complex.is_none(),
             attributes: below("attribute").map(|attribute| self.attribute(attribute)).collect(),
             children: below("element").map(|element| self.element(element)).collect(),
         }
@@ -174,20 +220,23 @@ impl<'a, 'input> Schema<'a, 'input> {
             name: node.attribute("name").unwrap_or_default().into(),
             text,
             unit,
-            allowed: match node.attribute("type") {
+            kind: match node.attribute("type") {
                 Some(name) => self.type_named(name),
                 None => child(node, "simpleType")
-                    .map_or_else(|| "text".into(), |simple| self.allowed(simple)),
+                    .map_or(Kind::Text { least: 0 }, |simple| self.kind(simple)),
             },
             required: node.attribute("use") == Some("required"),
             default: node.attribute("default").map(Into::into),
         }
     }
 
-    fn type_named(&self, name: &str) -> String {
-        match self.named("simpleType", name) {
-            Some(simple) => self.allowed(simple),
-            None => plain(name).into(),
+    fn type_named(&self, name: &str) -> Kind {
+        let number = |whole| Kind::Number { whole, least: None, above: None, most: None };
+        match (self.named("simpleType", name), name) {
+            (Some(simple), _) => self.kind(simple),
+            (None, "xs:double") => number(false),
+            (None, "xs:unsignedInt") => number(true),
+            (None, _) => Kind::Text { least: 0 },
         }
     }
 
@@ -197,50 +246,45 @@ impl<'a, 'input> Schema<'a, 'input> {
             .find(|n| n.tag_name().name() == kind && n.attribute("name") == Some(name))
     }
 
-    /// Returns the values that a simple type allows, in words.
-    fn allowed(&self, simple: Node<'a, 'input>) -> String {
+    /// Returns the kind of value of a simple type.
+    fn kind(&self, simple: Node<'a, 'input>) -> Kind {
         if let Some(list) = child(simple, "list") {
-            return format!(
-                "one or more, separated by spaces: {}",
-                self.type_named(list.attribute("itemType").unwrap_or(""))
-            );
+            let item = self.type_named(list.attribute("itemType").unwrap_or_default());
+            return Kind::List { item: Box::new(item), most: None };
         }
-        let Some(restriction) = child(simple, "restriction") else { return "text".into() };
-        if let Some(inner) = child(restriction, "simpleType") {
-            return self.allowed(inner);
-        }
+        let Some(restriction) = child(simple, "restriction") else {
+            return Kind::Text { least: 0 };
+        };
         let facet = |name| child(restriction, name).and_then(|facet| facet.attribute("value"));
-        let values: Vec<String> = restriction
-            .children()
-            .filter(|n| n.tag_name().name() == "enumeration")
-            .filter_map(|n| Some(format!("`{}`", n.attribute("value")?)))
-            .collect();
-        if !values.is_empty() {
-            return values.join(", ");
+        let number = |name| facet(name).and_then(|value| value.parse::<f64>().ok());
+        let base = match child(restriction, "simpleType") {
+            Some(inner) => self.kind(inner),
+            None => self.type_named(restriction.attribute("base").unwrap_or_default()),
+        };
+        match base {
+            Kind::List { item, .. } => {
+                Kind::List { item, most: number("maxLength").map(|most| most as usize) }
+            }
+            Kind::Number { whole, .. } => Kind::Number {
+                whole,
+                least: number("minInclusive"),
+                above: number("minExclusive"),
+                most: number("maxInclusive"),
+            },
+            base => {
+                let words: Vec<String> = restriction
+                    .children()
+                    .filter(|n| n.tag_name().name() == "enumeration")
+                    .filter_map(|n| n.attribute("value").map(Into::into))
+                    .collect();
+                match facet("pattern") {
+                    Some(pattern) => Kind::Pattern(pattern.into()),
+                    None if words.is_empty() => number("minLength")
+                        .map_or(base, |least| Kind::Text { least: least as usize }),
+                    None => Kind::Choice(words),
+                }
+            }
         }
-        if let Some(pattern) = facet("pattern") {
-            return format!("`{pattern}`");
-        }
-        let base = plain(restriction.attribute("base").unwrap_or(""));
-        let bound =
-            |value: Option<&'a str>| value.filter(|value| value.trim_start_matches('-') != "1e9");
-        let least =
-            bound(facet("minInclusive")).or(if base == "whole number" { Some("0") } else { None });
-        match (least, bound(facet("minExclusive")), bound(facet("maxInclusive"))) {
-            (Some(least), _, Some(most)) => format!("{base}, {least} to {most}"),
-            (Some(least), ..) => format!("{base}, {least} or more"),
-            (None, Some(above), _) => format!("{base} above {above}"),
-            _ => base.into(),
-        }
-    }
-}
-
-/// Returns the plain name of a type that XML Schema defines.
-fn plain(name: &str) -> &'static str {
-    match name {
-        "xs:double" => "number",
-        "xs:unsignedInt" => "whole number",
-        _ => "text",
     }
 }
 
@@ -252,13 +296,4 @@ fn documentation(node: Node) -> String {
     let text =
         child(node, "annotation").and_then(|n| child(n, "documentation")).and_then(|n| n.text());
     text.unwrap_or_default().trim().into()
-}
-
-fn occurs(node: Node) -> String {
-    match (node.attribute("minOccurs"), node.attribute("maxOccurs")) {
-        (Some("0"), _) => "once or not at all".into(),
-        (_, Some("unbounded")) => "once or more".into(),
-        (_, Some(most)) => format!("1 to {most} times"),
-        _ => "once".into(),
-    }
 }

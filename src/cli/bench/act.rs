@@ -15,25 +15,25 @@ use super::quantile;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Act {
-    /// Scenario file
+    /// Scenario file.
     #[arg(long, default_value = "scenarios/intersection.xml")]
     scenario: PathBuf,
-    /// Numbers of vehicles per world
+    /// Numbers of vehicles per world.
     #[arg(long, value_delimiter = ',', default_value = "8,48")]
     agents: Vec<u32>,
-    /// Algorithms [default: all]
+    /// Algorithms [default: all].
     #[arg(long, value_delimiter = ',')]
     algorithm: Vec<String>,
-    /// Number of worlds per decision
+    /// Number of worlds per decision.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     worlds: u16,
-    /// Number of timed decisions
+    /// Number of timed decisions.
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     decisions: u32,
-    /// Number of libtorch threads
+    /// Number of threads of libtorch.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// Print JSON lines instead of a table
+    /// Print JSON lines instead of a table.
     #[arg(long)]
     json: bool,
 }

@@ -11,8 +11,9 @@ use anyhow::{Context as _, bail, ensure};
 use iwol_sumo::sumo::{self, Backend, Command, Snapshot};
 use serde::{Deserialize, Serialize};
 
+use super::host::Host;
+use super::median;
 use super::workload::{EPISODE, Workload};
-use super::{Host, median};
 
 /// Number of steps before the timed ones.
 const WARMUP: u32 = 2 * EPISODE;

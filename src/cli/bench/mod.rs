@@ -1,22 +1,13 @@
-//! `iwol bench`
+//! `iwol bench`: measures the speed of simulation, decisions and updates.
 
 mod act;
 mod compare;
+mod host;
+mod sim;
 mod update;
 mod workload;
 
-use std::path::PathBuf;
-use std::time::Instant;
-
-use anyhow::Context as _;
-use iwol_sumo::env::Task;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{self, Backend, Command, Meter, Simulation, Snapshot};
-use rayon::prelude::*;
-use serde::Serialize;
-
 use super::Verdict;
-use workload::{Control, EPISODE, Workload};
 
 /// Measures the speed of simulation, decisions and updates.
 #[derive(Debug, clap::Args)]
@@ -27,288 +18,21 @@ pub(super) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Measure the simulation: steps per second, SUMO's share of the time, bytes, respawns
-    Sim(Sim),
-    /// Measure decisions: median, 99th percentile, time per vehicle, ratio to the first algorithm
+    /// Measure the simulation: steps per second, SUMO's share of the time, bytes, respawns.
+    Sim(sim::Sim),
+    /// Measure decisions: median, 99th percentile, time per vehicle, ratio to the first algorithm.
     Act(act::Act),
-    /// Measure updates: time per rollout and per sample, ratio to the same networks in PyTorch
+    /// Measure updates: time per rollout and per sample, ratio to the same networks in PyTorch.
     Update(update::Update),
-}
-
-#[derive(Debug, clap::Args)]
-struct Sim {
-    /// Scenario file
-    #[arg(long, default_value = "scenarios/intersection.xml")]
-    scenario: PathBuf,
-    /// Numbers of vehicles per world
-    #[arg(long, value_delimiter = ',', default_value = "8,48")]
-    agents: Vec<u32>,
-    /// Backends [default: all that are built in]
-    #[arg(long, value_delimiter = ',')]
-    backend: Vec<Backend>,
-    /// How the vehicles are moved
-    #[arg(long, value_enum, default_value_t = Control::Throttle)]
-    control: Control,
-    /// Number of worlds and number of SUMO processes that share them, as WORLDS/PROCESSES; libsumo
-    /// always has one process
-    #[arg(long, value_delimiter = ',', default_value = "1/1,16/1,16/2,16/16", value_parser = layout)]
-    worlds: Vec<(usize, usize)>,
-    /// Seconds per measurement
-    #[arg(long, default_value_t = 3.0, value_parser = seconds)]
-    seconds: f64,
-    /// Let SUMO check for collisions in junctions, as the environments do for their audit
-    #[arg(long, default_value_t = true, action = clap::ArgAction::Set, value_name = "true|false")]
-    audit: bool,
-    /// Compare with Python's traci and libsumo and with traci-rs, in turn on the same commands
-    #[arg(long)]
-    compare: bool,
-    /// Timed steps of the comparison
-    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    steps: u32,
-    /// Repetitions of the comparison
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    repetitions: u32,
-    /// Print JSON lines instead of a table
-    #[arg(long)]
-    json: bool,
-}
-
-fn layout(text: &str) -> Result<(usize, usize), String> {
-    let (worlds, processes) = text
-        .split_once('/')
-        .and_then(|(w, p)| Some((w.parse().ok()?, p.parse().ok()?)))
-        .ok_or_else(|| "write it as WORLDS/PROCESSES, e.g. 16/2".to_owned())?;
-    if (1..=1024).contains(&worlds) && (1..=worlds).contains(&processes) {
-        return Ok((worlds, processes));
-    }
-    Err("allowed: 1 to 1024 worlds, and 1 process up to one per world".to_owned())
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text.parse().ok().filter(|s| (0.01..=3600.0).contains(s));
-    parsed.ok_or_else(|| "allowed: 0.01 to 3600".to_owned())
-}
-
-/// The result of one measurement.
-#[derive(Debug, Serialize)]
-struct Row {
-    backend: &'static str,
-    control: &'static str,
-    /// Whether SUMO looks for collisions in junctions.
-    audit: bool,
-    agents: u32,
-    worlds: usize,
-    processes: usize,
-    /// Steps per second, counted per world and summed over all worlds.
-    steps_per_second: f64,
-    /// Exchanges per second, summed over all processes.
-    exchanges_per_second: f64,
-    /// Share of the time in which a SUMO process was computing, mean over the processes; `None` for
-    /// libsumo, which runs in this process.
-    sumo_share: Option<f64>,
-    /// Bytes sent and received per exchange.
-    sent: f64,
-    received: f64,
-    /// Median duration of an exchange that respawns all vehicles of one world per process, minus
-    /// that of an exchange without a respawn \[ms\]; `None` if one of the two did not occur.
-    respawn_ms: Option<f64>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     match &args.what {
-        What::Sim(args) => simulation(args),
-        What::Act(args) => act::run(args).map(|()| Verdict::Good),
-        What::Update(args) => update::run(args).map(|()| Verdict::Good),
+        What::Sim(args) => sim::run(args),
+        What::Act(args) => act::run(args),
+        What::Update(args) => update::run(args),
     }
-}
-
-fn simulation(args: &Sim) -> anyhow::Result<Verdict> {
-    let scenario = Scenario::load(&args.scenario)?;
-    let backends =
-        if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
-    let mut workloads = Vec::new();
-    for &agents in &args.agents {
-        workloads.push(Workload::new(Task::new(&scenario, agents)?, args.control, args.audit));
-    }
-    if args.compare {
-        let mut lines = Vec::new();
-        for workload in &workloads {
-            lines.extend(compare::run(
-                workload,
-                &backends,
-                &args.worlds,
-                args.steps,
-                args.repetitions,
-            )?);
-        }
-        if args.json {
-            lines
-                .iter()
-                .try_for_each(|line| serde_json::to_string(line).map(|text| tell!("{text}")))?;
-        } else {
-            super::print(format_args!("{}", compare::table(&lines)));
-        }
-        return Ok(Verdict::Good);
-    }
-    if !args.json {
-        tell!(
-            "{:8} {:>6} {:>6} {:>9} {:>14} {:>12} {:>10} {:>16} {:>10}",
-            "backend",
-            "agents",
-            "worlds",
-            "processes",
-            "world steps/s",
-            "exchanges/s",
-            "SUMO share",
-            "bytes out/in",
-            "respawn"
-        );
-    }
-    for workload in &workloads {
-        for &backend in &backends {
-            for &(worlds, processes) in &args.worlds {
-                if backend == Backend::Libsumo && processes > 1 {
-                    if !args.backend.is_empty() {
-                        say!("libsumo always has one process; {worlds}/{processes} is skipped");
-                    }
-                    continue;
-                }
-                let row = measure(workload, backend, worlds, processes, args.seconds)
-                    .with_context(|| {
-                        format!("{backend}, {worlds} worlds in {processes} processes")
-                    })?;
-                if args.json {
-                    tell!("{}", serde_json::to_string(&row)?);
-                } else {
-                    let share = row
-                        .sumo_share
-                        .map_or_else(|| "-".to_owned(), |s| format!("{:.0} %", 100.0 * s));
-                    let respawn =
-                        row.respawn_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2} ms"));
-                    tell!(
-                        "{:8} {:>6} {worlds:>6} {processes:>9} {:>14.0} {:>12.0} {share:>10} {:>16} {respawn:>10}",
-                        backend.name(),
-                        row.agents,
-                        row.steps_per_second,
-                        row.exchanges_per_second,
-                        format!("{:.0}/{:.0}", row.sent, row.received)
-                    );
-                }
-            }
-        }
-    }
-    Ok(Verdict::Good)
-}
-
-struct Host {
-    simulation: Box<dyn Simulation>,
-    worlds: u32,
-    commands: Vec<Command>,
-}
-
-impl Host {
-    fn start(
-        workload: &Workload,
-        backend: Backend,
-        worlds: usize,
-        processes: usize,
-    ) -> Result<Vec<Host>, sumo::Error> {
-        let host = |h: usize| {
-            let worlds = ((h + 1) * worlds / processes - h * worlds / processes) as u32;
-            let simulation = sumo::start(backend, workload.config(worlds))?;
-            Ok(Host { simulation, worlds, commands: Vec::new() })
-        };
-        (0..processes).map(host).collect()
-    }
-
-    /// Runs one exchange with all hosts. `commands` appends the commands of one world; `read`
-    /// evaluates the report of one host. Returns the value of `read` for the first host.
-    fn exchange(
-        hosts: &mut [Host],
-        commands: impl Fn(u32, &mut Vec<Command>) + Sync,
-        read: impl Fn(&Snapshot) -> f64 + Sync,
-    ) -> Result<f64, sumo::Error> {
-        hosts.par_iter_mut().try_for_each(|host| {
-            host.commands.clear();
-            (0..host.worlds).for_each(|world| commands(world, &mut host.commands));
-            host.simulation.send(&host.commands)
-        })?;
-        let values: Result<Vec<f64>, sumo::Error> =
-            hosts.par_iter_mut().map(|host| host.simulation.receive().map(&read)).collect();
-        Ok(values?.first().copied().unwrap_or_default())
-    }
-}
-
-fn measure(
-    workload: &Workload,
-    backend: Backend,
-    worlds: usize,
-    processes: usize,
-    seconds: f64,
-) -> anyhow::Result<Row> {
-    let mut hosts = Host::start(workload, backend, worlds, processes)?;
-    let per_host = hosts[0].worlds;
-    // Worlds respawn one after the other, like episodes of different lengths.
-    let late = |world: u32| world * EPISODE / per_host;
-    let advance = |hosts: &mut Vec<Host>, step: u32| -> Result<f64, sumo::Error> {
-        let begin = Instant::now();
-        let commands = |world: u32, out: &mut Vec<Command>| {
-            if let Some(own) = step.checked_sub(late(world)) {
-                workload.commands(world, own, out);
-            }
-        };
-        Host::exchange(hosts, commands, |_| 0.0)?;
-        Ok(begin.elapsed().as_secs_f64())
-    };
-    let first = 2 * EPISODE;
-    for step in 0..first {
-        advance(&mut hosts, step)?;
-    }
-    let before: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
-    let cpu_before: Vec<_> = before.iter().map(|m| m.pid.and_then(cpu_seconds)).collect();
-    let begin = Instant::now();
-    let mut step = first;
-    let (mut plain, mut respawning) = (Vec::new(), Vec::new());
-    while begin.elapsed().as_secs_f64() < seconds {
-        let took = advance(&mut hosts, step)?;
-        let respawns = (0..per_host).any(|w| (step - late(w)).is_multiple_of(EPISODE));
-        if respawns {
-            respawning.push(took);
-        } else {
-            plain.push(took);
-        }
-        step += 1;
-    }
-    let elapsed = begin.elapsed().as_secs_f64();
-    let after: Vec<_> = hosts.iter().map(|host| host.simulation.meter()).collect();
-    let cpu = |(m, before): (&Meter, &Option<f64>)| {
-        Some((m.pid.and_then(cpu_seconds)? - (*before)?) / elapsed)
-    };
-    let share = after
-        .iter()
-        .zip(&cpu_before)
-        .map(cpu)
-        .sum::<Option<f64>>()
-        .map(|sum| sum / processes as f64);
-    let total = |of: fn(&Meter) -> u64| {
-        after.iter().zip(&before).map(|(a, b)| (of(a) - of(b)) as f64).sum::<f64>()
-    };
-    let exchanges = total(|m| m.exchanges);
-    Ok(Row {
-        backend: backend.name(),
-        control: workload.control.name(),
-        audit: workload.audit,
-        agents: workload.task.agents as u32,
-        worlds,
-        processes,
-        steps_per_second: f64::from(step - first) * worlds as f64 / elapsed,
-        exchanges_per_second: exchanges / elapsed,
-        sumo_share: share,
-        sent: total(|m| m.sent) / exchanges,
-        received: total(|m| m.received) / exchanges,
-        respawn_ms: Some(1000.0 * (median(&mut respawning) - median(&mut plain)))
-            .filter(|ms| ms.is_finite()),
-    })
+    .map(|()| Verdict::Good)
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -320,14 +44,4 @@ fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((values.len() as f64 * q) as usize).or(values.get(last)).copied().unwrap_or(f64::NAN)
-}
-
-/// Returns the processor time that a process has used \[s\].
-fn cpu_seconds(pid: u32) -> Option<f64> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The process name may contain spaces. After it, the 12th and 13th fields are user and system
-    // time in hundredths of a second.
-    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
-    Some((ticks(11)? + ticks(12)?) / 100.0)
 }

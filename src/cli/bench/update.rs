@@ -22,26 +22,26 @@ const ACTIVE: usize = 75;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Update {
-    /// Scenario file, which determines the sizes of observations
+    /// Scenario file, which determines the sizes of observations.
     #[arg(long, default_value = "scenarios/intersection.xml")]
     scenario: PathBuf,
-    /// Number of vehicles per world
+    /// Number of vehicles per world.
     #[arg(long, default_value_t = 8)]
     agents: u32,
-    /// Algorithms [default: all]
+    /// Algorithms [default: all].
     #[arg(long, value_delimiter = ',')]
     algorithm: Vec<String>,
-    /// One setting, e.g. --set network.hidden=128; may be repeated
+    /// One setting, e.g. --set network.hidden=128. The option may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Number of timed updates
+    /// Number of timed updates.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repetitions: u32,
-    /// Python interpreter with torch that runs benches/reference_update.py in turn, with one thread
-    /// per shard
+    /// Python interpreter with PyTorch, which computes the same updates in turn
+    /// (benches/reference_update.py) with one thread per shard [default: no comparison].
     #[arg(long, value_name = "PYTHON")]
     reference: Option<PathBuf>,
-    /// Print JSON lines instead of a table
+    /// Print JSON lines instead of a table.
     #[arg(long)]
     json: bool,
 }

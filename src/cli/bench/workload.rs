@@ -12,9 +12,9 @@ const NO_CHECKS: i32 = 32;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Control {
-    /// Commands set speeds, and SUMO moves the vehicles
+    /// Commands set speeds, and SUMO moves the vehicles.
     Throttle,
-    /// Commands set poses with moveToXY
+    /// Commands set poses with moveToXY.
     Steering,
 }
 

@@ -6,12 +6,12 @@ use iwol_sumo::scenario::author::{State, build};
 
 use super::Verdict;
 
-/// Builds each net from the sources that its .netccfg names if one of them is newer than the net.
+/// Builds each net whose sources, which its .netccfg names, are newer than the net.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Scenario file
+    /// Scenario file.
     scenario: PathBuf,
-    /// Build all nets that have sources, even if they are up to date
+    /// Build all nets that have sources, even if they are up to date.
     #[arg(long)]
     all: bool,
 }

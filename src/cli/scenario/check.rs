@@ -11,25 +11,27 @@ use iwol_sumo::sumo::{self, Hosting};
 use serde::Serialize;
 
 use super::Verdict;
+use crate::cli::chain;
 
 /// Reads the file and its nets, then runs a trial of the scenario in SUMO.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Exit code: 0 no errors (warnings are allowed); 1 errors in the scenario; 2 a wrong command line, a missing file or a missing SUMO."
+    after_help = "The exit code is 0 if the scenario has no errors (warnings are allowed), 1 if it has errors, and 2 if the command line is \
+                  wrong or a file or SUMO is missing."
 )]
 pub(super) struct Args {
-    /// Scenario file
+    /// Scenario file.
     scenario: PathBuf,
-    /// Number of vehicles in the trial [default: the scenario's]
+    /// Number of vehicles in the trial [default: the scenario's].
     #[arg(long)]
     agents: Option<u32>,
-    /// Number of steps of the trial; 0: no trial, and SUMO is not needed
+    /// Number of steps of the trial. With 0, there is no trial, and SUMO is not needed.
     #[arg(long, default_value_t = 1000)]
     steps: u32,
-    /// Seed of the trial
+    /// Seed of the trial.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Print one JSON object
+    /// Print the result as one JSON object.
     #[arg(long)]
     json: bool,
 }
@@ -105,9 +107,7 @@ fn is_fault_of_scenario(error: &env::Error) -> bool {
 }
 
 fn failed(error: &env::Error, path: &Path) -> Finding {
-    let causes = std::iter::successors(std::error::Error::source(error), |cause| cause.source());
-    let message =
-        causes.fold(format!("the trial failed: {error}"), |text, cause| format!("{text}: {cause}"));
+    let message = format!("the trial failed: {}", chain(error));
     Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
 }
 

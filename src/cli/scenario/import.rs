@@ -13,25 +13,25 @@ const LISTED: usize = 8;
 /// places on the lanes that lead to it.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// OpenStreetMap extract (XML), which netconvert converts to a net
+    /// OpenStreetMap extract (XML), which netconvert converts to a net.
     #[arg(long, value_name = "FILE", required_unless_present = "net", conflicts_with = "net")]
     osm: Option<PathBuf>,
-    /// SUMO net (.net.xml)
+    /// SUMO net (.net.xml).
     #[arg(long, value_name = "FILE")]
     net: Option<PathBuf>,
-    /// Name of the scenario and of its files
+    /// Name of the scenario and of its files.
     #[arg(long, value_name = "NAME")]
     out: String,
-    /// Id of the junction [default: the junction with the most arms and spawn places]
+    /// Id of the junction [default: the junction with the most arms and spawn places].
     #[arg(long, value_name = "ID")]
     junction: Option<String>,
-    /// Default number of vehicles of the scenario, limited by its number of spawn places
+    /// Default number of vehicles of the scenario, limited by its number of spawn places.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     agents: u32,
-    /// Let vehicles steer instead of following their lanes
+    /// Let vehicles steer instead of following their lanes.
     #[arg(long)]
     steering: bool,
-    /// Folder for scenarios/ and sumo_nets/
+    /// Folder in which the folders scenarios and sumo_nets are created.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
 }

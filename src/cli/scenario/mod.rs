@@ -20,17 +20,17 @@ pub(super) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Write a scenario from a template into scenarios/ and sumo_nets/, and build its net
+    /// Write a scenario from a template, and build its net.
     New(new::Args),
-    /// Write a draft scenario for a junction of an OpenStreetMap extract or a SUMO net
+    /// Write a draft scenario for a junction of an OpenStreetMap extract or a SUMO net.
     Import(import::Args),
-    /// Build the nets of a scenario whose sources have changed
+    /// Build the nets of a scenario whose sources have changed.
     Build(build::Args),
-    /// Report errors in a scenario and run a trial of it
+    /// Report errors in a scenario, and run a trial of it.
     Check(check::Args),
-    /// Draw a scenario
+    /// Draw a scenario.
     Show(show::Args),
-    /// Print the documentation of all elements and attributes of scenario files, as Markdown
+    /// Print the documentation of all elements and attributes of scenario files as Markdown.
     Reference,
 }
 

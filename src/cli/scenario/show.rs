@@ -15,12 +15,12 @@ use super::Verdict;
 /// vehicle.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Scenario file
+    /// Scenario file.
     scenario: PathBuf,
-    /// Picture to write: .svg, .png, or .html with a table of the routes
+    /// Picture to write: .svg, .png, or .html with a table of the routes.
     #[arg(long, short, value_name = "FILE")]
     out: PathBuf,
-    /// Number of vehicles, which determines the net [default: the scenario's]
+    /// Number of vehicles, which determines the net [default: the scenario's].
     #[arg(long)]
     agents: Option<u32>,
 }

@@ -20,13 +20,15 @@ pub enum Error {
         allowed: String,
     },
     /// The name is not valid for a scenario.
-    #[error("`{name}` cannot be the name of a scenario: 1 to 64 letters, digits, `-` and `_`")]
+    #[error(
+        "`{name}` is not a valid name of a scenario, allowed: 1 to 64 letters, digits, `-` and `_`"
+    )]
     Name {
         /// The name.
         name: String,
     },
     /// A file or folder of the new scenario already exists.
-    #[error("`{}` is there already; choose another name, or move it away", path.display())]
+    #[error("`{}` already exists; choose another name, or move the file or folder away", path.display())]
     Exists {
         /// Existing file or folder.
         path: PathBuf,
@@ -51,7 +53,7 @@ pub enum Error {
     #[error(transparent)]
     Record(#[from] record::Error),
     /// A `.netccfg` is not a configuration of netconvert.
-    #[error("`{}` is no configuration of netconvert: {why}", path.display())]
+    #[error("`{}` is not a configuration of netconvert: {why}", path.display())]
     Configuration {
         /// The file.
         path: PathBuf,
@@ -98,7 +100,7 @@ impl Error {
             Self::Net(e) => e.hint(),
             Self::Scenario(e) => e.hint(),
             Self::NoSite { .. } => Some(
-                "netedit shows what is there; --junction takes the id of a junction".to_owned(),
+                "open the map in netedit to see its junctions; --junction takes the id of one of them".to_owned(),
             ),
             _ => None,
         }

@@ -1,25 +1,35 @@
 //! Files of a scenario and their locations: `scenarios/<name>.xml` with its schema, and in
 //! `sumo_nets/<name>/` the net with its sources and the files with which SUMO alone shows it.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::super::write::escape;
+use super::super::reference;
 use super::super::{
-    AgentRange, Border, Communication, Control, Intention, Jitter, Lidar, NeighbourOrder, Net,
-    Observation, ObservationGroups, Reward, Route, SCHEMA, Scenario, SpawnRow, Steering,
-    Termination, Traffic, Vehicle, schema,
+    AgentRange, Border, Net, ObservationGroups, Route, SCHEMA, Scenario, SpawnRow, Steering,
 };
-use super::{Error, SPACING, netconvert};
+use super::{Error, SPACING};
+use crate::markup::Writer;
 use crate::record::write_atomic;
 use crate::sumo::net::Path as LanePath;
 
-/// Detection range \[m\], longer than the braking distance from any speed that a template allows.
-const DETECTION: f64 = 100.0;
-/// Communication range \[m\].
-const RADIO: f64 = 50.0;
+/// Settings of a new scenario, to which the parts that depend on the site are added. The detection
+/// range is longer than the braking distance from any speed that a template allows.
+const DEFAULTS: &str = r#"
+<scenario name="new">
+    <description/>
+    <agents min="1" max="1" default="1"/>
+    <routes><route id="r" edges="e" arrivalPos="0"/></routes>
+    <nets><net file="n"><spawn route="r" first="0" spacing="1" count="1"/></net></nets>
+    <vehicle length="4.515" width="1.852" maxSpeed="1"/>
+    <jitter longitudinal="1" lateral="0.25"/>
+    <control mode="throttle" interval="0.1" accel="2.909" drag="0.364" brake="0.3:8.2 0.5:10.2 1:14.7"/>
+    <observation groups="conflict" detectionRange="100" neighbours="4" intention="hidden" conflictStreams="1" streamVehicles="1"/>
+    <reward progress="1" speed="0.1" arrive="10" outOfRoad="-10" crash="-10" cooperation="0.06"/>
+    <termination horizon="500" wreckTime="2.5"/>
+    <communication range="50"/>
+</scenario>"#;
 /// Largest number of crossing or merging streams in the observation, which is the limit of the
 /// scenario format.
 const STREAMS: usize = 16;
@@ -85,32 +95,25 @@ impl Layout {
     /// options.
     pub(super) fn configure(
         &self,
-        inputs: &[(&str, String)],
-        options: &[(&str, &str)],
+        inputs: &[(&'static str, String)],
+        options: &[(&'static str, &str)],
     ) -> Result<(), Error> {
-        let mut text = String::from(
-            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
-             <!-- How SUMO's netconvert makes the net of its sources; `iwol scenario build` runs it. -->\n\
-             <configuration>\n    <input>\n",
+        let mut xml = Writer::new();
+        xml.comment(
+            "How SUMO's netconvert makes the net from its sources; `iwol scenario build` runs it.",
         );
-        for (option, file) in inputs {
-            let _ = writeln!(text, "        <{option} value=\"{}\"/>", escape(file));
+        xml.open("configuration").open("input");
+        for &(option, ref file) in inputs {
+            xml.open(option).attribute("value", file).close();
         }
-        let _ = writeln!(
-            text,
-            "    </input>\n    <output>\n        <output-file value=\"{}.net.xml\"/>",
-            self.name
-        );
-        let _ = writeln!(text, "        <precision value=\"3\"/>\n    </output>\n    <processing>");
-        for (option, value) in options {
-            let _ = writeln!(text, "        <{option} value=\"{value}\"/>");
+        xml.close().open("output").open("output-file");
+        xml.attribute("value", format!("{}.net.xml", self.name)).close();
+        xml.open("precision").attribute("value", 3).close().close().open("processing");
+        for &(option, value) in options {
+            xml.open(option).attribute("value", value).close();
         }
-        let _ = writeln!(
-            text,
-            "    </processing>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>"
-        );
-        text.push_str("</configuration>\n");
-        Ok(write_atomic(&self.file("netccfg"), text.as_bytes())?)
+        xml.close().open("report").open("xml-validation").attribute("value", "never");
+        Ok(write_atomic(&self.file("netccfg"), xml.finish().as_bytes())?)
     }
 
     /// Writes the scenario with comments, its schema, and the files that `sumo -c` reads.
@@ -127,21 +130,22 @@ impl Layout {
     /// additional files.
     fn configuration(&self, scenario: &Scenario) -> String {
         let name = &self.name;
-        let additional = if self.file("add.xml").exists() {
-            format!("        <additional-files value=\"{name}.add.xml\"/>\n")
-        } else {
-            String::new()
-        };
-        format!(
-            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- sumo-gui -c {name}.sumocfg shows the net with SUMO's own drivers. -->\n\
-             <configuration>\n    <input>\n        <net-file value=\"{name}.net.xml\"/>\n        <route-files value=\"{name}.rou.xml\"/>\n{additional}    </input>\n\
-             \x20   <time>\n        <step-length value=\"{}\"/>\n    </time>\n    <report>\n        <xml-validation value=\"never\"/>\n    </report>\n</configuration>\n",
-            scenario.control.interval
-        )
+        let mut xml = Writer::new();
+        xml.comment(&format!("sumo-gui -c {name}.sumocfg shows the net with SUMO's own drivers."));
+        xml.open("configuration").open("input");
+        xml.open("net-file").attribute("value", format!("{name}.net.xml")).close();
+        xml.open("route-files").attribute("value", format!("{name}.rou.xml")).close();
+        if self.file("add.xml").exists() {
+            xml.open("additional-files").attribute("value", format!("{name}.add.xml")).close();
+        }
+        xml.close().open("time").open("step-length");
+        xml.attribute("value", scenario.control.interval).close().close();
+        xml.open("report").open("xml-validation").attribute("value", "never");
+        xml.finish()
     }
 
     /// Returns a scenario on the net of `site`, with the usual settings.
-    pub(super) fn scenario(&self, site: Site) -> Scenario {
+    pub(super) fn scenario(&self, site: Site) -> Result<Scenario, Error> {
         let Site { description, routes, paths, rows, agents, speed, steers } = site;
         let longest = paths.iter().map(LanePath::length).fold(0.0, f64::max);
         // An agent should observe all vehicles that its path may conflict with. Vehicles that begin
@@ -159,102 +163,49 @@ impl Layout {
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);
         let places: u32 = spawns.iter().map(|row| row.count).sum();
-        let interval = 0.1;
+        let mut scenario = Scenario::parse(DEFAULTS, &self.scenario)?;
         let pace = if steers == Steers::No { speed } else { speed.min(CURVES) };
-        let horizon = (PATIENCE * longest / (pace * interval) / 100.0).ceil() * 100.0;
-        let scenario = Scenario {
-            name: self.name.clone(),
-            path: self.scenario.clone(),
-            description,
-            agents: AgentRange {
-                min: agents.min(places).min(2),
-                max: places,
-                default: agents.min(places),
-            },
-            nets: vec![Net { file: self.net.clone(), spawns }],
-            routes,
-            vehicle: Vehicle { length: 4.515, width: 1.852, max_speed: speed },
-            jitter: Jitter { longitudinal: 1.0, lateral: 0.25 },
-            control: Control {
-                interval,
-                accel: 2.909,
-                drag: 0.364,
-                brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
-                steering: None,
-                initial_throttle: Control::INITIAL_THROTTLE,
-            },
-            observation: Observation {
-                groups: ObservationGroups::Conflict,
-                detection_range: DETECTION,
-                neighbours: 4,
-                neighbour_order: NeighbourOrder::default(),
-                intention: Intention::Hidden,
-                signal_distance: Observation::SIGNAL_DISTANCE,
-                conflict_streams: streams,
-                stream_vehicles: longest_row.min(3) as usize,
-                encounters: 0,
-                foresight: 0.0,
-                priority_distance: 0.0,
-                borders: 0.0,
-                lidar: Lidar::default(),
-            },
-            reward: Reward {
-                progress: 1.0,
-                speed: 0.1,
-                arrive: 10.0,
-                out_of_road: -10.0,
-                crash: -10.0,
-                cooperation: 0.06,
-                share_range: f64::INFINITY,
-            },
-            termination: Termination {
-                horizon: horizon.clamp(500.0, 1e6) as u32,
-                wreck_time: 2.5,
-                border: Border::Line,
-                broken_lines: Vec::new(),
-            },
-            communication: Communication { range: RADIO },
-            traffic: Traffic::default(),
-        };
-        match steers {
-            Steers::No => scenario,
-            Steers::Road => on_road(scenario),
-            Steers::Lot => on_lot(scenario),
+        let horizon =
+            (PATIENCE * longest / (pace * scenario.control.interval) / 100.0).ceil() * 100.0;
+        scenario.name.clone_from(&self.name);
+        scenario.description = description;
+        scenario.agents =
+            AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places) };
+        scenario.nets = vec![Net { file: self.net.clone(), spawns }];
+        scenario.routes = routes;
+        scenario.vehicle.max_speed = speed;
+        scenario.observation.conflict_streams = streams;
+        scenario.observation.stream_vehicles = longest_row.min(3) as usize;
+        scenario.termination.horizon = horizon.clamp(500.0, 1e6) as u32;
+        if steers != Steers::No {
+            steer(&mut scenario);
         }
+        if steers == Steers::Lot {
+            reverse(&mut scenario);
+        }
+        Ok(scenario)
     }
 }
 
-/// Returns the scenario for vehicles that steer, as in `scenarios/intersection_turns.xml`. The kerb
+/// Changes a scenario for vehicles that steer, as in `scenarios/intersection_turns.xml`. The kerb
 /// as border leaves room for the outer wheels in narrow curves.
-fn on_road(scenario: Scenario) -> Scenario {
-    Scenario {
-        // A vehicle that steers has a task even without other vehicles.
-        agents: AgentRange { min: 1, ..scenario.agents },
-        control: Control { steering: Some(Steering::default()), ..scenario.control },
-        observation: Observation {
-            groups: ObservationGroups::Nearest,
-            conflict_streams: 0,
-            stream_vehicles: 0,
-            encounters: 6,
-            foresight: 4.0,
-            ..scenario.observation
-        },
-        termination: Termination { border: Border::Kerb, ..scenario.termination },
-        ..scenario
-    }
+fn steer(scenario: &mut Scenario) {
+    // A vehicle that steers has a task even without other vehicles.
+    scenario.agents.min = 1;
+    scenario.control.steering = Some(Steering::default());
+    let observation = &mut scenario.observation;
+    observation.groups = ObservationGroups::Nearest;
+    (observation.conflict_streams, observation.stream_vehicles) = (0, 0);
+    (observation.encounters, observation.foresight) = (6, 4.0);
+    scenario.termination.border = Border::Kerb;
 }
 
-/// Returns the scenario for vehicles that steer and can reverse, as in `scenarios/parking_lot.xml`.
-fn on_lot(scenario: Scenario) -> Scenario {
-    let scenario = on_road(scenario);
-    let (accel, steering) = (scenario.control.accel, scenario.control.steering);
-    let steering = steering.map(|steering| Steering { reverse: true, ..steering });
-    Scenario {
-        control: Control { brake: vec![(1.0, accel)], steering, ..scenario.control },
-        observation: Observation { foresight: 0.0, ..scenario.observation },
-        reward: Reward { arrive: 100.0, cooperation: 0.17, ..scenario.reward },
-        ..scenario
-    }
+/// Changes a scenario for vehicles that steer and can reverse, as in `scenarios/parking_lot.xml`.
+fn reverse(scenario: &mut Scenario) {
+    scenario.control.brake = vec![(1.0, scenario.control.accel)];
+    scenario.control.steering = Some(Steering { reverse: true, ..Steering::default() });
+    scenario.observation.foresight = 0.0;
+    (scenario.reward.arrive, scenario.reward.cooperation) = (100.0, 0.17);
 }
 
 /// Whether and how vehicles steer.
@@ -296,9 +247,8 @@ fn commented(xml: &str) -> String {
     for line in xml.lines() {
         let name = line.strip_prefix("    <").filter(|rest| rest.starts_with(char::is_alphabetic));
         let name = name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next());
-        if let Some(lines) = name.and_then(schema::comment) {
-            let _ =
-                writeln!(text, "\n    <!-- {} -->", lines.join("\n         ").replace("--", "-"));
+        if let Some(comment) = name.and_then(reference::comment) {
+            text += &format!("\n    <!-- {} -->\n", comment.replace("--", "-"));
         }
         text.push_str(line);
         text.push('\n');
@@ -306,49 +256,49 @@ fn commented(xml: &str) -> String {
     text
 }
 
+/// Returns the path of a file that has a net's name and another ending.
+pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
+    let name = net.file_name().unwrap_or_default().to_string_lossy();
+    net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
+}
+
 /// Writes the vehicles that SUMO shows without this program, if there is a `.sumocfg` beside the
 /// net.
 pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> {
-    let config = netconvert::beside(&net.file, "sumocfg");
+    let config = beside(&net.file, "sumocfg");
     if !config.exists() {
         return Ok(());
     }
-    Ok(write_atomic(&netconvert::beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
+    Ok(write_atomic(&beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
 }
 
 /// Returns a route file for SUMO without this program: one vehicle at each spawn place, on one of
 /// the place's routes.
 fn traffic(scenario: &Scenario, net: &Net) -> String {
     let (v, c) = (scenario.vehicle, &scenario.control);
-    let mut text = String::from(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- The places and routes of the scenario, for SUMO alone: `iwol` does not read this file. -->\n<routes>\n",
+    let mut xml = Writer::new();
+    xml.comment(
+        "The places and routes of the scenario, for SUMO alone: `iwol` does not read this file.",
     );
+    xml.open("routes").open("vType").attribute("id", "agent").attribute("length", v.length);
+    xml.attribute("width", v.width).attribute("maxSpeed", v.max_speed).attribute("accel", c.accel);
     let decel = c.brake.last().map_or(c.accel, |point| point.1).min(4.5);
-    let _ = writeln!(
-        text,
-        "    <vType id=\"agent\" length=\"{}\" width=\"{}\" maxSpeed=\"{}\" accel=\"{}\" decel=\"{decel}\" minGap=\"1\"/>",
-        v.length, v.width, v.max_speed, c.accel
-    );
+    xml.attribute("decel", decel).attribute("minGap", 1).close();
     for route in &scenario.routes {
-        let _ = writeln!(
-            text,
-            "    <route id=\"{}\" edges=\"{}\"/>",
-            escape(&route.id),
-            escape(&route.edges.join(" "))
-        );
+        xml.open("route").attribute("id", &route.id);
+        xml.attribute("edges", route.edges.join(" ")).close();
     }
     for (number, place) in net.places().enumerate() {
         let route = &scenario.routes[place.routes[number % place.routes.len()]];
         let lane = route.lane.map_or_else(|| "best".to_owned(), |lane| lane.to_string());
+        xml.open("vehicle").attribute("id", number).attribute("type", "agent");
+        xml.attribute("route", &route.id).attribute("depart", 0);
         // SUMO's positions are positions of the front bumper.
-        let front = place.pos + v.length / 2.0;
-        let _ = writeln!(
-            text,
-            "    <vehicle id=\"{number}\" type=\"agent\" route=\"{}\" depart=\"0\" departPos=\"{front}\" departLane=\"{lane}\"/>",
-            escape(&route.id)
-        );
+        xml.attribute("departPos", place.pos + v.length / 2.0)
+            .attribute("departLane", lane)
+            .close();
     }
-    text + "</routes>\n"
+    xml.finish()
 }
 
 /// Returns whether two paths merge or cross.

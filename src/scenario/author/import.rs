@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 use super::super::Route;
 use super::files::{Layout, Row, Site, Steers, meet};
 use super::{Error, FIRST, SPACING, netconvert};
-use crate::sumo::net::{Connection, EdgeFunction, Junction, Net, Path as LanePath};
+use crate::sumo::net::{
+    Connection, EdgeFunction, Junction, Net, Path as LanePath, did_you_mean, nearest, shorten,
+};
 
 /// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and priority rules
 /// instead of traffic lights, which agents do not observe.
@@ -107,7 +109,7 @@ pub fn import(
                 if !text.is_ok_and(|net| net.contains("<edge ")) {
                     return Err(Error::NoSite {
                         path: file.into(),
-                        why: "there are no roads for cars that lead to others".into(),
+                        why: "the map has no roads for cars that lead to others".into(),
                     });
                 }
                 warnings
@@ -122,24 +124,21 @@ pub fn import(
         let mut sites = sites(&net);
         let chosen = match junction {
             None => 0,
-            Some(id) => sites.iter().position(|site| site.candidate.junction == id).unwrap_or(sites.len()),
+            Some(id) => {
+                sites.iter().position(|site| site.candidate.junction == id).unwrap_or(sites.len())
+            }
         };
         if chosen >= sites.len() {
-            let why = junction.map_or_else(
-                || {
-                    "there is no junction where cars from two roads meet and have room to begin on their lanes"
-                        .to_owned()
-                },
-                |id| {
-                    format!("at the junction `{id}` no cars from two roads meet that have room to begin on their lanes")
-                },
-            );
-            return Err(Error::NoSite { path: net.path.clone(), why });
+            return Err(Error::NoSite { path: net.path.clone(), why: no_site(&net, junction) });
         }
         let proposal = sites.remove(chosen);
-        let candidates = std::iter::once(&proposal).chain(&sites).map(|site| site.candidate.clone()).collect();
-        let description = format!("Vehicles pass the junction {} of an imported map.", proposal.candidate.junction);
-        layout.write(&layout.scenario(Site {
+        let candidates =
+            std::iter::once(&proposal).chain(&sites).map(|site| site.candidate.clone()).collect();
+        let description = format!(
+            "Vehicles pass the junction {} of an imported map.",
+            proposal.candidate.junction
+        );
+        let scenario = layout.scenario(Site {
             description,
             routes: proposal.routes,
             paths: proposal.paths,
@@ -147,9 +146,27 @@ pub fn import(
             agents,
             speed: proposal.speed.clamp(SPEED.0, SPEED.1),
             steers: if steering { Steers::Road } else { Steers::No },
-        }))?;
+        })?;
+        layout.write(&scenario)?;
         Ok(Imported { scenario: layout.scenario.clone(), candidates, warnings })
     })
+}
+
+/// Returns why no scenario can be made of a net, or of one of its junctions.
+fn no_site(net: &Net, junction: Option<&str>) -> String {
+    let needed = "vehicles from two roads conflict and have room for spawn places on their lanes";
+    let mut ids = net.junctions.iter().map(|junction| junction.id.as_str());
+    match junction {
+        None => format!("the net has no junction where {needed}"),
+        Some(id) if ids.any(|known| known == id) => {
+            format!("`{}` is not a junction where {needed}", shorten(id))
+        }
+        Some(id) => {
+            let ids = net.junctions.iter().map(|junction| junction.id.as_str());
+            let similar = did_you_mean(nearest(id, ids));
+            format!("the net has no junction `{}`{similar}", shorten(id))
+        }
+    }
 }
 
 /// A junction with the parts of a scenario at it.

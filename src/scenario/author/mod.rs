@@ -87,7 +87,7 @@ pub fn create(
                 (false, false) => Steers::No,
             },
         };
-        layout.write(&layout.scenario(site))?;
+        layout.write(&layout.scenario(site)?)?;
         Ok(layout.scenario.clone())
     })
 }

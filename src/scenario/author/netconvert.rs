@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 
 use super::super::Scenario;
 use super::Error;
-use super::files::show_traffic;
+use super::files::{beside, show_traffic};
 use crate::record::write_atomic;
 use crate::sumo::find_program;
 use crate::sumo::net::xml;
@@ -85,18 +85,12 @@ fn configuration(net: &Path) -> PathBuf {
     beside(net, "netccfg")
 }
 
-/// Returns the path of a file that has a net's name and another ending.
-pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
-    let name = net.file_name().unwrap_or_default().to_string_lossy();
-    net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
-}
-
 /// Returns the files that a configuration names as its input.
 fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
     let text = xml::read(config, MAX_BYTES)
         .map_err(|source| Error::Read { path: config.into(), source })?;
     let refused = |why: String| Error::Configuration { path: config.into(), why };
-    let text = text.ok_or_else(|| refused(format!("it is larger than {MAX_BYTES} bytes")))?;
+    let text = text.ok_or_else(|| refused(format!("the file is larger than {MAX_BYTES} bytes")))?;
     let document =
         xml::parse(&text).map_err(|(error, at)| refused(format!("line {}: {error}", at.row)))?;
     let folder = config.parent().unwrap_or(Path::new(""));

@@ -1,9 +1,9 @@
 //! A road network before netconvert builds it: SUMO's plain XML, and the routes through it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 
-use super::super::{Route, write::escape};
+use super::super::Route;
+use crate::markup::Writer;
 
 /// Width of every lane \[m\].
 pub(super) const LANE_WIDTH: f64 = 3.5;
@@ -127,92 +127,82 @@ impl Plan {
     pub(super) fn sources(&self, lanes: u32, speed: f64) -> [(&'static str, String); 4] {
         let mut nodes = opening(
             "nodes",
-            "Junctions: where they are, their shape [m], and who gives way. `unregulated` is not advised: SUMO sees no collisions there.",
+            "Junctions: position and shape [m], and the type, which decides who has priority. In junctions of type `unregulated`, SUMO \
+             detects no collisions.",
         );
-        for Node { id, at, kind, shape } in &self.nodes {
-            let ([x, y], id, shape) = (at.map(centimetres), escape(id), outline(shape));
-            let _ = writeln!(
-                nodes,
-                "    <node id=\"{id}\" x=\"{x}\" y=\"{y}\" type=\"{kind}\"{shape}/>"
-            );
+        for Node { id, at: [x, y], kind, shape } in &self.nodes {
+            nodes.open("node").attribute("id", id).attribute("x", centimetres(*x));
+            nodes.attribute("y", centimetres(*y)).attribute("type", kind);
+            outline(&mut nodes, shape);
         }
         let mut edges = opening(
             "edges",
-            "Roads from junction to junction, one for each direction; numLanes, speed [m/s], shape [m] and spreadType may be given here too.",
+            "Roads from junction to junction, one for each direction. An edge may also have numLanes, speed [m/s], shape [m] and \
+             spreadType.",
         );
         for Edge { id, from, to, lanes: own, shape, centred } in &self.edges {
-            let _ = write!(
-                edges,
-                "    <edge id=\"{}\" from=\"{from}\" to=\"{to}\" type=\"street\"",
-                escape(id)
-            );
+            edges.open("edge").attribute("id", id).attribute("from", from).attribute("to", to);
+            edges.attribute("type", "street");
             if *own != lanes {
-                let _ = write!(edges, " numLanes=\"{own}\"");
+                edges.attribute("numLanes", own);
             }
             if *centred {
-                let _ = write!(edges, " spreadType=\"center\"");
+                edges.attribute("spreadType", "center");
             }
-            let _ = writeln!(edges, "{}/>", outline(shape));
+            outline(&mut edges, shape);
         }
         if let Some((nodes, paths)) = &self.ring {
-            let _ = writeln!(
-                edges,
-                "    <roundabout nodes=\"{}\" edges=\"{}\"/>",
-                nodes.join(" "),
-                paths.join(" ")
-            );
+            edges.open("roundabout").attribute("nodes", nodes.join(" "));
+            edges.attribute("edges", paths.join(" ")).close();
         }
         let mut links = opening(
             "connections",
-            "Which lane leads to which, counted from the right and starting at 0; a shape [m] is the path of the vehicles there.",
+            "Which lane leads to which, counted from the right and starting at 0. A shape [m] is the path of the vehicles there.",
         );
         for Link { from, to, lanes: [a, b], shape } in &self.links {
-            let shape = outline(shape);
-            let _ = writeln!(
-                links,
-                "    <connection from=\"{from}\" to=\"{to}\" fromLane=\"{a}\" toLane=\"{b}\"{shape}/>"
-            );
+            links.open("connection").attribute("from", from).attribute("to", to);
+            links.attribute("fromLane", a).attribute("toLane", b);
+            outline(&mut links, shape);
         }
         let mut types = opening(
             "types",
-            "What all roads have in common: lanes, speed limit [m/s], width of a lane [m].",
+            "What all roads have in common: number of lanes, speed limit [m/s], width of a lane [m].",
         );
-        let _ = writeln!(
-            types,
-            "    <type id=\"street\" priority=\"1\" numLanes=\"{lanes}\" speed=\"{speed}\" width=\"{LANE_WIDTH}\"/>"
-        );
-        let end = |text: String, name: &str| format!("{text}</{name}>\n");
+        types.open("type").attribute("id", "street").attribute("priority", 1);
+        types.attribute("numLanes", lanes).attribute("speed", speed);
+        types.attribute("width", LANE_WIDTH);
         [
-            ("nod.xml", end(nodes, "nodes")),
-            ("edg.xml", end(edges, "edges")),
-            ("con.xml", end(links, "connections")),
-            ("typ.xml", end(types, "types")),
+            ("nod.xml", nodes.finish()),
+            ("edg.xml", edges.finish()),
+            ("con.xml", links.finish()),
+            ("typ.xml", types.finish()),
         ]
     }
 
     /// Returns the spaces as parking areas in a SUMO additional file, or `None` if there are no
     /// spaces.
     pub(super) fn additional(&self) -> Option<String> {
-        let mut text = format!(
-            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- The spaces, for SUMO alone: `iwol` does not read this file. -->\n\
-             <additional xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" xsi:noNamespaceSchemaLocation=\"{XSD}/additional_file.xsd\">\n"
-        );
+        let mut xml = Writer::new();
+        xml.comment("The parking spaces, for SUMO alone: `iwol` does not read this file.");
+        root(&mut xml, "additional");
         for Space { id, edge, depth } in &self.spaces {
-            let _ = writeln!(
-                text,
-                "    <parkingArea id=\"{id}\" lane=\"{edge}_0\" startPos=\"1\" endPos=\"{depth}\" roadsideCapacity=\"1\" onRoad=\"true\"/>"
-            );
+            xml.open("parkingArea").attribute("id", id).attribute("lane", format!("{edge}_0"));
+            xml.attribute("startPos", 1).attribute("endPos", depth);
+            xml.attribute("roadsideCapacity", 1).attribute("onRoad", true).close();
         }
-        (!self.spaces.is_empty()).then(|| text + "</additional>\n")
+        (!self.spaces.is_empty()).then(|| xml.finish())
     }
 }
 
-/// Returns points as an attribute, without repetitions, or an empty string if there are none.
-fn outline(points: &[[f64; 2]]) -> String {
+/// Ends an element with its shape, without repeated points.
+fn outline(xml: &mut Writer, points: &[[f64; 2]]) {
     let mut points: Vec<[f64; 2]> = points.iter().map(|point| point.map(centimetres)).collect();
     points.dedup();
     let points: Vec<String> = points.into_iter().map(|[x, y]| format!("{x},{y}")).collect();
-    if points.is_empty() { String::new() } else { format!(" shape=\"{}\"", points.join(" ")) }
+    if !points.is_empty() {
+        xml.attribute("shape", points.join(" "));
+    }
+    xml.close();
 }
 
 /// Rounds to centimetres, without negative zeros.
@@ -221,9 +211,16 @@ fn centimetres(metres: f64) -> f64 {
 }
 
 /// Returns the beginning of a source file.
-fn opening(root: &str, comment: &str) -> String {
-    format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- {comment}\n     After a change: iwol scenario build. -->\n\
-         <{root} xmlns:xsi=\"http://www.w3.org/2001/XMLSchema-instance\" xsi:noNamespaceSchemaLocation=\"{XSD}/{root}_file.xsd\">\n"
-    )
+fn opening(name: &'static str, comment: &str) -> Writer {
+    let mut xml = Writer::new();
+    xml.comment(&format!("{comment}\n     After a change: iwol scenario build."));
+    root(&mut xml, name);
+    xml
+}
+
+/// Opens a root element that names SUMO's schema, for editors.
+fn root(xml: &mut Writer, name: &'static str) {
+    xml.open(name)
+        .attribute("xmlns:xsi", "http://www.w3.org/2001/XMLSchema-instance")
+        .attribute("xsi:noNamespaceSchemaLocation", format!("{XSD}/{name}_file.xsd"));
 }

@@ -9,6 +9,7 @@ use std::{fmt::Write as _, path::Path as FilePath};
 use roxmltree::Node;
 
 use super::{NetError, read::document};
+use crate::markup::escape_attribute;
 
 /// Free space between two copies, in addition to the diagonal of one copy \[m\].
 const GAP: f64 = 100.0;
@@ -99,17 +100,7 @@ fn write_element(out: &mut String, node: Node<'_, '_>, copy: Option<(u32, [f64; 
 }
 
 fn write_attribute(out: &mut String, name: &str, value: &str) {
-    let _ = write!(out, " {name}=\"");
-    for c in value.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '"' => out.push_str("&quot;"),
-            '\n' | '\t' | '\r' => drop(write!(out, "&#{};", c as u32)),
-            _ => out.push(c),
-        }
-    }
-    out.push('"');
+    let _ = write!(out, " {name}=\"{}\"", escape_attribute(value));
 }
 
 /// Returns the value of an attribute in a copy.

@@ -1,0 +1,351 @@
+//! The parts of a task as structs. Fields of structs in `element!` are attributes of the file.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::Error;
+use super::attribute::{Field, Tag, element, words};
+use super::observation::Observation;
+use super::reader::Element;
+
+/// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scenario {
+    /// Name, which is also the first level of the run folders.
+    pub name: String,
+    /// File that the scenario was read from.
+    pub path: PathBuf,
+    /// Description in one sentence.
+    pub description: String,
+    /// Number of agents that the scenario accepts.
+    pub agents: AgentRange,
+    /// Nets of different sizes, ascending by [`Net::capacity`].
+    pub nets: Vec<Net>,
+    /// Routes of the agents.
+    pub routes: Vec<Route>,
+    /// Size and top speed of the agents' vehicle.
+    pub vehicle: Vehicle,
+    /// Random displacement of vehicles from their spawn places.
+    pub jitter: Jitter,
+    /// How actions move a vehicle.
+    pub control: Control,
+    /// What an agent observes.
+    pub observation: Observation,
+    /// Reward terms.
+    pub reward: Reward,
+    /// Conditions that end an episode, or an agent's part in it.
+    pub termination: Termination,
+    /// Communication between agents.
+    pub communication: Communication,
+    /// Background traffic: vehicles and pedestrians that SUMO moves.
+    pub traffic: Traffic,
+}
+
+element! {
+    /// Number of agents that a scenario accepts.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub struct AgentRange {
+        /// Smallest number.
+        pub min: u32,
+        /// Largest number.
+        pub max: u32,
+        /// Number if the user does not specify one.
+        pub default: u32,
+    }
+}
+
+/// A net and its spawn places.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Net {
+    /// Path of the `.net.xml`, resolved against the scenario file's folder.
+    pub file: PathBuf,
+    /// Rows of spawn places.
+    pub spawns: Vec<SpawnRow>,
+}
+
+/// A row of equally spaced spawn places on the first edge of its routes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpawnRow {
+    /// Indices into [`Scenario::routes`] of the routes that begin here, all of them on one lane. A
+    /// vehicle draws one of them in each episode.
+    pub routes: Arc<[usize]>,
+    /// Position of the first place on the routes' first edge \[m\].
+    pub first: f64,
+    /// Distance between neighbouring places \[m\].
+    pub spacing: f64,
+    /// Number of places.
+    pub count: u32,
+}
+
+/// A spawn place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpawnPlace {
+    /// Indices of the routes that begin here, as in [`SpawnRow::routes`].
+    pub routes: Arc<[usize]>,
+    /// Position on the routes' first edge \[m\].
+    pub pos: f64,
+}
+
+element! {
+    /// A route through the net.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Route {
+        /// Id, unique in the scenario.
+        pub id: String,
+        /// Edge ids in driving order.
+        pub edges: Vec<String>,
+        /// Lane of the first edge, counted from the right and starting at 0. Default: the rightmost
+        /// lane from which the route can be driven without changing lanes.
+        pub lane: Option<u32>,
+        /// Finish line of the agent: position on the last edge \[m\]; a negative value counts from
+        /// the end of the edge.
+        pub arrival_pos: f64,
+        /// Whether the last edge is a destination for one vehicle only: an episode does not draw
+        /// two reserved routes that end on the same edge.
+        pub reserved: bool,
+        /// Factor on the progress and speed rewards while a vehicle that steers is off the lanes of
+        /// its route. Default: 1.
+        pub off_lane: f64,
+    }
+}
+
+element! {
+    /// Size and top speed of the agents' vehicle.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Vehicle {
+        /// Length of the body \[m\].
+        pub length: f64,
+        /// Width of the body \[m\].
+        pub width: f64,
+        /// Top speed \[m/s\].
+        pub max_speed: f64,
+    }
+}
+
+element! {
+    /// Random displacement of vehicles from their spawn places: uniform in plus or minus each
+    /// value.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Jitter {
+        /// Along the lane \[m\].
+        pub longitudinal: f64,
+        /// Across the lane \[m\].
+        pub lateral: f64,
+    }
+}
+
+element! {
+    /// How actions move a vehicle.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Control {
+        /// Decision interval \[s\], which is also SUMO's step length.
+        pub interval: f64,
+        /// Acceleration at full throttle \[m/s²\].
+        pub accel: f64,
+        /// Deceleration at zero throttle, and the smallest deceleration of a braking action
+        /// \[m/s²\].
+        pub drag: f64,
+        /// Braking curve as points (magnitude of the action, deceleration \[m/s²\]), ascending,
+        /// linear between the points and from the origin.
+        pub brake: Vec<(f64, f64)>,
+        /// Mean throttle of an untrained policy, -1 to 1. At 0, vehicles hardly move under
+        /// exploration noise where brakes are stronger than the engine; the larger the value, the
+        /// sooner all vehicles drive at full throttle.
+        pub initial_throttle: f64,
+        /// Parameters of a vehicle that steers. With them, an action has two components: steering,
+        /// then throttle and brake. Without them, throttle and brake are the only component, and
+        /// SUMO keeps the vehicle on its route.
+        pub steering: Option<Steering>,
+    }
+}
+
+/// The child element `<steering>`.
+impl Field for Option<Steering> {
+    fn read(element: &Element, name: &str) -> Result<Self, Error> {
+        element.child(name).map(|child| Steering::read(&child, "")).transpose()
+    }
+
+    fn write(&self, tag: &mut Tag, name: &str) {
+        if let Some(steering) = self {
+            tag.element(name, |tag| steering.write(tag, ""));
+        }
+    }
+
+    #[cfg(test)]
+    fn names(_: &str, _: &mut Vec<String>) {}
+}
+
+impl Control {
+    /// Default of [`Control::initial_throttle`].
+    pub const INITIAL_THROTTLE: f64 = 0.5;
+
+    /// Returns the name of the control mode in XML.
+    pub(super) fn mode(&self) -> &'static str {
+        if self.steering.is_some() { "steering" } else { "throttle" }
+    }
+}
+
+element! {
+    /// Parameters of a vehicle that steers.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Steering {
+        /// Steering angle of the front wheels at full lock \[deg\].
+        pub max_angle: f64,
+        /// Distance of the front axle from the centre of mass, which is the middle of the vehicle
+        /// \[m\].
+        pub front_axle: f64,
+        /// Distance of the rear axle from the centre of mass \[m\].
+        pub rear_axle: f64,
+        /// Distance between the left and the right wheels \[m\].
+        pub track: f64,
+        /// Friction of the tyres: the largest force of a tyre, as a multiple of its load.
+        pub friction: f64,
+        /// Moment of inertia about the vertical axis, per mass \[m²\].
+        pub yaw_inertia: f64,
+        /// Whether a negative throttle drives backwards. If so, negative throttle is thrust, and
+        /// only zero throttle brakes.
+        pub reverse: bool,
+    }
+}
+
+impl Default for Steering {
+    /// Returns the parameters of the vehicle of the paper's simulator (MetaDrive's default
+    /// vehicle).
+    fn default() -> Self {
+        Self {
+            max_angle: 40.0,
+            front_axle: 1.05234,
+            rear_axle: 1.4166,
+            track: 1.63,
+            friction: 0.9,
+            yaw_inertia: 1.985,
+            reverse: false,
+        }
+    }
+}
+
+impl Steering {
+    /// Returns the distance between the axles \[m\].
+    pub fn wheelbase(&self) -> f64 {
+        self.front_axle + self.rear_axle
+    }
+}
+
+element! {
+    /// Reward terms and their weights.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Reward {
+        /// Reward per metre along the route.
+        pub progress: f64,
+        /// Reward per step at [`Reward::SPEED_UNIT`], in proportion to speed.
+        pub speed: f64,
+        /// Reward of the step in which the agent arrives, in place of all other terms.
+        pub arrive: f64,
+        /// Reward of the step in which the agent goes off-road, in place of all other terms.
+        pub out_of_road: f64,
+        /// Reward of the step in which the agent crashes, in place of all other terms.
+        pub crash: f64,
+        /// Weight of each other agent's advantage in training, 0 to 1; the agent's own advantage
+        /// has weight 1.
+        pub cooperation: f64,
+        /// Largest distance between agents that share in each other's advantages \[m\]. Infinite:
+        /// all agents of a world share.
+        pub share_range: f64,
+    }
+}
+
+impl Reward {
+    /// Speed at which the speed term equals [`Reward::speed`]: 80 km/h \[m/s\].
+    pub const SPEED_UNIT: f64 = 80.0 / 3.6;
+}
+
+element! {
+    /// Conditions that end an episode, or an agent's part in it.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Termination {
+        /// Horizon: number of steps after which an episode is truncated.
+        pub horizon: u32,
+        /// Time for which a crashed vehicle stays on the road as an obstacle \[s\].
+        pub wreck_time: f64,
+        /// Border of the road for vehicles that steer.
+        pub border: Border,
+        /// Edges with a broken line between the two directions, which vehicles that steer may
+        /// cross.
+        pub broken_lines: Vec<String>,
+    }
+}
+
+/// Border of the road for vehicles that steer. A vehicle whose centre is on no lane is off-road
+/// with either border.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Border {
+    /// The lines at both sides of a road.
+    Line,
+    /// The line between the two directions, and the kerb, a little beyond the outermost lanes. No
+    /// line separates lanes of one direction or parking spaces.
+    Kerb,
+}
+
+words!(Border { Line: "line", Kerb: "kerb" });
+
+element! {
+    /// Background traffic: vehicles and pedestrians that SUMO moves.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Traffic {
+        /// Share of agents among the vehicles at spawn places, above 0 to 1; SUMO drives the
+        /// others.
+        pub penetration: f64,
+        /// Type of the background vehicles at spawn places, an id from [`Traffic::files`]. Without
+        /// it, these vehicles have the agents' size and abilities.
+        pub kind as "type": Option<String>,
+        /// SUMO route files, resolved against the scenario file's folder.
+        pub files: Vec<PathBuf>,
+        /// Largest number of vehicles and pedestrians from the files on the road at a time.
+        pub capacity: u32,
+    }
+}
+
+impl Default for Traffic {
+    fn default() -> Self {
+        Self { penetration: 1.0, kind: None, files: Vec::new(), capacity: 16 }
+    }
+}
+
+impl Traffic {
+    /// Returns whether there is background traffic, with `vehicles` vehicles at spawn places.
+    pub fn is_mixed(&self, vehicles: u32) -> bool {
+        self.learners(vehicles) < vehicles || !self.files.is_empty()
+    }
+
+    /// Returns how many of `vehicles` vehicles are agents: at least one.
+    pub fn learners(&self, vehicles: u32) -> u32 {
+        ((self.penetration * f64::from(vehicles)).round() as u32).clamp(1, vehicles.max(1))
+    }
+}
+
+element! {
+    /// Communication between agents.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Communication {
+        /// Communication range d_comm of the physical mask \[m\].
+        pub range: f64,
+    }
+}
+
+impl Net {
+    /// Returns the number of spawn places.
+    #[must_use]
+    pub fn capacity(&self) -> u32 {
+        self.spawns.iter().map(|row| row.count).sum()
+    }
+
+    /// Returns the spawn places, row by row.
+    pub fn places(&self) -> impl Iterator<Item = SpawnPlace> + '_ {
+        self.spawns.iter().flat_map(|row| {
+            (0..row.count).map(|i| SpawnPlace {
+                routes: Arc::clone(&row.routes),
+                pos: row.first + row.spacing * f64::from(i),
+            })
+        })
+    }
+}
