@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use base64::Engine as _;
 
 use super::Error;
+use crate::plot::escaped;
 use crate::record;
 
 /// A document; see the module.
@@ -149,10 +150,6 @@ pre { overflow-x: auto; padding: .5rem .75rem; background: #8882; }
 
 fn name(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]
