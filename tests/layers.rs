@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, each with the modules that it may name.
-const ALLOWED: [(&str, &[&str]); 23] = [
+const ALLOWED: [(&str, &[&str]); 25] = [
     ("rng", &["fnv"]),
     ("fnv", &[]),
     ("stats", &[]),
@@ -22,7 +22,9 @@ const ALLOWED: [(&str, &[&str]); 23] = [
     ("plot", &["record"]),
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
-    ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
+    ("metrics", &["env", "provenance", "stats"]),
+    ("curves", &["metrics", "plot", "record", "stats"]),
+    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "sumo"]),
     (
         "train",
         &[
@@ -39,8 +41,8 @@ const ALLOWED: [(&str, &[&str]); 23] = [
             "scenario",
         ],
     ),
-    ("sweep", &["config", "record", "train"]),
-    ("report", &["plot", "provenance", "record", "stats", "sweep"]),
+    ("sweep", &["config", "metrics", "record", "train"]),
+    ("report", &["curves", "metrics", "plot", "provenance", "record", "stats", "sweep"]),
     ("replay", &["env", "plot", "record", "sumo"]),
     ("inspect", &["env", "plot", "rng", "scenario", "sumo"]),
     ("cli", &[]),

@@ -9,6 +9,7 @@ use toml::{Table, Value};
 
 use super::{Error, Evaluate, label, value_of};
 use crate::config::{self, Config};
+use crate::metrics::EvaluationResult;
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
 
@@ -136,22 +137,33 @@ impl Cell {
             .iter()
             .filter(|e| e.applies(self))
             .flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
-        all.filter(|(evaluate, combination)| !self.is_evaluated(evaluate, combination))
+        all.filter(|(evaluate, combination)| {
+            !matches!(self.evaluation(evaluate, combination), Ok(Some(_)))
+        })
     }
 
-    /// Returns whether there is a result of exactly this evaluation: with the same episodes,
-    /// checkpoint and settings.
-    pub fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
-        let read = || {
-            serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok()
+    /// Returns the result of exactly this evaluation: with the same episodes, checkpoint and
+    /// settings. `None` if there is none.
+    ///
+    /// # Errors
+    /// [`Error::Damaged`] if the file is not a result, [`Error::Record`] if it cannot be read.
+    pub fn evaluation(
+        &self,
+        evaluate: &Evaluate,
+        combination: &[(String, Value)],
+    ) -> Result<Option<EvaluationResult>, Error> {
+        let path = self.result(evaluate, combination);
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(source) if source.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(record::Error::Io { action: "read", path, source }.into()),
         };
-        let Some(found): Option<serde_json::Value> = read() else { return false };
-        let sets: Vec<serde_json::Value> =
-            evaluate.sets(combination).into_iter().map(Into::into).collect();
-        let stored = found["set"].as_array().cloned().unwrap_or_default();
-        found["episodes"] == evaluate.episodes
-            && found["checkpoint"] == evaluate.checkpoint.file()
-            && stored == sets
+        let found: EvaluationResult =
+            serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path, source })?;
+        let same = found.episodes == evaluate.episodes
+            && found.checkpoint.as_deref() == Some(evaluate.checkpoint.file())
+            && found.set == evaluate.sets(combination);
+        Ok(same.then_some(found))
     }
 
     /// Checks that the run in the folder, if there is one, has this cell's settings and scenario.

@@ -40,6 +40,14 @@ pub enum Error {
         /// The error of the settings.
         source: config::Error,
     },
+    /// A result file does not contain what `iwol evaluate` writes.
+    #[error("`{}` is damaged; delete it, and run the sweep again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason.
+        source: serde_json::Error,
+    },
     /// A file of a cell cannot be read or written.
     #[error(transparent)]
     Record(#[from] crate::record::Error),

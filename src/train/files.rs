@@ -15,7 +15,7 @@ use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
-/// variance of these features by the decoder and by the probe ([`crate::evaluate::Probe`]).
+/// variance of these features by the decoder and by the probe ([`crate::metrics::Probe`]).
 const WORLD: [&str; 6] = [
     "validation/world_error",
     "validation/world_explained",
