@@ -12,11 +12,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::algo::{Algorithm, Channel};
 use crate::env::{self, Driver, EpisodeRecord, Pursuit, Task, VecEnv, VecOptions};
-use crate::metrics::{Knowledge, Metrics, WINDOW};
+use crate::metrics::WINDOW;
 use crate::replay::Recorder;
 use crate::rng::Seed;
 use crate::sumo::Hosting;
 
+pub use crate::metrics::{Knowledge, Metrics, Probe};
 use driver::PolicyDriver;
 pub use knowledge::DETERMINED;
 use knowledge::Sums;
