@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use super::Error;
 use crate::metrics::{self, EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
-use crate::stats::{self, Estimate};
+use crate::stats::Estimate;
+use crate::stats::aggregate::bootstrap;
 use crate::sweep::{Cell, Evaluate, Reference, Sweep, plain};
 
 /// One evaluation of all cells.
@@ -301,9 +302,7 @@ pub(super) fn aggregate(
 ) -> Option<Estimate> {
     let scores = scores(line, metric);
     if resamples(line) {
-        let bootstrap =
-            if same_runs { stats::aggregate::bootstrap_runs } else { stats::aggregate::bootstrap };
-        return bootstrap(&scores, &of);
+        return bootstrap([&scores], same_runs, |[drawn]| of(drawn));
     }
     let mean = of(&scores);
     mean.is_finite().then_some(Estimate { mean, low: f64::NEG_INFINITY, high: f64::INFINITY })

@@ -6,8 +6,7 @@ use super::block::{Block, Line, Row, Unit, aggregate, references, resamples, sco
 use super::document::Document;
 use crate::metrics::{EvaluationResult, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::aggregate::{
-    bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement,
-    task_mean,
+    bootstrap, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
 };
 use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
@@ -275,7 +274,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
                 return "–".to_owned();
             }
             let (x, y) = (scores(line, success), scores(other, success));
-            let e = bootstrap_pair(&x, &y, same_runs, probability_of_improvement);
+            let e = bootstrap([&x, &y], same_runs, |[x, y]| probability_of_improvement(x, y));
             e.map_or_else(|| "–".to_owned(), |e| format!("{e:.2}"))
         };
         std::iter::once(line.label.clone())
