@@ -29,7 +29,7 @@ impl Line {
     /// Returns the mean of a metric in a validation, as the file contains it; `None` if the line
     /// does not describe a validation.
     pub fn validation(&self, metric: &Metric) -> Option<f64> {
-        self.values.get(&format!("validation/{}", metric.id))?.as_f64()
+        self.values.get(metric.validation)?.as_f64()
     }
 
     /// Returns the mean of a metric in the training episodes that ended in this iteration, as the

@@ -2,8 +2,8 @@
 //! how to read it.
 //!
 //! A metric is one line of the tables below. The line makes it a field of [`Metrics`], a key of the
-//! JSON output of `iwol evaluate`, a row of its table, a part of reports, and a name that sweep
-//! files may use. Values are measured in [`EpisodeRecord`]s.
+//! JSON output of `iwol evaluate`, a row of its table, a part of learning curves and reports, and a
+//! name that sweep files may use. Values are measured in [`EpisodeRecord`]s.
 
 mod metric;
 mod result;
@@ -60,6 +60,7 @@ macro_rules! metrics {
             /// Entries of the registry.
             const REGISTERED: &[Metric] = &[$(Metric {
                 id: concat!($prefix, stringify!($id)),
+                validation: concat!("validation/", $prefix, stringify!($id)),
                 title: $title,
                 axis: $axis,
                 scale: $scale,

@@ -34,6 +34,7 @@ const ALLOWED: [(&str, &[&str]); 25] = [
             "env",
             "evaluate",
             "fnv",
+            "metrics",
             "provenance",
             "record",
             "rng",

@@ -8,6 +8,8 @@ use crate::stats::Estimate;
 pub struct Metric {
     /// Key in the JSON output; the parts of a nested key are separated by dots.
     pub id: &'static str,
+    /// Key of the mean in the validations of a training, in a run's `metrics.jsonl`.
+    pub validation: &'static str,
     /// Heading in tables, without the unit.
     pub title: &'static str,
     /// Label of an axis, with the unit.
