@@ -143,11 +143,10 @@ impl Recording {
     /// Reads a recording from a file.
     ///
     /// # Errors
-    /// [`Error::Read`] if the file cannot be read, [`Error::Damaged`] if it is no recording or its
+    /// [`Error::Record`] if the file cannot be read, [`Error::Damaged`] if it is no recording or its
     /// parts do not fit together.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let text =
-            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = std::fs::read(path).map_err(record::Error::io("read", path))?;
         let damaged = |why: String| Error::Damaged { path: path.to_owned(), why };
         let recording: Self = serde_json::from_slice(&text).map_err(|e| damaged(e.to_string()))?;
         if recording.format != FORMAT {
@@ -249,14 +248,6 @@ impl From<u8> for Status {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The file cannot be read.
-    #[error("cannot read `{}`", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
     /// The file is not a recording.
     #[error("`{}` is no recording that `iwol evaluate --record` wrote: {why}", path.display())]
     Damaged {
@@ -273,7 +264,7 @@ pub enum Error {
         /// The net reader's error.
         source: crate::sumo::net::NetError,
     },
-    /// The file cannot be written.
+    /// The file cannot be read or written.
     #[error(transparent)]
     Record(#[from] record::Error),
 }

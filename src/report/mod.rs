@@ -48,11 +48,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
     if !blocks.iter().any(found) {
         return Err(Error::Nothing { name: sweep.name.clone() });
     }
-    std::fs::create_dir_all(out).map_err(|source| record::Error::Io {
-        action: "create",
-        path: out.to_owned(),
-        source,
-    })?;
+    std::fs::create_dir_all(out).map_err(record::Error::io("create", out))?;
     let mut written = Vec::new();
     let mut document = document::Document::new(&sweep.title);
     tables::introduce(&mut document, sweep, command);
