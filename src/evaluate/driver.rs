@@ -60,7 +60,7 @@ impl<'a> PolicyDriver<'a> {
             .worlds()
             .enumerate()
             .find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
-        let mut thoughts = RecordedDiagnostics::default();
+        let mut diagnostics = RecordedDiagnostics::default();
         let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
             Policy::Throttle(throttle) => {
@@ -129,13 +129,18 @@ impl<'a> PolicyDriver<'a> {
                 if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
                     let active = Tensor::from_slice(&self.active).view([e, n]);
-                    let told = learner.reconstruct(&observation, &state);
-                    watch.knowledge.add(&told, &observation.observation, &active, &episodes);
+                    let reconstructions = learner.reconstruct(&observation, &state);
+                    watch.knowledge.add(
+                        &reconstructions,
+                        &observation.observation,
+                        &active,
+                        &episodes,
+                    );
                 }
                 self.decisions += 1;
                 if let Some((world, _)) = watched.filter(|_| channel.is_perfect()) {
                     let state = Tensor::from_slice(&self.state).view([e, n, -1]);
-                    thoughts = thoughts_of(&learner.inspect(&observation, &state), world as i64);
+                    diagnostics = recorded(&learner.inspect(&observation, &state), world as i64);
                 }
                 self.memory = decision.memory;
                 let count = self.actions.len();
@@ -148,12 +153,12 @@ impl<'a> PolicyDriver<'a> {
             } else {
                 &self.actions[e * width..][..width]
             };
-            recorder.decide(world, actions, &thoughts);
+            recorder.decide(world, actions, &diagnostics);
         }
     }
 }
 
-fn thoughts_of(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
+fn recorded(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
     let numbers = |tensor: &Option<Tensor>| {
         let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
         tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
@@ -186,8 +191,8 @@ fn channel_noise(
     let mut content = vec![0.0; falsified.len() * width];
     for (k, content) in content.chunks_mut(width).enumerate() {
         let (world, pair) = (k / (agents * agents), k % (agents * agents));
-        let told = pair / agents != pair % agents && comm[k] > 0.0;
-        if told && f64::from(falsified[k]) < channel.falsified {
+        let in_range = pair / agents != pair % agents && comm[k] > 0.0;
+        if in_range && f64::from(falsified[k]) < channel.falsified {
             rng::fill_normal(
                 &mut sources[world].child("content").index(pair as u64).rng(),
                 content,

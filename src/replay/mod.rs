@@ -210,7 +210,7 @@ impl Recording {
     }
 
     /// Returns the communication links at a step, as pairs of receiver and sender.
-    fn heard(&self, step: usize) -> Vec<(usize, usize)> {
+    fn links(&self, step: usize) -> Vec<(usize, usize)> {
         let bytes =
             self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
         let (n, width) = (self.agents, self.agents.div_ceil(8));
@@ -322,8 +322,8 @@ mod tests {
         recording().save(&path).unwrap();
         let loaded = Recording::load(&path).unwrap();
         assert_eq!(loaded, recording());
-        assert_eq!(loaded.heard(0), [(0, 1)]);
-        assert_eq!(loaded.heard(1), [(1, 0)]);
+        assert_eq!(loaded.links(0), [(0, 1)]);
+        assert_eq!(loaded.links(1), [(1, 0)]);
         assert_eq!(loaded.vehicles(1)[0].0, Status::Crashed);
         let text = std::fs::read_to_string(&path).unwrap();
         for (from, to) in [

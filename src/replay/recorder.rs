@@ -93,7 +93,7 @@ impl Recorder {
     }
 
     /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
-    pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &RecordedDiagnostics) {
+    pub fn decide(&mut self, world: &World, actions: &[f32], diagnostics: &RecordedDiagnostics) {
         let agents = world.agents().count();
         // An episode in which SUMO died is played again from its start.
         if world.step_count() == 0 {
@@ -121,7 +121,8 @@ impl Recorder {
                     .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
                 column.push(if acts { if_driving(action) } else { f64::NAN });
             }
-            self.value.push(if_driving(thoughts.value.get(i).copied().map_or(f64::NAN, f64::from)));
+            self.value
+                .push(if_driving(diagnostics.value.get(i).copied().map_or(f64::NAN, f64::from)));
             self.reward.push(f64::NAN);
             self.status.push(status as u8);
         }
@@ -141,11 +142,11 @@ impl Recorder {
             rows.push(row.collect());
         }
         let comm = &world.frame().comm;
-        self.graph = !thoughts.graph.is_empty();
+        self.graph = !diagnostics.graph.is_empty();
         for i in 0..agents {
             let mut bits = vec![0_u8; agents.div_ceil(8)];
             for j in (0..agents).filter(|&j| j != i && comm[i * agents + j] > 0.0) {
-                if thoughts.graph.get(i * agents + j).is_none_or(|&edge| edge > 0.5) {
+                if diagnostics.graph.get(i * agents + j).is_none_or(|&edge| edge > 0.5) {
                     bits[j / 8] |= 1 << (j % 8);
                 }
             }

@@ -61,7 +61,7 @@ impl Recording {
             );
         }
         let vehicles = self.vehicles(step);
-        for (i, j) in self.heard(step) {
+        for (i, j) in self.links(step) {
             let [a, b] = [i, j].map(|k| vehicles[k].1);
             let _ = writeln!(
                 svg,
