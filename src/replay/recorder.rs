@@ -26,6 +26,15 @@ pub struct RecordedDiagnostics {
 pub struct Recorder {
     episode: u64,
     actions: usize,
+    /// Whether the task has background traffic.
+    others: bool,
+    rows: Rows,
+    finished: bool,
+}
+
+/// The columns of a recording, one entry per step and agent.
+#[derive(Debug, Default)]
+struct Rows {
     x: Vec<f64>,
     y: Vec<f64>,
     heading: Vec<f64>,
@@ -35,54 +44,25 @@ pub struct Recorder {
     value: Vec<f64>,
     status: Vec<u8>,
     edges: Vec<u8>,
-    /// Background traffic; `None` in tasks without.
-    others: Option<Vec<Vec<[f64; 6]>>>,
+    others: Vec<Vec<[f64; 6]>>,
     /// Number of steps since each agent arrived.
     arrived: Vec<u32>,
+    /// Whether the policy has a communication graph.
     graph: bool,
-    finished: bool,
+}
+
+impl Rows {
+    fn new(agents: usize, actions: usize) -> Self {
+        Self { action: vec![Vec::new(); actions], arrived: vec![0; agents], ..Self::default() }
+    }
 }
 
 impl Recorder {
     /// Creates a recorder that waits for the given episode of a task.
     pub fn new(task: &Task, episode: u64) -> Self {
-        let mut recorder = Self {
-            episode,
-            actions: task.spec.actions.len(),
-            x: Vec::new(),
-            y: Vec::new(),
-            heading: Vec::new(),
-            speed: Vec::new(),
-            action: Vec::new(),
-            reward: Vec::new(),
-            value: Vec::new(),
-            status: Vec::new(),
-            edges: Vec::new(),
-            others: (task.others > 0).then(Vec::new),
-            arrived: Vec::new(),
-            graph: false,
-            finished: false,
-        };
-        recorder.clear(task.agents);
-        recorder
-    }
-
-    fn clear(&mut self, agents: usize) {
-        for column in [
-            &mut self.x,
-            &mut self.y,
-            &mut self.heading,
-            &mut self.speed,
-            &mut self.reward,
-            &mut self.value,
-        ] {
-            column.clear();
-        }
-        self.action = vec![Vec::new(); self.actions];
-        self.status.clear();
-        self.edges.clear();
-        self.others.iter_mut().for_each(Vec::clear);
-        self.arrived = vec![0; agents];
+        let actions = task.spec.actions.len();
+        let rows = Rows::new(task.agents, actions);
+        Self { episode, actions, others: task.others > 0, rows, finished: false }
     }
 
     /// Returns whether a world plays the episode that the recorder waits for.
@@ -97,36 +77,37 @@ impl Recorder {
         let agents = world.agents().count();
         // An episode in which SUMO died is played again from its start.
         if world.step_count() == 0 {
-            self.clear(agents);
+            self.rows = Rows::new(agents, self.actions);
         }
         let acts = world.is_running();
+        let rows = &mut self.rows;
         for (i, agent) in world.agents().enumerate() {
             let status = match agent.outcome {
                 _ if agent.driving => Status::Driving,
                 _ if agent.wreck => Status::Crashed,
-                Outcome { arrived: true, .. } if self.arrived[i] < FAREWELL => Status::Arrived,
+                Outcome { arrived: true, .. } if rows.arrived[i] < FAREWELL => Status::Arrived,
                 _ => Status::Gone,
             };
-            self.arrived[i] += u32::from(agent.outcome.arrived);
-            self.x.push(agent.pose.x);
-            self.y.push(agent.pose.y);
+            rows.arrived[i] += u32::from(agent.outcome.arrived);
+            rows.x.push(agent.pose.x);
+            rows.y.push(agent.pose.y);
             // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
             let (sin, cos) = agent.pose.heading.sin_cos();
-            self.heading.push(sin.atan2(cos));
+            rows.heading.push(sin.atan2(cos));
             let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
-            self.speed.push(if_driving(agent.speed));
-            for (a, column) in self.action.iter_mut().enumerate() {
+            rows.speed.push(if_driving(agent.speed));
+            for (a, column) in rows.action.iter_mut().enumerate() {
                 let action = actions
                     .get(i * self.actions + a)
                     .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
                 column.push(if acts { if_driving(action) } else { f64::NAN });
             }
-            self.value
+            rows.value
                 .push(if_driving(diagnostics.value.get(i).copied().map_or(f64::NAN, f64::from)));
-            self.reward.push(f64::NAN);
-            self.status.push(status as u8);
+            rows.reward.push(f64::NAN);
+            rows.status.push(status as u8);
         }
-        if let Some(rows) = &mut self.others {
+        if self.others {
             let short = |v: f64| (1000.0 * v).round() / 1000.0;
             let row = world.others().map(|other| {
                 let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
@@ -139,10 +120,10 @@ impl Recorder {
                     wreck,
                 ]
             });
-            rows.push(row.collect());
+            rows.others.push(row.collect());
         }
         let comm = &world.frame().comm;
-        self.graph = !diagnostics.graph.is_empty();
+        rows.graph = !diagnostics.graph.is_empty();
         for i in 0..agents {
             let mut bits = vec![0_u8; agents.div_ceil(8)];
             for j in (0..agents).filter(|&j| j != i && comm[i * agents + j] > 0.0) {
@@ -150,7 +131,7 @@ impl Recorder {
                     bits[j / 8] |= 1 << (j % 8);
                 }
             }
-            self.edges.extend(bits);
+            rows.edges.extend(bits);
         }
         self.finished |= world.has_ended();
     }
@@ -160,10 +141,10 @@ impl Recorder {
         if self.finished || world.episode() != self.episode || world.step_count() == 0 {
             return;
         }
-        let first = self.reward.len().saturating_sub(world.agents().count());
+        let first = self.rows.reward.len().saturating_sub(world.agents().count());
         for (i, agent) in world.agents().enumerate() {
-            if Status::from(self.status[first + i]) == Status::Driving {
-                self.reward[first + i] = agent.reward;
+            if Status::from(self.rows.status[first + i]) == Status::Driving {
+                self.rows.reward[first + i] = agent.reward;
             }
         }
     }
@@ -201,18 +182,18 @@ impl Recorder {
                 shape: lane.shape.clone(),
             });
         let mut columns = BTreeMap::from([
-            ("x".to_owned(), Column::new("m", &self.x)),
-            ("y".to_owned(), Column::new("m", &self.y)),
-            ("heading".to_owned(), Column::new("rad", &self.heading)),
-            ("speed".to_owned(), Column::new("m/s", &self.speed)),
-            ("reward".to_owned(), Column::new("1", &self.reward)),
+            ("x".to_owned(), Column::new("m", &self.rows.x)),
+            ("y".to_owned(), Column::new("m", &self.rows.y)),
+            ("heading".to_owned(), Column::new("rad", &self.rows.heading)),
+            ("speed".to_owned(), Column::new("m/s", &self.rows.speed)),
+            ("reward".to_owned(), Column::new("1", &self.rows.reward)),
         ]);
-        for (a, action) in self.action.iter().enumerate() {
+        for (a, action) in self.rows.action.iter().enumerate() {
             let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
             columns.insert(name, Column::new("1", action));
         }
-        if self.value.iter().any(|value| value.is_finite()) {
-            columns.insert("value".to_owned(), Column::new("1", &self.value));
+        if self.rows.value.iter().any(|value| value.is_finite()) {
+            columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
         }
         let summary = record.map(|r| {
             [
@@ -231,15 +212,15 @@ impl Recorder {
             episode: self.episode,
             step_length: task.scenario.control.interval,
             agents: task.agents,
-            steps: self.status.len() / task.agents,
+            steps: self.rows.status.len() / task.agents,
             comm_range: range.is_finite().then_some(range),
-            communicates: self.graph,
+            communicates: self.rows.graph,
             vehicle: Size { length: vehicle.length, width: vehicle.width },
             lanes: lanes.collect(),
             columns,
-            status: STANDARD.encode(&self.status),
-            edges: Some(STANDARD.encode(&self.edges)),
-            others: self.others.unwrap_or_default(),
+            status: STANDARD.encode(&self.rows.status),
+            edges: Some(STANDARD.encode(&self.rows.edges)),
+            others: self.rows.others,
             summary: summary
                 .into_iter()
                 .flatten()
