@@ -3,31 +3,24 @@
 //!
 //! Episode `i` depends only on `(seed, i)`, so results do not depend on the number of worlds.
 
+mod driver;
 mod knowledge;
 
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rand::RngExt as _;
-use serde::{Deserialize, Serialize};
-use tch::{Device, Kind, Tensor};
-
-use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation};
-use crate::env::{
-    self, Audit, BackgroundMetrics, Driver, EpisodeRecord, Failures, Frame, Pursuit, Task, VecEnv,
-    VecOptions,
-};
-use crate::replay::{RecordedDiagnostics, Recorder};
-use crate::rng::{self, Seed};
-use crate::stats::Estimate;
+use crate::algo::{Algorithm, Channel};
+use crate::env::{self, Driver, EpisodeRecord, Pursuit, Task, VecEnv, VecOptions};
+use crate::metrics::WINDOW;
+use crate::replay::Recorder;
+use crate::rng::Seed;
 use crate::sumo::Hosting;
 
+pub use crate::metrics::{Knowledge, Metrics, Probe};
+use driver::PolicyDriver;
+pub use knowledge::DETERMINED;
 use knowledge::Sums;
-pub use knowledge::{DETERMINED, Knowledge, Probe};
-
-/// Number of steps of the window over which the paper sums rewards.
-pub const WINDOW: usize = 1000;
 
 /// Number of worlds that run at a time. A learned policy always gets this number of rows, whatever
 /// the machine and the number of episodes, so that episodes are reproducible to the last bit.
@@ -95,153 +88,10 @@ pub struct Evaluation {
     pub reconstruction: Vec<Knowledge>,
 }
 
-/// Means with 95 % intervals; the unit is the episode, or the window.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Metrics {
-    /// Share of agents that arrived.
-    pub success: Estimate,
-    /// Share of agents that neither crashed nor went off-road.
-    pub safety: Estimate,
-    /// Share of agents that crashed.
-    pub crash: Estimate,
-    /// Share of agents that went off-road.
-    pub out_of_road: Estimate,
-    /// Reward per agent and episode.
-    pub reward: Estimate,
-    /// Throughput: reward per agent over [`WINDOW`] steps with automatic reset (the paper's
-    /// "Rewards").
-    pub window_reward: Estimate,
-    /// Length of an episode \[steps\].
-    pub episode_length: Estimate,
-    /// (success − danger) · N / steps, in agents per step.
-    pub efficiency: Estimate,
-    /// Colliding pairs per episode in SUMO's report.
-    pub sumo_collisions: Estimate,
-    /// Colliding pairs per episode by our own box test.
-    pub own_collisions: Estimate,
-    /// Share of agents that loitered ([`EpisodeRecord::loitering`]).
-    pub loitering: Estimate,
-    /// Distance per crash over all episodes together; `None` if no agent moved.
-    pub km_per_crash: Option<KmPerCrash>,
-    /// Where SUMO's report and our own box test differ, and why; sums over all episodes.
-    pub audit: Audit,
-    /// Why agents did not arrive; sums over all episodes.
-    pub failures: Failures,
-    /// Effects on background traffic and pedestrians; `None` in tasks without them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub others: Option<BackgroundSummary>,
-    /// How well the policy's latent predicts its targets; empty for policies without a latent.
-    pub reconstruction: Vec<Knowledge>,
-}
-
-/// Distance that agents drive per crash, over all episodes together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct KmPerCrash {
-    /// Distance that agents drove \[km\].
-    pub km: f64,
-    /// Number of crashes of agents ([`EpisodeRecord::crashes`]).
-    pub crashes: u64,
-    /// Kilometres per crash with the exact interval of a Poisson count; only a lower bound without
-    /// a crash.
-    #[serde(flatten)]
-    pub estimate: Estimate,
-}
-
-impl KmPerCrash {
-    /// Computes the estimate from a distance \[km\] and a number of crashes; `None` if the distance
-    /// is 0.
-    pub fn new(km: f64, crashes: u64) -> Option<Self> {
-        Some(Self { km, crashes, estimate: Estimate::exposure_per_event(km, crashes)? })
-    }
-}
-
-/// Effects of agents on background traffic and pedestrians; see [`env::BackgroundMetrics`] for the
-/// definitions. Shares and means are over the episodes that contain vehicles, or pedestrians;
-/// `None` without such episodes.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct BackgroundSummary {
-    /// Number of background vehicles in an episode.
-    pub vehicles: Estimate,
-    /// Share of the vehicles that collided with an agent or a wreck.
-    pub crash: Option<Estimate>,
-    /// SUMO's time loss of a vehicle \[s\].
-    pub delay: Option<Estimate>,
-    /// Hardest braking of a vehicle \[m/s²\].
-    pub braking: Option<Estimate>,
-    /// Share of the vehicles that had to brake harder than 6 m/s².
-    pub hard_braking: Option<Estimate>,
-    /// Share of the vehicles with a time to collision with an agent below 1.5 s, or with a
-    /// collision.
-    pub close: Option<Estimate>,
-    /// Number of pedestrians in an episode.
-    pub pedestrians: Estimate,
-    /// Share of the pedestrians that were hit by an agent or a wreck.
-    pub pedestrian_crash: Option<Estimate>,
-    /// Share of the pedestrians with a time to collision with an agent below 1.5 s, or that were
-    /// hit.
-    pub pedestrian_close: Option<Estimate>,
-    /// Smallest time to collision of an episode \[s\], at most 5.
-    pub ttc: Option<Estimate>,
-    /// Smallest post-encroachment time of an episode \[s\], at most 5.
-    pub pet: Option<Estimate>,
-}
-
-impl BackgroundSummary {
-    fn of(episodes: &[EpisodeRecord]) -> Option<Self> {
-        type Of = fn(&BackgroundMetrics) -> f64;
-        let all: Vec<BackgroundMetrics> =
-            episodes.iter().filter_map(|record| record.others).collect();
-        let column = |any: fn(&BackgroundMetrics) -> bool, of: Of| {
-            all.iter().filter(|o| any(o)).map(of).collect::<Vec<_>>()
-        };
-        let driven: fn(&BackgroundMetrics) -> bool = |o| o.vehicles > 0;
-        let walked: fn(&BackgroundMetrics) -> bool = |o| o.pedestrians > 0;
-        let either: fn(&BackgroundMetrics) -> bool = |o| o.vehicles + o.pedestrians > 0;
-        Some(Self {
-            vehicles: Estimate::t(&column(|_| true, |o| f64::from(o.vehicles)))?,
-            crash: Estimate::rate(&column(driven, |o| o.crash)),
-            delay: Estimate::t(&column(driven, |o| o.delay)),
-            braking: Estimate::t(&column(driven, |o| o.braking)),
-            hard_braking: Estimate::rate(&column(driven, |o| o.hard_braking)),
-            close: Estimate::rate(&column(driven, |o| o.close)),
-            pedestrians: Estimate::t(&column(|_| true, |o| f64::from(o.pedestrians)))?,
-            pedestrian_crash: Estimate::rate(&column(walked, |o| o.pedestrian_crash)),
-            pedestrian_close: Estimate::rate(&column(walked, |o| o.pedestrian_close)),
-            ttc: Estimate::t(&column(either, |o| o.ttc)),
-            pet: Estimate::t(&column(either, |o| o.pet)),
-        })
-    }
-}
-
 impl Evaluation {
     /// Returns the summary over all episodes; `None` without episodes.
     pub fn metrics(&self) -> Option<Metrics> {
-        let column =
-            |of: fn(&EpisodeRecord) -> f64| self.episodes.iter().map(of).collect::<Vec<_>>();
-        Some(Metrics {
-            success: Estimate::rate(&column(|r| r.success))?,
-            safety: Estimate::rate(&column(|r| r.safety))?,
-            crash: Estimate::rate(&column(|r| r.crash))?,
-            out_of_road: Estimate::rate(&column(|r| r.out_of_road))?,
-            reward: Estimate::t(&column(|r| r.reward))?,
-            window_reward: Estimate::t(&self.windows)?,
-            episode_length: Estimate::t(&column(|r| f64::from(r.episode_length)))?,
-            efficiency: Estimate::t(&column(|r| r.efficiency))?,
-            sumo_collisions: Estimate::t(&column(|r| f64::from(r.sumo_collisions)))?,
-            own_collisions: Estimate::t(&column(|r| f64::from(r.own_collisions)))?,
-            loitering: Estimate::rate(&column(|r| r.loitering))?,
-            km_per_crash: KmPerCrash::new(
-                self.episodes.iter().map(|r| r.distance_km).sum(),
-                self.episodes.iter().map(|r| u64::from(r.crashes)).sum(),
-            ),
-            audit: self.episodes.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
-            failures: self
-                .episodes
-                .iter()
-                .fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
-            others: BackgroundSummary::of(&self.episodes),
-            reconstruction: self.reconstruction.clone(),
-        })
+        Metrics::of(&self.episodes, &self.windows, &self.reconstruction)
     }
 }
 
@@ -384,201 +234,12 @@ impl Stage<'_> {
     }
 }
 
-/// Computes actions from frames. All randomness depends only on seed, episode and step.
-struct PolicyDriver<'a> {
-    policy: &'a Policy<'a>,
-    task: &'a Task,
-    seed: Seed,
-    actions: Vec<f32>,
-    observation: Vec<f32>,
-    comm: Vec<f32>,
-    start: Vec<f32>,
-    state: Vec<f32>,
-    active: Vec<f32>,
-    memory: Tensor,
-    decisions: u64,
-}
-
-/// Number of decisions between two samples of the latent.
-const LOOK: u64 = 8;
-
-impl<'a> PolicyDriver<'a> {
-    fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
-        let (worlds, n) = (WORLDS, task.agents);
-        let memory = match policy {
-            Policy::Learned(learner, channel) => {
-                learner.memory() + channel.memory(learner.message_width())
-            }
-            _ => 0,
-        };
-        Self {
-            policy,
-            task,
-            seed,
-            actions: vec![0.0; worlds * n * task.spec.actions.len()],
-            observation: vec![0.0; worlds * n * task.spec.observation.len()],
-            comm: vec![0.0; worlds * n * n],
-            start: vec![0.0; worlds],
-            state: vec![0.0; worlds * n * task.spec.state.len()],
-            active: vec![0.0; worlds * n],
-            decisions: 0,
-            memory: Tensor::zeros(
-                [worlds as i64, n as i64, memory as i64],
-                (Kind::Float, Device::Cpu),
-            ),
-        }
-    }
-
-    fn act(&mut self, env: &VecEnv, watch: &mut Watch<'_>) {
-        let worlds = env.worlds();
-        let watched = env
-            .worlds()
-            .enumerate()
-            .find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
-        let mut thoughts = RecordedDiagnostics::default();
-        let width = self.task.agents * self.task.spec.actions.len();
-        match self.policy {
-            Policy::Throttle(throttle) => {
-                // With two actions, the first is the steering.
-                let actions = self.task.spec.actions.len();
-                for action in self.actions.chunks_mut(actions) {
-                    action.fill(0.0);
-                    action[actions - 1] = *throttle;
-                }
-            }
-            Policy::Pursuit(pursuit) => {
-                worlds
-                    .zip(self.actions.chunks_mut(width))
-                    .for_each(|(world, acts)| world.pursue(*pursuit, acts));
-            }
-            Policy::Sumo => {}
-            Policy::Gaussian | Policy::Uniform => {
-                for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
-                    let mut rng =
-                        self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
-                    if matches!(self.policy, Policy::Gaussian) {
-                        rng::fill_normal(&mut rng, actions);
-                    } else {
-                        actions.fill_with(|| rng.random_range(-1.0..1.0));
-                    }
-                }
-            }
-            Policy::Learned(learner, channel) => {
-                let n = self.task.agents;
-                let copy = |from: &[f32], to: &mut [f32], e: usize| {
-                    to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
-                };
-                let mut sources = [Seed::new(0); WORLDS];
-                let mut episodes = [0; WORLDS];
-                for (e, world) in worlds.enumerate() {
-                    episodes[e] = world.episode();
-                    sources[e] =
-                        self.seed.index(world.episode()).index(u64::from(world.step_count()));
-                    let frame: &Frame = world.frame();
-                    copy(&frame.observation, &mut self.observation, e);
-                    copy(&frame.comm, &mut self.comm, e);
-                    copy(&frame.state, &mut self.state, e);
-                    copy(&frame.active, &mut self.active, e);
-                    self.start[e] = f32::from(u8::from(frame.start));
-                }
-                let (e, n) = (self.start.len() as i64, n as i64);
-                let observation = Observation {
-                    observation: Tensor::from_slice(&self.observation).view([e, n, -1]),
-                    comm: Tensor::from_slice(&self.comm).view([e, n, n]),
-                    start: Tensor::from_slice(&self.start),
-                    memory: self.memory.shallow_clone(),
-                };
-                let decision = if channel.is_perfect() {
-                    learner.act(&observation, &ActMode::Deterministic)
-                } else {
-                    let noise = channel_noise(
-                        channel,
-                        &sources,
-                        &self.comm,
-                        self.task.agents,
-                        learner.message_width(),
-                    );
-                    learner.act_through(&observation, channel, &noise)
-                };
-                // Latents are evaluated only with undisturbed messages.
-                if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
-                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
-                    let active = Tensor::from_slice(&self.active).view([e, n]);
-                    let told = learner.reconstruct(&observation, &state);
-                    watch.knowledge.add(&told, &observation.observation, &active, &episodes);
-                }
-                self.decisions += 1;
-                if let Some((world, _)) = watched.filter(|_| channel.is_perfect()) {
-                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
-                    thoughts = thoughts_of(&learner.inspect(&observation, &state), world as i64);
-                }
-                self.memory = decision.memory;
-                let count = self.actions.len();
-                decision.action.reshape([-1]).copy_data(&mut self.actions, count);
-            }
-        }
-        if let (Some(recorder), Some((e, world))) = (&mut watch.recorder, watched) {
-            let actions = if matches!(self.policy, Policy::Sumo) {
-                &[][..]
-            } else {
-                &self.actions[e * width..][..width]
-            };
-            recorder.decide(world, actions, &thoughts);
-        }
-    }
-}
-
-fn thoughts_of(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
-    let numbers = |tensor: &Option<Tensor>| {
-        let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
-        tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
-    };
-    RecordedDiagnostics { value: numbers(&diagnostics.value), graph: numbers(&diagnostics.graph) }
-}
-
-/// Returns the randomness of a channel, which depends only on each world's episode and step.
-/// Falsified messages get a content where a receiver is in range according to `comm [E, N, N]`;
-/// elsewhere the content is zero.
-fn channel_noise(
-    channel: &Channel,
-    sources: &[Seed],
-    comm: &[f32],
-    agents: usize,
-    width: usize,
-) -> ChannelNoise {
-    let (e, n) = (sources.len() as i64, agents as i64);
-    let uniform = |what: &str| -> Vec<f32> {
-        let draws = sources.iter().flat_map(|seed| {
-            let mut rng = seed.child(what).rng();
-            std::iter::repeat_with(move || rng.random::<f32>()).take(agents * agents)
-        });
-        draws.collect()
-    };
-    let (lost, falsified) = (uniform("lost"), uniform("falsified"));
-    // Without falsified messages, or for algorithms without messages, a content of width 1
-    // suffices.
-    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
-    let mut content = vec![0.0; falsified.len() * width];
-    for (k, content) in content.chunks_mut(width).enumerate() {
-        let (world, pair) = (k / (agents * agents), k % (agents * agents));
-        let told = pair / agents != pair % agents && comm[k] > 0.0;
-        if told && f64::from(falsified[k]) < channel.falsified {
-            rng::fill_normal(
-                &mut sources[world].child("content").index(pair as u64).rng(),
-                content,
-            );
-        }
-    }
-    let view = |values: &[f32]| Tensor::from_slice(values).view([e, n, n, -1]);
-    let flat = |values: &[f32]| view(values).squeeze_dim(-1);
-    ChannelNoise { lost: flat(&lost), falsified: flat(&falsified), content: view(&content) }
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::env::{Audit, Failures};
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
         EpisodeRecord {

@@ -9,17 +9,19 @@
 //! - [`nn`], [`rollout`], [`algo`]: the learners
 //! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`],
 //!   [`report`], [`replay`]: running them
-//! - [`stats`]: intervals and aggregates over seeds; [`provenance`]: the program and machine that
+//! - [`metrics`]: the registry of what is measured; [`curves`]: learning curves; [`stats`]: intervals and aggregates over seeds; [`provenance`]: the program and machine that
 //!   computed a result
 
 pub mod algo;
 pub mod checkpoint;
 pub mod config;
+pub mod curves;
 pub mod env;
 pub mod evaluate;
 mod fnv;
 pub mod inspect;
 mod markup;
+pub mod metrics;
 pub mod nn;
 pub mod plot;
 pub mod provenance;

@@ -12,6 +12,7 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
+use statrs::function::beta::beta_reg;
 
 /// The 97.5 % quantile of the standard normal distribution: half the width of a 95 % interval, in
 /// standard errors.
@@ -45,6 +46,13 @@ pub struct Estimate {
     /// Upper end of the 95 % interval; `+inf` if the values give no upper bound.
     #[serde(deserialize_with = "infinity_if_null")]
     pub high: f64,
+}
+
+impl Default for Estimate {
+    /// Returns an estimate that is not known: three NaN.
+    fn default() -> Self {
+        Self { mean: f64::NAN, low: f64::NAN, high: f64::NAN }
+    }
 }
 
 impl Estimate {
@@ -157,9 +165,10 @@ pub fn student_t_quantile(p: f64, df: f64) -> f64 {
         return -student_t_quantile(1.0 - p, df);
     }
     // P(|T| > t) = I_x(df/2, 1/2) with x = df/(df + t²) falls steadily in t. The upper end is
-    // doubled until it exceeds the root; then the interval is halved.
+    // doubled until it exceeds the root; then the interval is halved. The library's own quantile is
+    // wrong in the fourth digit for many degrees of freedom.
     let two_tails = 2.0 * (1.0 - p);
-    let outside = |t: f64| regularized_beta(df / (df + t * t), df / 2.0, 0.5);
+    let outside = |t: f64| beta_reg(df / 2.0, 0.5, df / (df + t * t));
     let (mut low, mut high) = (0.0, 1.0);
     while outside(high) > two_tails && high < f64::MAX / 4.0 {
         low = high;
@@ -178,67 +187,10 @@ pub fn student_t_quantile(p: f64, df: f64) -> f64 {
     }
 }
 
-/// Returns the regularised incomplete beta function `I_x(a, b)` for `0 <= x <= 1`, by its continued
-/// fraction.
-fn regularized_beta(x: f64, a: f64, b: f64) -> f64 {
-    if x <= 0.0 {
-        return 0.0;
-    }
-    if x >= 1.0 {
-        return 1.0;
-    }
-    let front = (a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b)).exp();
-    // The fraction converges fast on one side of the distribution's mean; the other side follows by
-    // symmetry.
-    if x < (a + 1.0) / (a + b + 2.0) {
-        front * beta_fraction(x, a, b) / a
-    } else {
-        1.0 - front * beta_fraction(1.0 - x, b, a) / b
-    }
-}
-
-/// Returns the continued fraction of the incomplete beta function, evaluated front to back
-/// (modified Lentz method).
-fn beta_fraction(x: f64, a: f64, b: f64) -> f64 {
-    const TINY: f64 = 1e-300;
-    let nonzero = |v: f64| if v.abs() < TINY { TINY } else { v };
-    let mut c = 1.0;
-    let mut d = 1.0 / nonzero(1.0 - (a + b) * x / (a + 1.0));
-    let mut value = d;
-    for i in 1..10_000 {
-        let m = f64::from(i);
-        let even = m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m));
-        let odd = -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0));
-        let before = value;
-        for term in [even, odd] {
-            d = 1.0 / nonzero(1.0 + term * d);
-            c = nonzero(1.0 + term / c);
-            value *= c * d;
-        }
-        if (value / before - 1.0).abs() < 1e-15 {
-            break;
-        }
-    }
-    value
-}
-
-/// Returns the natural logarithm of the gamma function for `x > 0`: Stirling's series, after
-/// shifting `x` to where the series is accurate.
-fn ln_gamma(mut x: f64) -> f64 {
-    let mut shift = 0.0;
-    while x < 10.0 {
-        shift += x.ln();
-        x += 1.0;
-    }
-    let inverse2 = 1.0 / (x * x);
-    let series = (1.0 / 12.0
-        + inverse2 * (-1.0 / 360.0 + inverse2 * (1.0 / 1260.0 + inverse2 * (-1.0 / 1680.0))))
-        / x;
-    (x - 0.5) * x.ln() - x + 0.5 * (2.0 * std::f64::consts::PI).ln() + series - shift
-}
-
 #[cfg(test)]
 mod tests {
+    use statrs::function::gamma::ln_gamma;
+
     use super::*;
 
     fn close(a: f64, b: f64, tolerance: f64) {

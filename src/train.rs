@@ -388,14 +388,11 @@ impl Trainer {
         dir: &RunDir,
         files: &mut Files,
     ) -> Result<f64, Error> {
-        let mean = |of: fn(&EpisodeRecord) -> f64| {
-            evaluation.episodes.iter().map(of).sum::<f64>()
-                / evaluation.episodes.len().max(1) as f64
-        };
-        let success = mean(|r| r.success);
+        let success = evaluation.episodes.iter().map(|r| r.success).sum::<f64>()
+            / evaluation.episodes.len().max(1) as f64;
         let window =
             evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
-        files.validation(&self.progress, evaluation, success, mean(|r| r.safety), window)?;
+        files.validation(&self.progress, evaluation)?;
         files.sync()?;
         schedule::validated(&self.config, &mut self.progress, success);
         if self.progress.best.is_none_or(|best| (success, window) > best) {

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, each with the modules that it may name.
-const ALLOWED: [(&str, &[&str]); 24] = [
+const ALLOWED: [(&str, &[&str]); 26] = [
     ("rng", &["fnv"]),
     ("fnv", &[]),
     ("markup", &[]),
@@ -23,7 +23,9 @@ const ALLOWED: [(&str, &[&str]); 24] = [
     ("plot", &["markup", "record"]),
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
-    ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
+    ("metrics", &["env", "provenance", "stats"]),
+    ("curves", &["metrics", "plot", "record", "stats"]),
+    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "sumo"]),
     (
         "train",
         &[
@@ -33,6 +35,7 @@ const ALLOWED: [(&str, &[&str]); 24] = [
             "env",
             "evaluate",
             "fnv",
+            "metrics",
             "provenance",
             "record",
             "rng",
@@ -40,8 +43,8 @@ const ALLOWED: [(&str, &[&str]); 24] = [
             "scenario",
         ],
     ),
-    ("sweep", &["config", "record", "train"]),
-    ("report", &["markup", "plot", "provenance", "record", "stats", "sweep"]),
+    ("sweep", &["config", "metrics", "record", "train"]),
+    ("report", &["curves", "markup", "metrics", "plot", "provenance", "record", "stats", "sweep"]),
     ("replay", &["env", "markup", "plot", "record", "sumo"]),
     ("inspect", &["env", "markup", "plot", "rng", "scenario", "sumo"]),
     ("cli", &[]),

@@ -41,7 +41,7 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
         );
         write("config.toml", &cell.config.to_toml());
         let rate = success(cell);
-        let crashes = ((1.0 - rate) * 1000.0).round();
+        let crashes = ((1.0 - rate) * 1000.0).round() as u64;
         let found = json!({
             "episodes": 100, "checkpoint": "last.safetensors", "seed": 0, "run": run(cell),
             "program": { "version": "0.4.0", "commit": "unknown", "sumo": "1.20.0" },

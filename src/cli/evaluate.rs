@@ -1,6 +1,7 @@
 //! `iwol evaluate`
 
-use std::fmt::Write as _;
+mod table;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -11,17 +12,13 @@ use iwol_sumo::algo::{self, Algorithm};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Layers};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{
-    BackgroundSummary, DETERMINED, EvaluationObserver, Knowledge, Metrics, POLICIES, Policy,
-    evaluate,
-};
-use iwol_sumo::provenance::{Program, Training};
+use iwol_sumo::evaluate::{EvaluationObserver, POLICIES, Policy, evaluate};
+use iwol_sumo::metrics::EvaluationResult;
+use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
-use iwol_sumo::stats::Estimate;
 use iwol_sumo::train::RunDir;
-use serde::Serialize;
 use toml::Value;
 
 use super::Verdict;
@@ -71,35 +68,6 @@ pub(super) struct Args {
     /// Also write the JSON to this file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-}
-
-/// One evaluated policy, as printed with `--json`.
-#[derive(Debug, Serialize)]
-struct Row {
-    scenario: String,
-    agents: u32,
-    /// Number of vehicles that the policy controls; present only if SUMO drives some of the
-    /// vehicles at start places.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    learners: Option<usize>,
-    /// Whether SUMO checked for collisions inside junctions as well (`simulation.audit`).
-    #[serde(skip)]
-    audited: bool,
-    policy: String,
-    episodes: u64,
-    seed: u64,
-    /// File name of the checkpoint; present only for a learned policy.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    checkpoint: Option<String>,
-    /// The values of `--set`, in order.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    set: Vec<String>,
-    /// The program that evaluated the policy.
-    program: Program,
-    /// Provenance of the training; present only for a learned policy.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    run: Option<Training>,
-    metrics: Metrics,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
@@ -228,7 +196,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 Some((recording.context("the recorded episode did not reach its end")?, path));
         }
         let metrics = evaluation.metrics().context("no episode finished")?;
-        rows.push(Row {
+        rows.push(EvaluationResult {
             scenario: scenario.name.clone(),
             agents: config.agents,
             audited: config.simulation.audit,
@@ -253,7 +221,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.json {
         tell!("{json}");
     } else {
-        super::print(format_args!("{}", table(&rows)));
+        super::print(format_args!("{}", table::table(&rows)));
     }
     // Results are printed first, so that they are shown even if the files cannot be written.
     if let Some(path) = &args.out {
@@ -282,167 +250,4 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
         );
     }
     Ok(checkpoint)
-}
-
-/// A function that formats one metric.
-type Cell<'a> = &'a dyn Fn(&Metrics) -> String;
-
-/// Formats a metric of background traffic and pedestrians; a dash if there was none.
-fn others(
-    metrics: &Metrics,
-    of: fn(&BackgroundSummary) -> Option<Estimate>,
-    write: fn(&Estimate) -> String,
-) -> String {
-    metrics.others.as_ref().and_then(of).as_ref().map_or_else(|| "–".to_owned(), write)
-}
-
-/// Describes how much of the variance of a target a latent explains: of the whole target, and of
-/// the features that the observation does not determine.
-fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let whole = format!(
-        "{} of the variance of the {name} target (mean squared error {error:.4})",
-        percent(*explained)
-    );
-    let Some(probe) = probe else {
-        return format!(
-            "{whole}; there are too few episodes for a linear probe from the observation"
-        );
-    };
-    let (Some(own), Some(probed)) =
-        (probe.undetermined_explained, probe.undetermined_probe_explained)
-    else {
-        return format!("{whole}; the observation determines all {} features", probe.features);
-    };
-    format!(
-        "{whole}; the observation does not determine {} of {} features (a linear probe from the observation explains less \
-         than {:.0} % of their variance): of the variance of these features, the latent explains {} and the probe {}",
-        probe.undetermined,
-        probe.features,
-        100.0 * DETERMINED,
-        percent(own),
-        percent(probed)
-    )
-}
-
-/// Formats all policies side by side: one metric per line, with mean and 95 % interval per policy.
-fn table(rows: &[Row]) -> String {
-    let percent: fn(&Estimate) -> String =
-        |e| Estimate { mean: 100.0 * e.mean, low: 100.0 * e.low, high: 100.0 * e.high }.to_string();
-    let number: fn(&Estimate) -> String = Estimate::to_string;
-    let fine: fn(&Estimate) -> String = |e| format!("{e:.3}");
-    let kilometres: fn(&Metrics) -> String =
-        |m| m.km_per_crash.map_or_else(|| "–".to_owned(), |k| format!("{:.2}", k.estimate));
-    let of_agents: [(&str, Cell<'_>); 12] = [
-        ("success %", &|m| percent(&m.success)),
-        ("safety %", &|m| percent(&m.safety)),
-        ("crash %", &|m| percent(&m.crash)),
-        ("off-road %", &|m| percent(&m.out_of_road)),
-        ("reward", &|m| number(&m.reward)),
-        ("window reward (throughput)", &|m| number(&m.window_reward)),
-        ("episode length", &|m| number(&m.episode_length)),
-        ("efficiency", &|m| fine(&m.efficiency)),
-        ("collisions", &|m| fine(&m.own_collisions)),
-        ("SUMO collisions", &|m| fine(&m.sumo_collisions)),
-        ("km per crash", &kilometres),
-        ("loitering %", &|m| percent(&m.loitering)),
-    ];
-    let of_vehicles: [(&str, Cell<'_>); 6] = [
-        ("background vehicles", &|m| others(m, |o| Some(o.vehicles), number)),
-        ("background crash %", &|m| others(m, |o| o.crash, percent)),
-        ("background delay s", &|m| others(m, |o| o.delay, number)),
-        ("background braking m/s²", &|m| others(m, |o| o.braking, number)),
-        ("background hard braking %", &|m| others(m, |o| o.hard_braking, percent)),
-        ("background TTC < 1.5 s %", &|m| others(m, |o| o.close, percent)),
-    ];
-    let of_pedestrians: [(&str, Cell<'_>); 3] = [
-        ("pedestrians", &|m| others(m, |o| Some(o.pedestrians), number)),
-        ("pedestrians hit %", &|m| others(m, |o| o.pedestrian_crash, percent)),
-        ("pedestrian TTC < 1.5 s %", &|m| others(m, |o| o.pedestrian_close, percent)),
-    ];
-    let of_both: [(&str, Cell<'_>); 2] = [
-        ("smallest TTC s", &|m| others(m, |o| o.ttc, fine)),
-        ("smallest PET s", &|m| others(m, |o| o.pet, fine)),
-    ];
-    let any = |of: fn(&BackgroundSummary) -> f64| {
-        rows.iter().any(|row| row.metrics.others.as_ref().is_some_and(|others| of(others) > 0.0))
-    };
-    let (driven, walked) = (any(|o| o.vehicles.mean), any(|o| o.pedestrians.mean));
-    let mut lines = of_agents.to_vec();
-    lines.extend(of_vehicles.iter().filter(|_| driven));
-    lines.extend(of_pedestrians.iter().filter(|_| walked));
-    lines.extend(of_both.iter().filter(|_| driven || walked));
-    let mut columns: Vec<Vec<String>> =
-        vec![std::iter::once(String::new()).chain(lines.iter().map(|l| l.0.to_owned())).collect()];
-    for row in rows {
-        columns.push(
-            std::iter::once(row.policy.clone())
-                .chain(lines.iter().map(|l| (l.1)(&row.metrics)))
-                .collect(),
-        );
-    }
-    let width =
-        |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
-    let mut text = String::new();
-    if let Some(first) = rows.first() {
-        let _ = writeln!(
-            text,
-            "{}, {}, {} episodes, seed {}: mean [95 % interval]",
-            first.scenario,
-            first.learners.map_or_else(
-                || format!("{} agents", first.agents),
-                |learners| format!(
-                    "{learners} agents among {} vehicles at spawn places",
-                    first.agents
-                )
-            ),
-            first.episodes,
-            first.seed
-        );
-    }
-    for line in 0..=lines.len() {
-        for (i, column) in columns.iter().enumerate() {
-            let (cell, width) = (&column[line], width(column));
-            let _ = if i == 0 {
-                write!(text, "{cell:<width$}")
-            } else {
-                write!(text, "   {cell:>width$}")
-            };
-        }
-        text.push('\n');
-    }
-    for row in rows.iter().filter(|row| !row.metrics.reconstruction.is_empty()) {
-        for known in &row.metrics.reconstruction {
-            let _ = writeln!(text, "latent of {}: explains {}", row.policy, describe(known));
-        }
-    }
-    for row in rows {
-        for line in row.metrics.failures.describe() {
-            let _ = writeln!(text, "failures of {}: {line}", row.policy);
-        }
-    }
-    for row in rows {
-        let audit = &row.metrics.audit;
-        if audit.differences().is_empty() {
-            continue;
-        }
-        if !row.audited {
-            let _ = writeln!(
-                text,
-                "audit of {}: none, because SUMO did not check for collisions in junctions (simulation.audit)",
-                row.policy
-            );
-            continue;
-        }
-        let _ = writeln!(
-            text,
-            "audit of {}: {:>5} colliding pairs are in both reports",
-            row.policy, audit.agreed
-        );
-        let indent = "audit of : ".len() + row.policy.chars().count();
-        for (reason, count) in audit.differences() {
-            let _ = writeln!(text, "{:indent$}{count:>5} {reason}", "");
-        }
-    }
-    text
 }

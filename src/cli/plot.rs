@@ -4,16 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use iwol_sumo::config;
+use iwol_sumo::curves::{self, Along, Curve, Line, curve, mean_curve};
+use iwol_sumo::metrics::{self, EvaluationResult, SUCCESS, Shown};
 use iwol_sumo::plot::{Panel, Series, figure};
-use iwol_sumo::record::read_json_lines;
-use iwol_sumo::stats::Estimate;
 use iwol_sumo::train::RunDir;
-use serde_json::Value;
 
 use super::Verdict;
-
-/// Number of intervals at whose bounds a mean curve over time is sampled.
-const TIMES: usize = 60;
 
 /// Draws success, safety and throughput in validation during training: of one run, together with
 /// success in its training episodes, or of several runs. Runs that differ only in their seed become
@@ -41,112 +37,57 @@ enum Axis {
     Time,
 }
 
-/// A metric of the validations that is drawn: key, factor, title, unit, range.
-type Measure = (&'static str, f64, &'static str, &'static str, Option<(f64, f64)>);
-const MEASURES: [Measure; 3] = [
-    ("validation/success", 100.0, "Success", "agents that arrive (%)", Some((0.0, 100.0))),
-    ("validation/safety", 100.0, "Safety", "agents that do not crash (%)", Some((0.0, 100.0))),
-    ("validation/window_reward", 1.0, "Throughput", "reward per agent in 1000 steps", None),
-];
-
 /// Runs that differ only in their seed.
 struct Group {
     label: String,
     settings: toml::Table,
     folder: PathBuf,
-    runs: Vec<Curves>,
-}
-
-/// The curves of a run: `(x, y)` points of each of [`MEASURES`], and success in the training
-/// episodes.
-struct Curves {
-    measures: Vec<Vec<(f64, f64)>>,
-    exploring: Vec<(f64, f64)>,
+    runs: Vec<Vec<Line>>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let alone = args.runs.len() == 1;
-    let mut panels: Vec<Panel> = MEASURES
-        .iter()
-        // The safety panel of a single run is left out, because it nearly repeats the success
-        // panel.
-        .filter(|measure| !alone || measure.2 != "Safety")
-        .map(|measure| Panel {
-            title: measure.2.to_owned(),
-            x_label: if args.x == Axis::Steps {
-                "environment steps"
-            } else {
-                "minutes of training"
+    let along = if args.x == Axis::Steps { Along::Steps } else { Along::Minutes };
+    let groups = groups(&args.runs, along)?;
+    let references = args.reference.as_deref().map(references).transpose()?.unwrap_or_default();
+    // The safety panel of a single run is left out, because it nearly repeats the success panel.
+    let metrics =
+        metrics::shown(Shown::Everywhere).filter(|metric| !alone || metric.id != "safety");
+    let mut panels = Vec::new();
+    for metric in metrics {
+        let series = groups.iter().map(|group| {
+            let name = match group.runs.len() {
+                1 => group.label.clone(),
+                seeds => format!("{} ({seeds} seeds)", group.label),
+            };
+            let runs = group.runs.iter().map(|run| curve(run, along, metric, Line::validation));
+            let curves: Vec<Curve> = runs.filter(|curve| !curve.is_empty()).collect();
+            mean_curve(name, &curves, along, metric)
+        });
+        let mut series: Vec<Series> = series.collect();
+        if alone && metric.id == SUCCESS.id {
+            let exploring = curve(&groups[0].runs[0], along, metric, Line::exploration);
+            // Runs that `iwol report --keep` copied contain only validations.
+            if !exploring.is_empty() {
+                let label = format!("{}, exploring", groups[0].label);
+                series.push(Series::curve(label, exploring, None));
             }
-            .to_owned(),
-            y_label: measure.3.to_owned(),
-            y_range: measure.4,
-            categories: Vec::new(),
-            series: Vec::new(),
-            references: Vec::new(),
-        })
-        .collect();
-    let mut groups: Vec<Group> = Vec::new();
-    for run in args.runs.iter().collect::<std::collections::BTreeSet<_>>() {
-        let (label, settings) = identity(run);
-        let curves = read(run, args.x)?;
-        match groups.iter_mut().find(|group| group.settings == settings) {
-            Some(group) => group.runs.push(curves),
-            None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![curves] }),
         }
-    }
-    let labels: Vec<String> = groups.iter().map(|group| group.label.clone()).collect();
-    for group in &mut groups {
-        // Groups with the same label are told apart by their folders.
-        if labels.iter().filter(|label| **label == group.label).count() > 1 {
-            group.label = format!("{} {}", group.label, group.folder.display());
-        }
-    }
-    for group in &groups {
-        let name = match group.runs.len() {
-            1 => group.label.clone(),
-            seeds => format!("{} ({seeds} seeds)", group.label),
+        let reference = |(path, result): &(&Path, EvaluationResult)| {
+            let estimate = metric.estimate(&result.metrics);
+            let estimate =
+                estimate.with_context(|| format!("`{}` has no {}", path.display(), metric.id))?;
+            Ok((result.policy.clone(), estimate.mean))
         };
-        for panel in &mut panels {
-            let measure =
-                MEASURES.iter().position(|m| m.2 == panel.title).expect("a panel shows a measure");
-            let curves = group
-                .runs
-                .iter()
-                .map(|run| &run.measures[measure][..])
-                .filter(|curve| !curve.is_empty());
-            panel.series.push(mean_curve(
-                name.clone(),
-                &curves.collect::<Vec<_>>(),
-                args.x,
-                panel.y_range,
-            ));
-        }
-    }
-    let exploring = groups[0].runs[0].exploring.clone();
-    // Runs that `iwol report --keep` copied contain only validations.
-    if alone && !exploring.is_empty() {
-        panels[0].series.push(Series::curve(
-            format!("{}, exploring", groups[0].label),
-            exploring,
-            None,
-        ));
-    }
-    if let Some(path) = &args.reference {
-        for (policy, metrics) in references(path)? {
-            for panel in &mut panels {
-                let (_, factor, title, ..) =
-                    MEASURES.iter().find(|m| m.2 == panel.title).expect("as above");
-                let key = if *title == "Throughput" {
-                    "window_reward".to_owned()
-                } else {
-                    title.to_lowercase()
-                };
-                let mean = metrics[&key]["mean"].as_f64();
-                let mean = mean.with_context(|| format!("`{}` has no {key}", path.display()))?;
-                panel.references.push((policy.clone(), factor * mean));
-            }
-        }
+        panels.push(Panel {
+            title: metric.title.to_owned(),
+            x_label: along.label().to_owned(),
+            y_label: metric.axis.to_owned(),
+            y_range: metric.range(),
+            series,
+            references: references.iter().map(reference).collect::<anyhow::Result<_>>()?,
+            ..Panel::default()
+        });
     }
     let out = args.out.as_ref().unwrap_or(&args.runs[0]);
     let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
@@ -160,54 +101,35 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     Ok(Verdict::Good)
 }
 
-fn read(run: &Path, x: Axis) -> anyhow::Result<Curves> {
-    let path = RunDir::new(run).metrics();
-    let lines: Vec<Value> = read_json_lines(&path)
-        .with_context(|| format!("`{}` is not a run folder", run.display()))?;
-    let place = |line: &Value| match x {
-        Axis::Steps => line["step"].as_f64(),
-        Axis::Time => line["time/total_s"].as_f64().map(|seconds| seconds / 60.0),
-    };
-    let curve = |key: &str, factor: f64| -> Vec<(f64, f64)> {
-        lines.iter().filter_map(|line| Some((place(line)?, factor * line[key].as_f64()?))).collect()
-    };
-    let exploring = curve("episode/success", 100.0);
-    let measures: Vec<_> = MEASURES.iter().map(|m| curve(m.0, m.1)).collect();
-    if exploring.is_empty() && measures.iter().all(Vec::is_empty) {
-        bail!("`{}` contains no finished episode yet; train longer", run.display());
+/// Reads runs and sorts them into groups with labels that differ.
+fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
+    let mut groups: Vec<Group> = Vec::new();
+    for run in runs.iter().collect::<std::collections::BTreeSet<_>>() {
+        let (label, settings) = identity(run);
+        let lines = read(run, along)?;
+        match groups.iter_mut().find(|group| group.settings == settings) {
+            Some(group) => group.runs.push(lines),
+            None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![lines] }),
+        }
     }
-    Ok(Curves { measures, exploring })
+    let labels: Vec<String> = groups.iter().map(|group| group.label.clone()).collect();
+    for group in &mut groups {
+        // Groups with the same label are told apart by their folders.
+        if labels.iter().filter(|label| **label == group.label).count() > 1 {
+            group.label = format!("{} {}", group.label, group.folder.display());
+        }
+    }
+    Ok(groups)
 }
 
-/// Returns the mean curve of several runs; a run that ended before the others keeps its last value.
-fn mean_curve(label: String, runs: &[&[(f64, f64)]], x: Axis, range: Option<(f64, f64)>) -> Series {
-    if let [only] = runs {
-        return Series::curve(label, only.to_vec(), None);
+fn read(run: &Path, along: Along) -> anyhow::Result<Vec<Line>> {
+    let lines = curves::read(&RunDir::new(run).metrics())
+        .with_context(|| format!("`{}` is not a run folder", run.display()))?;
+    let is_empty = |of| curve(&lines, along, SUCCESS, of).is_empty();
+    if is_empty(Line::exploration) && is_empty(Line::validation) {
+        bail!("`{}` contains no finished episode yet; train longer", run.display());
     }
-    let mut places: Vec<f64> =
-        runs.iter().flat_map(|run| run.iter().map(|point| point.0)).collect();
-    places.sort_by(f64::total_cmp);
-    places.dedup();
-    if x == Axis::Time {
-        // Runs are validated at different times, so the curves are sampled at evenly spaced times.
-        let (first, last) =
-            (places.first().copied().unwrap_or(0.0), places.last().copied().unwrap_or(0.0));
-        places = (0..=TIMES).map(|k| first + (last - first) * k as f64 / TIMES as f64).collect();
-    }
-    let (mut points, mut band) = (Vec::new(), Vec::new());
-    for place in places {
-        let value = |run: &&[(f64, f64)]| {
-            run.iter().take_while(|point| point.0 <= place).last().map(|point| point.1)
-        };
-        let values: Option<Vec<f64>> = runs.iter().map(value).collect();
-        let Some(estimate) = values.and_then(|values| Estimate::t(&values)) else {
-            continue;
-        };
-        let (low, high) = range.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
-        points.push((place, estimate.mean));
-        band.push((place, estimate.low.max(low), estimate.high.min(high)));
-    }
-    Series::curve(label, points, Some(band))
+    Ok(lines)
 }
 
 /// Returns the label of a run (the algorithm, and the observation if it is not `conflict`) and the
@@ -256,17 +178,19 @@ fn shorten(
     }
 }
 
-/// Returns the policies without training in a JSON file of `iwol evaluate`, with their metrics.
-fn references(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
+/// Returns the results of policies without training in a JSON file of `iwol evaluate`, each with
+/// the file.
+fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("cannot read `{}`", path.display()))?;
-    let value: Value =
-        serde_json::from_str(&text).with_context(|| format!("`{}` is not JSON", path.display()))?;
-    let rows = if let Value::Array(rows) = value { rows } else { vec![value] };
-    Ok(rows
+    let results = EvaluationResult::read_all(&text)
+        .with_context(|| format!("`{}` is no output of `iwol evaluate --json`", path.display()))?;
+    let trained =
+        |policy: &String| policy.is_empty() || iwol_sumo::algo::NAMES.contains(&policy.as_str());
+    Ok(results
         .into_iter()
-        .filter_map(|row| Some((row["policy"].as_str()?.to_owned(), row["metrics"].clone())))
-        .filter(|(policy, _)| !iwol_sumo::algo::NAMES.contains(&policy.as_str()))
+        .filter(|result| !trained(&result.policy))
+        .map(|result| (path, result))
         .collect())
 }
 

@@ -12,10 +12,10 @@
 use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
 use tch::{Kind, Tensor};
 
 use crate::algo::Reconstruction;
+use crate::metrics::{Knowledge, Probe};
 
 /// Limit from which a target feature counts as determined by the observation: the share of its
 /// variance that the probe explains in episodes on which it was not fitted.
@@ -31,48 +31,6 @@ const FEWEST_EPISODES: usize = 4;
 /// Minimum number of samples per feature of the observation for fitting; with fewer there is no
 /// probe.
 const FEWEST_SAMPLES: f64 = 10.0;
-
-/// How well a decoder predicts its target from a latent, over the active agents in every eighth
-/// step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Knowledge {
-    /// The target: `world` (the privileged state) or `interaction` (the agent's message).
-    pub name: &'static str,
-    /// Mean squared error over samples and features.
-    pub error: f64,
-    /// Share of the target's variance that the decoder explains: 1 is perfect, 0 is as good as
-    /// predicting the mean.
-    pub explained: f64,
-    /// Comparison with a linear probe from the observation; `None` with too few episodes or
-    /// samples.
-    pub probe: Option<Probe>,
-}
-
-/// Comparison of a decoder with a linear probe from the raw observation, on episodes on which the
-/// probe was not fitted. Features that hardly vary are left out.
-///
-/// A linear probe finds only weighted sums of the observation's features. A feature that the
-/// observation determines in another way (a product, a minimum, a case distinction) counts as
-/// undetermined. The number of undetermined features is therefore an upper bound of the number that
-/// the observation leaves open.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Probe {
-    /// Number of samples on which probe and decoder are compared.
-    pub samples: u64,
-    /// Number of features of the target that vary.
-    pub features: usize,
-    /// Share of the variance of all these features that the probe explains.
-    pub explained: f64,
-    /// Number of features that the observation does not determine: the probe explains less than
-    /// [`DETERMINED`].
-    pub undetermined: usize,
-    /// Share of the variance of the undetermined features that the decoder explains; `None` if all
-    /// features are determined.
-    pub undetermined_explained: Option<f64>,
-    /// Share of the variance of the undetermined features that the probe explains; `None` if all
-    /// features are determined.
-    pub undetermined_probe_explained: Option<f64>,
-}
 
 /// Sums over samples from which [`Knowledge`] is computed. Index 0 is the half for fitting, index 1
 /// the half for comparing.
@@ -184,10 +142,10 @@ impl Sums {
         let enough =
             self.episodes.iter().all(|episodes| episodes.len() >= FEWEST_EPISODES) && count > 0.0;
         let probe = match &halves {
-            [Some(fit), Some(test)] if enough => Probe::new(fit, test),
+            [Some(fit), Some(test)] if enough => probe(fit, test),
             _ => None,
         };
-        Knowledge { name: target.name, error, explained, probe }
+        Knowledge { name: target.name.to_owned(), error, explained, probe }
     }
 }
 
@@ -296,38 +254,36 @@ fn fit(moments: &Moments) -> Option<DMatrix<f64>> {
     Some(weights)
 }
 
-impl Probe {
-    /// Fits the probe on one half and compares it with the decoder on the other.
-    fn new(fitted: &Moments, test: &Moments) -> Option<Self> {
-        let weights = fit(fitted)?;
-        let fitted_variances = fitted.variances();
-        let (variances, errors) = (test.variances(), test.errors());
-        let predicted = &test.gram * &weights;
-        let mean_square = |k: usize| {
-            let own = weights.column(k);
-            let square = test.squares[k] - 2.0 * own.dot(&test.products.column(k))
-                + own.dot(&predicted.column(k));
-            (square / test.count).max(0.0)
-        };
-        let probed: Vec<f64> = (0..variances.len()).map(mean_square).collect();
-        let varies: Vec<bool> = variances
-            .iter()
-            .zip(&fitted_variances)
-            .map(|(a, b)| *a > CONSTANT && *b > CONSTANT)
-            .collect();
-        let open: Vec<bool> = (0..variances.len())
-            .map(|k| varies[k] && 1.0 - probed[k] / variances[k] < DETERMINED)
-            .collect();
-        let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count();
-        Some(Self {
-            samples: test.count as u64,
-            features: count(&varies),
-            explained: explained(&probed, &variances, &varies)?,
-            undetermined: count(&open),
-            undetermined_explained: explained(&errors, &variances, &open),
-            undetermined_probe_explained: explained(&probed, &variances, &open),
-        })
-    }
+/// Fits the probe on one half and compares it with the decoder on the other.
+fn probe(fitted: &Moments, test: &Moments) -> Option<Probe> {
+    let weights = fit(fitted)?;
+    let fitted_variances = fitted.variances();
+    let (variances, errors) = (test.variances(), test.errors());
+    let predicted = &test.gram * &weights;
+    let mean_square = |k: usize| {
+        let own = weights.column(k);
+        let square = test.squares[k] - 2.0 * own.dot(&test.products.column(k))
+            + own.dot(&predicted.column(k));
+        (square / test.count).max(0.0)
+    };
+    let probed: Vec<f64> = (0..variances.len()).map(mean_square).collect();
+    let varies: Vec<bool> = variances
+        .iter()
+        .zip(&fitted_variances)
+        .map(|(a, b)| *a > CONSTANT && *b > CONSTANT)
+        .collect();
+    let open: Vec<bool> = (0..variances.len())
+        .map(|k| varies[k] && 1.0 - probed[k] / variances[k] < DETERMINED)
+        .collect();
+    let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count();
+    Some(Probe {
+        samples: test.count as u64,
+        features: count(&varies),
+        explained: explained(&probed, &variances, &varies)?,
+        undetermined: count(&open),
+        undetermined_explained: explained(&errors, &variances, &open),
+        undetermined_probe_explained: explained(&probed, &variances, &open),
+    })
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
+
 /// Returns whether a number can be placed on an axis. Beyond the bound, pixel arithmetic and labels
 /// are meaningless.
 pub(super) fn usable(v: f64) -> bool {
@@ -40,6 +42,7 @@ pub(super) fn enclosing(values: impl Iterator<Item = f64>, margin: f64) -> Range
 }
 
 /// A linear axis with round ticks. Values outside its range are placed at the nearer end.
+#[derive(Clone)]
 pub(super) struct Axis {
     pub(super) range: Range<f64>,
     pub(super) ticks: Vec<f64>,
@@ -87,10 +90,33 @@ impl Axis {
         // The Unicode minus sign is as wide as a digit.
         text.replace('-', "\u{2212}")
     }
-    /// Returns the pixel of a value on an axis from pixel `first` to pixel `last`.
-    pub(super) fn place(&self, value: f64, first: i32, last: i32) -> i32 {
+}
+
+impl Ranged for Axis {
+    type FormatOption = NoDefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, (first, last): (i32, i32)) -> i32 {
         let share = (value - self.range.start) / (self.range.end - self.range.start);
         first + (share.clamp(0.0, 1.0) * f64::from(last - first)).round() as i32
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
+        if hint.weight().allow_light_points() { Vec::new() } else { self.ticks.clone() }
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.range.clone()
+    }
+}
+
+impl ValueFormatter<f64> for Axis {
+    fn format(value: &f64) -> String {
+        value.to_string()
+    }
+
+    fn format_ext(&self, value: &f64) -> String {
+        self.label(*value)
     }
 }
 

@@ -58,7 +58,6 @@ pub(super) const fn px(length: i32) -> i32 {
 #[derive(Clone, Copy)]
 pub(super) enum Placement {
     RightOf,
-    LeftOf,
     Centred,
     /// Centred, and read from bottom to top.
     Upwards,
@@ -79,7 +78,6 @@ pub(super) fn write(
     let font = (FONT, px(height)).into_font();
     let (font, h, x, y) = match place {
         Placement::RightOf => (font, HPos::Left, x, y + down),
-        Placement::LeftOf => (font, HPos::Right, x, y + down),
         Placement::Centred => (font, HPos::Center, x, y + down),
         Placement::Upwards => (font.transform(FontTransform::Rotate270), HPos::Center, x + down, y),
     };

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use plotters::prelude::*;
 
-use super::canvas::{Canvas, Drawn, FINE, Placement, provide_font, px, write};
-use super::{Error, INK, save};
+use super::canvas::{Canvas, Drawn, FINE, Placement, write};
+use super::{Error, save};
 use crate::markup::escape as escaped;
 
 /// Length of the longer side of the drawing \[pixels\].
@@ -19,6 +19,9 @@ const LETTERS: i32 = 18;
 const LINE: f64 = 28.0;
 /// Number of straight pieces that form a circle.
 const SIDES: u32 = 72;
+
+/// Colour of texts and of the scale bar.
+const TEXT_COLOR: Rgb = [25; 3];
 
 /// A colour: red, green, blue.
 pub type Rgb = [u8; 3];
@@ -70,87 +73,75 @@ impl Picture {
         self.legend.push((color, text.into()));
     }
 
-    fn frame(&self) -> Frame {
+    /// Returns width and height in pixels, and everything to draw in the order of drawing.
+    fn marks(&self) -> ([f64; 2], Vec<(Rgb, Mark)>) {
         let points = || self.shapes.iter().flat_map(|shape| &shape.points);
         let end = |axis: usize, sign: f64| {
             points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign
         };
-        let [left, bottom, right, top] = [end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0)];
+        let [mut left, bottom, right, mut top] =
+            [end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0)];
         let longest = (right - left).max(top - bottom);
-        let scale = if longest.is_finite() && longest > 0.0 { SIDE / longest } else { 1.0 };
-        let (left, top) = if longest.is_finite() { (left, top) } else { (0.0, 0.0) };
-        let length =
-            |from: f64, to: f64| if longest.is_finite() { scale * (to - from) } else { 0.0 };
-        Frame {
-            left,
-            top,
-            scale,
-            // The picture is at least wide enough for the title.
-            width: length(left, right).max(SIDE / 2.0) + 2.0 * MARGIN,
-            map_bottom: MARGIN + LINE + length(bottom, top),
-            lines: self.legend.len() + 1,
+        let (mut scale, mut size) = (1.0, [0.0, 0.0]);
+        if longest.is_finite() {
+            scale = if longest > 0.0 { SIDE / longest } else { 1.0 };
+            size = [scale * (right - left), scale * (top - bottom)];
+        } else {
+            (left, top) = (0.0, 0.0);
         }
-    }
-
-    /// Returns the length of the scale bar: a round number of metres, at most a fifth of the
-    /// picture.
-    fn ruler(frame: &Frame) -> f64 {
-        let fifth = SIDE / frame.scale / 5.0;
-        let decade = 10_f64.powf(fifth.log10().floor());
-        [5.0, 2.0, 1.0]
-            .into_iter()
-            .map(|k| k * decade)
-            .find(|&metres| metres <= fifth)
-            .unwrap_or(decade)
+        let place =
+            |[x, y]: &[f64; 2]| [MARGIN + scale * (x - left), MARGIN + LINE + scale * (top - y)];
+        let mut marks = vec![(TEXT_COLOR, Mark::Text([MARGIN, MARGIN], self.title.clone()))];
+        for Shape { points, color, width } in &self.shapes {
+            let places = points.iter().map(place).collect();
+            marks.push((
+                *color,
+                match width {
+                    // At least one pixel, so that lines stay visible in pictures of large nets.
+                    Some(width) => Mark::Line(places, (scale * width).max(1.0)),
+                    None => Mark::Area(places),
+                },
+            ));
+        }
+        let metres = ruler(scale);
+        let bar = (TEXT_COLOR, format!("{metres} m"), scale * metres, 3.0);
+        let legend = self.legend.iter().map(|(color, text)| (*color, text.clone(), LINE, 12.0));
+        let mut y = MARGIN + LINE + size[1];
+        for (color, text, length, width) in std::iter::once(bar).chain(legend) {
+            y += LINE;
+            marks.push((color, Mark::Line(vec![[MARGIN, y], [MARGIN + length, y]], width)));
+            marks.push((TEXT_COLOR, Mark::Text([MARGIN + length + 10.0, y], text)));
+        }
+        // The picture is at least wide enough for the title.
+        ([size[0].max(SIDE / 2.0) + 2.0 * MARGIN, y + MARGIN], marks)
     }
 
     /// Returns the picture as SVG.
     pub fn svg(&self) -> String {
-        let frame = self.frame();
-        let mut svg = String::new();
-        let (width, height) = (frame.width, frame.height());
-        let _ = writeln!(
-            svg,
+        let ([width, height], marks) = self.marks();
+        let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" width=\"{width:.0}\" \
              font-family=\"sans-serif\" font-size=\"{LETTERS}\">\n<title>{}</title>\n\
-             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>",
+             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n",
             escaped(&self.title)
         );
-        let text = |svg: &mut String, [x, y]: [f64; 2], text: &str| {
-            let _ = writeln!(
-                svg,
-                "<text x=\"{x:.0}\" y=\"{y:.0}\" dominant-baseline=\"middle\">{}</text>",
-                escaped(text)
-            );
-        };
-        text(&mut svg, [MARGIN, MARGIN], &self.title);
-        for Shape { points, color, width } in &self.shapes {
-            let place = |(k, point): (usize, &[f64; 2])| {
-                let [x, y] = frame.place(*point);
-                format!("{}{x:.2} {y:.2}", if k == 0 { 'M' } else { 'L' })
-            };
-            let way: String = points.iter().enumerate().map(place).collect();
-            let color = hex(*color);
-            let _ = match width {
-                Some(width) => writeln!(
+        for ([r, g, b], mark) in &marks {
+            let color = format!("#{r:02x}{g:02x}{b:02x}");
+            let _ = match mark {
+                Mark::Line(points, width) => writeln!(
                     svg,
-                    "<path d=\"{way}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{:.2}\" stroke-linejoin=\"round\"/>",
-                    frame.width_of(*width)
+                    "<path d=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width:.2}\" stroke-linejoin=\"round\"/>",
+                    path(points)
                 ),
-                None => writeln!(svg, "<path d=\"{way}Z\" fill=\"{color}\"/>"),
+                Mark::Area(points) => {
+                    writeln!(svg, "<path d=\"{}Z\" fill=\"{color}\"/>", path(points))
+                }
+                Mark::Text([x, y], text) => writeln!(
+                    svg,
+                    "<text x=\"{x:.0}\" y=\"{y:.0}\" dominant-baseline=\"middle\">{}</text>",
+                    escaped(text)
+                ),
             };
-        }
-        let metres = Self::ruler(&frame);
-        for (k, (color, note)) in self.notes(metres).iter().enumerate() {
-            let [x, y] = frame.note(k);
-            let length = if k == 0 { metres * frame.scale } else { LINE };
-            let _ = writeln!(
-                svg,
-                "<path d=\"M{x:.1} {y:.1}h{length:.1}\" stroke=\"{}\" stroke-width=\"{}\"/>",
-                hex(*color),
-                if k == 0 { 3 } else { 12 }
-            );
-            text(&mut svg, [x + length + 10.0, y], note);
         }
         svg.push_str("</svg>\n");
         svg
@@ -161,109 +152,71 @@ impl Picture {
     /// # Errors
     /// [`Error::Write`] if the file cannot be written, [`Error::Draw`] if drawing fails.
     pub fn png(&self, path: &Path) -> Result<(), Error> {
-        provide_font().map_err(Error::Draw)?;
-        let frame = self.frame();
-        let size = (frame.width.ceil() as u32, frame.height().ceil() as u32);
-        let fine_size = (size.0 * FINE, size.1 * FINE);
-        let mut fine = vec![u8::MAX; fine_size.0 as usize * fine_size.1 as usize * 3];
-        self.draw(&BitMapBackend::with_buffer(&mut fine, fine_size).into_drawing_area(), &frame)
-            .map_err(|e| Error::Draw(e.into()))?;
-        save(path, size, &fine)
+        let (size, marks) = self.marks();
+        save(path, size.map(|length| length.ceil() as u32).into(), |canvas| draw(canvas, &marks))
     }
+}
 
-    fn draw(&self, canvas: &Canvas, frame: &Frame) -> Drawn {
-        let fine = |[x, y]: [f64; 2]| {
-            ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
+/// Something to draw, in pixels.
+enum Mark {
+    /// A line of a width.
+    Line(Vec<[f64; 2]>, f64),
+    Area(Vec<[f64; 2]>),
+    Text([f64; 2], String),
+}
+
+fn draw(canvas: &Canvas, marks: &[(Rgb, Mark)]) -> Drawn {
+    let fine = |[x, y]: [f64; 2]| {
+        ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
+    };
+    for ([r, g, b], mark) in marks {
+        let color = RGBColor(*r, *g, *b);
+        let area = |points: &[[f64; 2]]| {
+            let corners: Vec<_> = points.iter().map(|&point| fine(point)).collect();
+            canvas.draw(&Polygon::new(corners, color.filled()))
         };
-        write(canvas, &self.title, LETTERS, INK, Placement::RightOf, fine([MARGIN, MARGIN]))?;
-        for Shape { points, color: [r, g, b], width } in &self.shapes {
-            let color = RGBColor(*r, *g, *b);
-            let places: Vec<[f64; 2]> = points.iter().map(|&point| frame.place(point)).collect();
-            let Some(width) = width else {
-                canvas.draw(&Polygon::new(
-                    places.into_iter().map(fine).collect::<Vec<_>>(),
-                    color.filled(),
-                ))?;
-                continue;
-            };
+        match mark {
+            Mark::Text(at, text) => {
+                write(canvas, text, LETTERS, color, Placement::RightOf, fine(*at))?;
+            }
+            Mark::Area(points) => area(points)?,
             // Thick lines are drawn as areas with round joints.
-            let half = frame.width_of(*width) / 2.0;
-            for pair in places.windows(2) {
-                let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
-                let length = (x1 - x0).hypot(y1 - y0).max(f64::MIN_POSITIVE);
-                let (dx, dy) = (half * (y1 - y0) / length, half * (x0 - x1) / length);
-                let corners = [
-                    [x0 + dx, y0 + dy],
-                    [x1 + dx, y1 + dy],
-                    [x1 - dx, y1 - dy],
-                    [x0 - dx, y0 - dy],
-                ];
-                canvas.draw(&Polygon::new(corners.map(fine).to_vec(), color.filled()))?;
-            }
-            let inner = places.len().saturating_sub(2);
-            for &place in places.iter().skip(1).take(inner) {
-                canvas.draw(&Circle::new(
-                    fine(place),
-                    (half * f64::from(FINE)) as i32,
-                    color.filled(),
-                ))?;
+            Mark::Line(points, width) => {
+                let half = width / 2.0;
+                for pair in points.windows(2) {
+                    let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
+                    let length = (x1 - x0).hypot(y1 - y0).max(f64::MIN_POSITIVE);
+                    let (dx, dy) = (half * (y1 - y0) / length, half * (x0 - x1) / length);
+                    area(&[
+                        [x0 + dx, y0 + dy],
+                        [x1 + dx, y1 + dy],
+                        [x1 - dx, y1 - dy],
+                        [x0 - dx, y0 - dy],
+                    ])?;
+                }
+                let radius = (half * f64::from(FINE)) as i32;
+                for &joint in points.iter().skip(1).take(points.len().saturating_sub(2)) {
+                    canvas.draw(&Circle::new(fine(joint), radius, color.filled()))?;
+                }
             }
         }
-        let metres = Self::ruler(frame);
-        for (k, (color, note)) in self.notes(metres).iter().enumerate() {
-            let [x, y] = frame.note(k);
-            let (length, height) = if k == 0 { (metres * frame.scale, 3) } else { (LINE, 12) };
-            let color = RGBColor(color[0], color[1], color[2]);
-            let (left, middle) = fine([x, y]);
-            let (right, _) = fine([x + length, y]);
-            let bar = [(left, middle - px(height) / 2), (right, middle + px(height) / 2)];
-            canvas.draw(&Rectangle::new(bar, color.filled()))?;
-            write(canvas, note, LETTERS, INK, Placement::RightOf, fine([x + length + 10.0, y]))?;
-        }
-        canvas.present()
     }
-
-    /// Returns the scale bar and the legend.
-    fn notes(&self, metres: f64) -> Vec<(Rgb, String)> {
-        std::iter::once(([25; 3], format!("{metres} m")))
-            .chain(self.legend.iter().cloned())
-            .collect()
-    }
+    canvas.present()
 }
 
-/// The transformation from metres to pixels.
-struct Frame {
-    left: f64,
-    top: f64,
-    scale: f64,
-    width: f64,
-    map_bottom: f64,
-    /// Number of lines of text below the map.
-    lines: usize,
+/// Returns the length of the scale bar: a round number of metres, at most a fifth of the picture.
+fn ruler(scale: f64) -> f64 {
+    let fifth = SIDE / scale / 5.0;
+    let decade = 10_f64.powf(fifth.log10().floor());
+    [5.0, 2.0, 1.0].map(|k| k * decade).into_iter().find(|&m| m <= fifth).unwrap_or(decade)
 }
 
-impl Frame {
-    fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [MARGIN + self.scale * (x - self.left), MARGIN + LINE + self.scale * (self.top - y)]
-    }
-
-    /// Returns the width of a line in pixels; at least one pixel, so that lines stay visible in
-    /// pictures of large nets.
-    fn width_of(&self, metres: f64) -> f64 {
-        (self.scale * metres).max(1.0)
-    }
-
-    fn note(&self, line: usize) -> [f64; 2] {
-        [MARGIN, self.map_bottom + LINE * (line as f64 + 1.0)]
-    }
-
-    fn height(&self) -> f64 {
-        self.map_bottom + LINE * self.lines as f64 + MARGIN
-    }
-}
-
-fn hex([r, g, b]: Rgb) -> String {
-    format!("#{r:02x}{g:02x}{b:02x}")
+/// Returns a line as the data of an SVG path.
+pub(crate) fn path(points: &[[f64; 2]]) -> String {
+    let point = |(k, [x, y]): (usize, &[f64; 2])| {
+        format!("{}{x:.2} {y:.2}", if k == 0 { 'M' } else { 'L' })
+    };
+    points.iter().enumerate().map(point).collect()
 }
 
 #[cfg(test)]

@@ -55,7 +55,7 @@ pub enum Error {
 
 impl Error {
     /// Returns a function for `map_err` that wraps a system error.
-    fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { action, path: path.to_owned(), source }
     }
 }

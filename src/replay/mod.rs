@@ -12,6 +12,7 @@
 //! speed = np.frombuffer(data, "<i2").reshape(steps, agents) * column["scale"]
 //! ```
 
+mod recorder;
 mod still;
 
 use std::collections::BTreeMap;
@@ -21,9 +22,9 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 
-use crate::env::{EpisodeRecord, Outcome, Task, World};
 use crate::record;
-use crate::sumo::net::{EdgeFunction, Net};
+
+pub use recorder::{RecordedDiagnostics, Recorder};
 
 /// The player's HTML; the recording replaces [`HOLE`].
 const PLAYER: &str = include_str!("player.html");
@@ -32,8 +33,6 @@ const HOLE: &str = "__RECORDING__";
 const FORMAT: u32 = 1;
 /// Integer that marks a missing number.
 const NOTHING: i16 = i16::MIN;
-/// Number of steps for which a vehicle that has arrived stays visible.
-const FAREWELL: u32 = 5;
 
 /// A recorded episode, step by step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -144,11 +143,10 @@ impl Recording {
     /// Reads a recording from a file.
     ///
     /// # Errors
-    /// [`Error::Read`] if the file cannot be read, [`Error::Damaged`] if it is no recording or its
+    /// [`Error::Record`] if the file cannot be read, [`Error::Damaged`] if it is no recording or its
     /// parts do not fit together.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let text =
-            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let text = std::fs::read(path).map_err(record::Error::io("read", path))?;
         let damaged = |why: String| Error::Damaged { path: path.to_owned(), why };
         let recording: Self = serde_json::from_slice(&text).map_err(|e| damaged(e.to_string()))?;
         if recording.format != FORMAT {
@@ -212,7 +210,7 @@ impl Recording {
     }
 
     /// Returns the communication links at a step, as pairs of receiver and sender.
-    fn heard(&self, step: usize) -> Vec<(usize, usize)> {
+    fn links(&self, step: usize) -> Vec<(usize, usize)> {
         let bytes =
             self.edges.as_ref().and_then(|text| STANDARD.decode(text).ok()).unwrap_or_default();
         let (n, width) = (self.agents, self.agents.div_ceil(8));
@@ -246,254 +244,10 @@ impl From<u8> for Status {
     }
 }
 
-/// Diagnostics of a policy at a decision of one world.
-#[derive(Debug, Clone, Default)]
-pub struct RecordedDiagnostics {
-    /// Value estimates, `[N]`; empty if the policy has none.
-    pub value: Vec<f32>,
-    /// Communication graph, `[N, N]`, row = receiver; empty for algorithms without messages.
-    pub graph: Vec<f32>,
-}
-
-/// Records one episode while it is played.
-#[derive(Debug)]
-pub struct Recorder {
-    episode: u64,
-    actions: usize,
-    x: Vec<f64>,
-    y: Vec<f64>,
-    heading: Vec<f64>,
-    speed: Vec<f64>,
-    action: Vec<Vec<f64>>,
-    reward: Vec<f64>,
-    value: Vec<f64>,
-    status: Vec<u8>,
-    edges: Vec<u8>,
-    /// Background traffic; `None` in tasks without.
-    others: Option<Vec<Vec<[f64; 6]>>>,
-    /// Number of steps since each agent arrived.
-    arrived: Vec<u32>,
-    graph: bool,
-    finished: bool,
-}
-
-impl Recorder {
-    /// Creates a recorder that waits for the given episode of a task.
-    pub fn new(task: &Task, episode: u64) -> Self {
-        let mut recorder = Self {
-            episode,
-            actions: task.spec.actions.len(),
-            x: Vec::new(),
-            y: Vec::new(),
-            heading: Vec::new(),
-            speed: Vec::new(),
-            action: Vec::new(),
-            reward: Vec::new(),
-            value: Vec::new(),
-            status: Vec::new(),
-            edges: Vec::new(),
-            others: (task.others > 0).then(Vec::new),
-            arrived: Vec::new(),
-            graph: false,
-            finished: false,
-        };
-        recorder.clear(task.agents);
-        recorder
-    }
-
-    fn clear(&mut self, agents: usize) {
-        for column in [
-            &mut self.x,
-            &mut self.y,
-            &mut self.heading,
-            &mut self.speed,
-            &mut self.reward,
-            &mut self.value,
-        ] {
-            column.clear();
-        }
-        self.action = vec![Vec::new(); self.actions];
-        self.status.clear();
-        self.edges.clear();
-        self.others.iter_mut().for_each(Vec::clear);
-        self.arrived = vec![0; agents];
-    }
-
-    /// Returns whether a world plays the episode that the recorder waits for.
-    pub fn watches(&self, world: &World) -> bool {
-        !self.finished
-            && world.episode() == self.episode
-            && (world.is_running() || world.has_ended())
-    }
-
-    /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
-    pub fn decide(&mut self, world: &World, actions: &[f32], thoughts: &RecordedDiagnostics) {
-        let agents = world.agents().count();
-        // An episode in which SUMO died is played again from its start.
-        if world.step_count() == 0 {
-            self.clear(agents);
-        }
-        let acts = world.is_running();
-        for (i, agent) in world.agents().enumerate() {
-            let status = match agent.outcome {
-                _ if agent.driving => Status::Driving,
-                _ if agent.wreck => Status::Crashed,
-                Outcome { arrived: true, .. } if self.arrived[i] < FAREWELL => Status::Arrived,
-                _ => Status::Gone,
-            };
-            self.arrived[i] += u32::from(agent.outcome.arrived);
-            self.x.push(agent.pose.x);
-            self.y.push(agent.pose.y);
-            // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
-            let (sin, cos) = agent.pose.heading.sin_cos();
-            self.heading.push(sin.atan2(cos));
-            let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
-            self.speed.push(if_driving(agent.speed));
-            for (a, column) in self.action.iter_mut().enumerate() {
-                let action = actions
-                    .get(i * self.actions + a)
-                    .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
-                column.push(if acts { if_driving(action) } else { f64::NAN });
-            }
-            self.value.push(if_driving(thoughts.value.get(i).copied().map_or(f64::NAN, f64::from)));
-            self.reward.push(f64::NAN);
-            self.status.push(status as u8);
-        }
-        if let Some(rows) = &mut self.others {
-            let short = |v: f64| (1000.0 * v).round() / 1000.0;
-            let row = world.others().map(|other| {
-                let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
-                [
-                    short(pose.x),
-                    short(pose.y),
-                    short(pose.heading),
-                    other.size[0],
-                    other.size[1],
-                    wreck,
-                ]
-            });
-            rows.push(row.collect());
-        }
-        let comm = &world.frame().comm;
-        self.graph = !thoughts.graph.is_empty();
-        for i in 0..agents {
-            let mut bits = vec![0_u8; agents.div_ceil(8)];
-            for j in (0..agents).filter(|&j| j != i && comm[i * agents + j] > 0.0) {
-                if thoughts.graph.get(i * agents + j).is_none_or(|&edge| edge > 0.5) {
-                    bits[j / 8] |= 1 << (j % 8);
-                }
-            }
-            self.edges.extend(bits);
-        }
-        self.finished |= world.has_ended();
-    }
-
-    /// Records the rewards of the step that followed the last decision.
-    pub fn reward(&mut self, world: &World) {
-        if self.finished || world.episode() != self.episode || world.step_count() == 0 {
-            return;
-        }
-        let first = self.reward.len().saturating_sub(world.agents().count());
-        for (i, agent) in world.agents().enumerate() {
-            if Status::from(self.status[first + i]) == Status::Driving {
-                self.reward[first + i] = agent.reward;
-            }
-        }
-    }
-
-    /// Returns the recording; `None` if the episode was not played to its end.
-    ///
-    /// # Errors
-    /// [`Error::Net`] if the net cannot be read.
-    pub fn finish(
-        self,
-        task: &Task,
-        policy: &str,
-        seed: u64,
-        record: Option<&EpisodeRecord>,
-    ) -> Result<Option<Recording>, Error> {
-        if !self.finished {
-            return Ok(None);
-        }
-        let path = task.map.net_file();
-        let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
-        let lanes = net
-            .lanes
-            .iter()
-            .filter(|lane| {
-                !matches!(
-                    net.edges[lane.edge].function,
-                    EdgeFunction::Other | EdgeFunction::WalkingArea
-                )
-            })
-            .map(|lane| Lane {
-                id: lane.id.clone(),
-                width: lane.width,
-                internal: net.edges[lane.edge].function == EdgeFunction::Internal,
-                crossing: net.edges[lane.edge].function == EdgeFunction::Crossing,
-                shape: lane.shape.clone(),
-            });
-        let mut columns = BTreeMap::from([
-            ("x".to_owned(), Column::new("m", &self.x)),
-            ("y".to_owned(), Column::new("m", &self.y)),
-            ("heading".to_owned(), Column::new("rad", &self.heading)),
-            ("speed".to_owned(), Column::new("m/s", &self.speed)),
-            ("reward".to_owned(), Column::new("1", &self.reward)),
-        ]);
-        for (a, action) in self.action.iter().enumerate() {
-            let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
-            columns.insert(name, Column::new("1", action));
-        }
-        if self.value.iter().any(|value| value.is_finite()) {
-            columns.insert("value".to_owned(), Column::new("1", &self.value));
-        }
-        let summary = record.map(|r| {
-            [
-                ("success", r.success),
-                ("safety", r.safety),
-                ("reward", r.reward),
-                ("episode_length", f64::from(r.episode_length)),
-            ]
-        });
-        let (vehicle, range) = (&task.scenario.vehicle, task.scenario.communication.range);
-        Ok(Some(Recording {
-            format: FORMAT,
-            scenario: task.scenario.name.clone(),
-            policy: policy.to_owned(),
-            seed,
-            episode: self.episode,
-            step_length: task.scenario.control.interval,
-            agents: task.agents,
-            steps: self.status.len() / task.agents,
-            comm_range: range.is_finite().then_some(range),
-            communicates: self.graph,
-            vehicle: Size { length: vehicle.length, width: vehicle.width },
-            lanes: lanes.collect(),
-            columns,
-            status: STANDARD.encode(&self.status),
-            edges: Some(STANDARD.encode(&self.edges)),
-            others: self.others.unwrap_or_default(),
-            summary: summary
-                .into_iter()
-                .flatten()
-                .map(|(key, value)| (key.to_owned(), value))
-                .collect(),
-        }))
-    }
-}
-
 /// An error of reading or writing a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The file cannot be read.
-    #[error("cannot read `{}`", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
     /// The file is not a recording.
     #[error("`{}` is no recording that `iwol evaluate --record` wrote: {why}", path.display())]
     Damaged {
@@ -510,7 +264,7 @@ pub enum Error {
         /// The net reader's error.
         source: crate::sumo::net::NetError,
     },
-    /// The file cannot be written.
+    /// The file cannot be read or written.
     #[error(transparent)]
     Record(#[from] record::Error),
 }
@@ -568,8 +322,8 @@ mod tests {
         recording().save(&path).unwrap();
         let loaded = Recording::load(&path).unwrap();
         assert_eq!(loaded, recording());
-        assert_eq!(loaded.heard(0), [(0, 1)]);
-        assert_eq!(loaded.heard(1), [(1, 0)]);
+        assert_eq!(loaded.links(0), [(0, 1)]);
+        assert_eq!(loaded.links(1), [(1, 0)]);
         assert_eq!(loaded.vehicles(1)[0].0, Status::Crashed);
         let text = std::fs::read_to_string(&path).unwrap();
         for (from, to) in [

@@ -2,8 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::{Lane, Recording, Status};
+use super::{Recording, Status};
 use crate::markup::escape as escaped;
+use crate::plot::path;
 
 /// Margin around the net \[m\].
 const MARGIN: f64 = 4.0;
@@ -47,7 +48,7 @@ impl Recording {
                 let _ = writeln!(
                     svg,
                     "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>",
-                    way(lane),
+                    path(&lane.shape),
                     lane.width
                 );
             }
@@ -56,12 +57,12 @@ impl Recording {
             let _ = writeln!(
                 svg,
                 "<path d=\"{0}\" stroke=\"#d2d6da\" stroke-linecap=\"butt\" stroke-width=\"{1:.2}\"/><path d=\"{0}\" stroke=\"#fff\" stroke-linecap=\"butt\" stroke-dasharray=\".5 .5\" stroke-width=\"{1:.2}\"/>",
-                way(lane),
+                path(&lane.shape),
                 lane.width
             );
         }
         let vehicles = self.vehicles(step);
-        for (i, j) in self.heard(step) {
+        for (i, j) in self.links(step) {
             let [a, b] = [i, j].map(|k| vehicles[k].1);
             let _ = writeln!(
                 svg,
@@ -119,13 +120,6 @@ impl Recording {
     }
 }
 
-fn way(lane: &Lane) -> String {
-    let point = |(k, p): (usize, &[f64; 2])| {
-        format!("{}{:.2} {:.2}", if k == 0 { 'M' } else { 'L' }, p[0], p[1])
-    };
-    lane.shape.iter().enumerate().map(point).collect()
-}
-
 fn cross(length: f64, width: f64) -> String {
     let (l, w) = (length / 2.0, width / 2.0);
     format!(
@@ -143,7 +137,7 @@ mod tests {
         // The picture shows one crashed agent with its cross and no other vehicle, one lane, and
         // one communication link.
         assert_eq!(svg.matches("<rect").count(), 2);
-        assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script>"));
+        assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script&gt;"));
         // The picture shows two agents and one vehicle of the background traffic.
         assert_eq!(recording().still(0).matches("<rect").count(), 5);
         assert_eq!(recording().still(99), svg, "beyond the end is the end");

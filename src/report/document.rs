@@ -102,11 +102,7 @@ impl Document {
                 Part::Text(text) => writeln!(out, "<p>{}</p>", escaped(text)),
                 Part::Code(text) => writeln!(out, "<pre>{}</pre>", escaped(text)),
                 Part::Figure { file, text } => {
-                    let bytes = std::fs::read(file).map_err(|source| record::Error::Io {
-                        action: "read",
-                        path: file.clone(),
-                        source,
-                    })?;
+                    let bytes = std::fs::read(file).map_err(record::Error::io("read", file))?;
                     let data = base64::engine::general_purpose::STANDARD.encode(bytes);
                     let text = escaped(text);
                     writeln!(

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use serde_json::Value;
-
-use super::{Block, Error, Line, METRICS, Metric, Row, Unit, references, scores};
+use super::Error;
+use super::block::{Block, Line, Unit, references, scores};
+use crate::curves::{self, Along, Curve};
+use crate::metrics::{Metric, SUCCESS, Shown};
 use crate::plot::{Panel, Series, Style, figure};
-use crate::record::read_json_lines;
-use crate::stats::aggregate::{performance_profile, sample_efficiency};
+use crate::stats::aggregate::performance_profile;
 use crate::sweep::{Reference, Sweep};
 
 /// Width and height of a panel \[pixels\].
@@ -23,9 +23,9 @@ pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(
         }
     }
     let panels: Vec<Panel> = if names.is_empty() {
-        block.drawn().map(|metric| panel(sweep, block, metric, None)).collect()
+        block.metrics(Shown::InFigures).map(|metric| panel(sweep, block, metric, None)).collect()
     } else {
-        names.into_iter().map(|name| panel(sweep, block, &METRICS[0], Some(name))).collect()
+        names.into_iter().map(|name| panel(sweep, block, SUCCESS, Some(name))).collect()
     };
     Ok(figure(path, "", &panels, ((PANEL.0 * panels.len() as u32).min(4000), PANEL.1))?)
 }
@@ -88,13 +88,13 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         .flat_map(of_all)
         .chain(series.iter().flat_map(|s| s.points.iter().map(|p| p.1)));
     Panel {
-        title: name.unwrap_or_else(|| metric.title.trim_end_matches(" %")).to_owned(),
+        title: name.unwrap_or(metric.title).to_owned(),
         x_label: block.x.as_deref().map_or_else(String::new, axis_label),
         y_label: metric.axis.to_owned(),
         y_range: scale(metric, all),
         categories: if block.x.is_some() { block.categories.clone() } else { vec![String::new()] },
         series,
-        references: Vec::new(),
+        ..Panel::default()
     }
 }
 
@@ -144,13 +144,12 @@ fn side_by_side(
         style: Style::Beside(HERE.to_owned()),
     };
     Panel {
-        title: metric.title.trim_end_matches(" %").to_owned(),
-        x_label: String::new(),
+        title: metric.title.to_owned(),
         y_label: metric.axis.to_owned(),
         y_range,
         categories,
         series: if known.is_empty() { vec![here] } else { vec![here, there] },
-        references: Vec::new(),
+        ..Panel::default()
     }
 }
 
@@ -158,7 +157,7 @@ fn side_by_side(
 /// values exceed 90 %, because the differences then lie in the last percent.
 fn scale(metric: &Metric, values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let lowest = values.fold(f64::INFINITY, f64::min);
-    (metric.factor == 100.0).then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0))
+    metric.is_rate().then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0))
 }
 
 /// Returns the shift of line `k` of `count`, as a fraction of the distance between two of the
@@ -183,9 +182,9 @@ fn axis_label(key: &str) -> String {
 pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     let thresholds: Vec<f64> = (0..=100).map(f64::from).collect();
     let series: Vec<Series> = (block.series.iter())
-        .filter(|line| line.rows.iter().any(|row| !row.values(&METRICS[0]).is_empty()))
+        .filter(|line| line.rows.iter().any(|row| !row.values(SUCCESS).is_empty()))
         .map(|line| {
-            let shares = performance_profile(&scores(line, &METRICS[0]), &thresholds);
+            let shares = performance_profile(&scores(line, SUCCESS), &thresholds);
             let points =
                 thresholds.iter().zip(shares).map(|(t, share)| (*t, 100.0 * share)).collect();
             Series::curve(line.label.clone(), points, None)
@@ -199,9 +198,8 @@ pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
         x_label: "success τ (%)".to_owned(),
         y_label: "runs above τ (%)".to_owned(),
         y_range: Some((0.0, 100.0)),
-        categories: Vec::new(),
         series,
-        references: Vec::new(),
+        ..Panel::default()
     };
     figure(path, "", &[panel], (760, 520))?;
     Ok(true)
@@ -216,9 +214,9 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
     for place in places {
         let mut series = Vec::new();
         for line in &block.series {
-            let curves = curves(line, place)?;
+            let curves = validations(line, place)?;
             if !curves.is_empty() {
-                series.push(mean_curve(line.label.clone(), &curves));
+                series.push(curves::mean_curve(line.label.clone(), &curves, Along::Steps, SUCCESS));
             }
         }
         let title = match (&block.x, trained) {
@@ -227,12 +225,11 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
         };
         panels.push(Panel {
             title,
-            x_label: "environment steps".to_owned(),
+            x_label: Along::Steps.label().to_owned(),
             y_label: "validation success (%)".to_owned(),
             y_range: Some((0.0, 100.0)),
-            categories: Vec::new(),
             series,
-            references: Vec::new(),
+            ..Panel::default()
         });
     }
     panels.retain(|panel| !panel.series.is_empty());
@@ -246,27 +243,13 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
     Ok(true)
 }
 
-fn curves(line: &Line<'_>, place: usize) -> Result<Vec<Vec<(f64, f64)>>, Error> {
-    let row: &Row<'_> = &line.rows[place];
-    let mut curves = Vec::new();
-    for (cell, _) in row.runs.iter().filter(|(_, found)| found.is_some()) {
-        let lines: Vec<Value> = read_json_lines(&cell.run().metrics())?;
-        let point = |line: &Value| {
-            Some((line["step"].as_f64()?, 100.0 * line["validation/success"].as_f64()?))
-        };
-        curves.push(lines.iter().filter_map(point).collect::<Vec<_>>());
+/// Returns the curves of the evaluated runs at a place.
+fn validations(line: &Line<'_>, place: usize) -> Result<Vec<Curve>, Error> {
+    let mut found = Vec::new();
+    for (cell, _) in line.rows[place].runs.iter().filter(|(_, found)| found.is_some()) {
+        let lines = curves::read(&cell.run().metrics())?;
+        found.push(curves::curve(&lines, Along::Steps, SUCCESS, curves::Line::validation));
     }
-    curves.retain(|curve| !curve.is_empty());
-    Ok(curves)
-}
-
-fn mean_curve(label: String, runs: &[Vec<(f64, f64)>]) -> Series {
-    let mut steps: Vec<f64> = runs.iter().flatten().map(|point| point.0).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.dedup();
-    let curve = sample_efficiency(runs, &steps);
-    let points = curve.iter().map(|(step, e)| (*step, e.mean)).collect();
-    let band = curve.iter().map(|(step, e)| (*step, e.low.max(0.0), e.high.min(100.0)));
-    let band = (runs.len() > 1).then(|| band.collect());
-    Series::curve(label, points, band)
+    found.retain(|curve| !curve.is_empty());
+    Ok(found)
 }

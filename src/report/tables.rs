@@ -2,14 +2,11 @@
 
 use std::fmt::Write as _;
 
-use serde_json::Value;
-
+use super::block::{Block, Line, Row, Unit, aggregate, references, resamples, scores};
 use super::document::Document;
-use super::{Block, Line, METRICS, Metric, Row, Unit, aggregate, references, resamples, scores};
-use crate::provenance::Program;
+use crate::metrics::{EvaluationResult, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::aggregate::{
-    bootstrap_pair, interquartile_mean, median, optimality_gap, probability_of_improvement,
-    task_mean,
+    bootstrap, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
 };
 use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
@@ -42,7 +39,7 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
 pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>) {
     let (several, single): (Vec<&Line<'_>>, Vec<&Line<'_>>) =
         block.series.iter().partition(|line| line.has_seeds());
-    let metrics: Vec<&Metric> = block.metrics().collect();
+    let metrics: Vec<&Metric> = block.metrics(Shown::InTables).collect();
     let tables: Vec<Vec<&Metric>> = if block.x.is_none() {
         vec![metrics]
     } else {
@@ -109,11 +106,11 @@ fn table(
     let unit = unit.describe();
     let header: Vec<String> = match (axis(block), metrics) {
         (Some(axis), [metric]) => {
-            let title = format!("{} at {axis} ({unit})", metric.title);
+            let title = format!("{} at {axis} ({unit})", metric.heading());
             std::iter::once(title).chain(block.categories.iter().cloned()).collect()
         }
         _ => std::iter::once(unit.to_owned())
-            .chain(metrics.iter().map(|metric| metric.title.to_owned()))
+            .chain(metrics.iter().map(|metric| metric.heading()))
             .collect(),
     };
     document.table(header, rows);
@@ -155,9 +152,8 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     let rows: Vec<Vec<String>> = (block.series.iter())
         .map(|line| {
             let cells = line.rows.iter().map(|row| {
-                let per_crash = row.driven().and_then(|(km, crashes)| {
-                    let estimate = Estimate::exposure_per_event(km, crashes)?;
-                    Some(format!("{estimate:.2} ({crashes} in {km:.1} km)"))
+                let per_crash = row.km_per_crash().map(|driven| {
+                    format!("{:.2} ({} in {:.1} km)", driven.estimate, driven.crashes, driven.km)
                 });
                 per_crash.unwrap_or_else(|| "–".to_owned())
             });
@@ -175,6 +171,9 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     document.table(std::iter::once(title).chain(places).collect(), rows);
 }
 
+/// A number about what a latent explains.
+type Number = fn(&Knowledge) -> Option<f64>;
+
 /// Adds what the latents explain, compared with a linear probe from the observation, in total and
 /// of the features that the observation does not determine.
 pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
@@ -182,27 +181,31 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
         let mut rows: Vec<Vec<String>> = Vec::new();
         for line in &block.series {
             for (category, row) in block.categories.iter().zip(&line.rows) {
-                if row.known(target, "explained").is_empty() {
+                if row.known(target, |k| Some(k.explained)).is_empty() {
                     continue;
                 }
-                let percent = |key: &str| {
+                let percent = |of: Number| {
                     let values: Vec<f64> =
-                        row.known(target, key).iter().map(|share| 100.0 * share).collect();
+                        row.known(target, of).iter().map(|share| 100.0 * share).collect();
                     over_seeds(&values, 1)
                 };
-                let features = |key: &str| {
-                    let mean = stats::mean(&row.known(target, key));
+                let features = |of: Number| {
+                    let mean = stats::mean(&row.known(target, of));
                     mean.map_or_else(|| "–".to_owned(), |mean| format!("{mean:.0}"))
                 };
                 let place =
                     if category.is_empty() { String::new() } else { format!(", {category}") };
                 rows.push(vec![
                     format!("{}{place}", line.label),
-                    percent("explained"),
-                    percent("probe.explained"),
-                    format!("{} of {}", features("probe.undetermined"), features("probe.features")),
-                    percent("probe.undetermined_explained"),
-                    percent("probe.undetermined_probe_explained"),
+                    percent(|k| Some(k.explained)),
+                    percent(|k| Some(k.probe.as_ref()?.explained)),
+                    format!(
+                        "{} of {}",
+                        features(|k| Some(k.probe.as_ref()?.undetermined as f64)),
+                        features(|k| Some(k.probe.as_ref()?.features as f64))
+                    ),
+                    percent(|k| k.probe.as_ref()?.undetermined_explained),
+                    percent(|k| k.probe.as_ref()?.undetermined_probe_explained),
                 ]);
             }
         }
@@ -226,7 +229,7 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
 
 /// Adds aggregates over all places, and the probability that one line is better than another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
-    let success = &METRICS[0];
+    let success = SUCCESS;
     let lines: Vec<_> =
         block.series.iter().filter(|line| line.rows.iter().all(Row::is_complete)).collect();
     if lines.is_empty() {
@@ -271,7 +274,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
                 return "–".to_owned();
             }
             let (x, y) = (scores(line, success), scores(other, success));
-            let e = bootstrap_pair(&x, &y, same_runs, probability_of_improvement);
+            let e = bootstrap([&x, &y], same_runs, |[x, y]| probability_of_improvement(x, y));
             e.map_or_else(|| "–".to_owned(), |e| format!("{e:.2}"))
         };
         std::iter::once(line.label.clone())
@@ -334,14 +337,17 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
     document.table(header.map(str::to_owned).to_vec(), rows.collect());
     let mut programs = Vec::new();
     for found in blocks.iter().flat_map(|block| results_of(std::slice::from_ref(block), "")) {
-        let program: Program = serde_json::from_value(found["program"].clone()).unwrap_or_default();
+        let program = &found.program;
         add(&mut programs, format!("iwol {} with SUMO {}", program.describe(), program.sumo));
     }
     document.text(format!("Evaluated by {}.", programs.join("; ")));
 }
 
 /// Returns the results of the cell with this id, or of all cells if the id is empty.
-fn results_of<'a>(blocks: &'a [Block<'_>], id: &'a str) -> impl Iterator<Item = &'a Value> {
+fn results_of<'a>(
+    blocks: &'a [Block<'_>],
+    id: &'a str,
+) -> impl Iterator<Item = &'a EvaluationResult> {
     let rows = blocks.iter().flat_map(|block| &block.series).flat_map(|line| &line.rows);
     let runs =
         rows.flat_map(|row| &row.runs).filter(move |(cell, _)| id.is_empty() || cell.id == id);

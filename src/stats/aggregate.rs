@@ -77,82 +77,41 @@ pub fn performance_profile(scores: &[Vec<f64>], thresholds: &[f64]) -> Vec<f64> 
     thresholds.iter().map(|&threshold| above(threshold)).collect()
 }
 
-/// Returns the 95 % percentile interval of a statistic by the stratified bootstrap. In each of
-/// [`RESAMPLES`] resamples, every stratum's seeds are drawn with replacement, as many as it has.
-/// Equal scores give equal results. `None` without scores.
+/// Returns the 95 % percentile interval of a statistic of groups of runs by the stratified
+/// bootstrap. In each of [`RESAMPLES`] resamples, every task's seeds are drawn with replacement, as
+/// many as it has. Equal scores give equal results. `None` without scores.
+///
+/// `same_runs` says that the tasks of a group are different measurements of the same runs, in the
+/// same order: whole runs are drawn then. Tasks of unequal length are treated as independent.
 ///
 /// With fewer than about five seeds these intervals are too narrow; use [`Estimate::t`] then.
-pub fn bootstrap(strata: &[Vec<f64>], statistic: impl Fn(&[Vec<f64>]) -> f64) -> Option<Estimate> {
-    if strata.iter().all(Vec::is_empty) {
+pub fn bootstrap<const G: usize>(
+    groups: [&[Vec<f64>]; G],
+    same_runs: bool,
+    statistic: impl Fn([&[Vec<f64>]; G]) -> f64,
+) -> Option<Estimate> {
+    if groups.iter().all(|group| group.iter().all(Vec::is_empty)) {
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let mut drawn = strata.to_vec();
-    let mut values: Vec<f64> = (0..RESAMPLES)
-        .map(|_| {
-            for (drawn, stratum) in drawn.iter_mut().zip(strata) {
-                for score in drawn {
-                    *score = stratum[rng.random_range(0..stratum.len())];
+    let mut drawn = groups.map(<[_]>::to_vec);
+    let mut resample = || {
+        for (drawn, group) in drawn.iter_mut().zip(groups) {
+            let whole_runs = same_runs && group.windows(2).all(|two| two[0].len() == two[1].len());
+            let mut runs: Vec<usize> = Vec::new();
+            for (number, (drawn, task)) in drawn.iter_mut().zip(group).enumerate() {
+                if number == 0 || !whole_runs {
+                    runs = task.iter().map(|_| rng.random_range(0..task.len())).collect();
                 }
+                drawn.iter_mut().zip(&runs).for_each(|(score, &run)| *score = task[run]);
             }
-            statistic(&drawn)
-        })
-        .collect();
+        }
+        statistic(drawn.each_ref().map(Vec::as_slice))
+    };
+    let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resample()).collect();
     values.sort_by(f64::total_cmp);
-    Some(Estimate {
-        mean: statistic(strata),
-        low: percentile(&values, 0.025),
-        high: percentile(&values, 0.975),
-    })
-}
-
-/// Does the same as [`bootstrap`] if the strata are different measurements of the same runs, in the
-/// same order: whole runs are drawn. Strata of unequal length are treated as independent.
-pub fn bootstrap_runs(
-    strata: &[Vec<f64>],
-    statistic: impl Fn(&[Vec<f64>]) -> f64,
-) -> Option<Estimate> {
-    let runs = strata.first().map_or(0, Vec::len);
-    if strata.iter().any(|stratum| stratum.len() != runs) {
-        return bootstrap(strata, statistic);
-    }
-    // The run numbers are resampled; each number selects the same entry in all strata.
-    let numbers = vec![(0..runs).map(|run| run as f64).collect::<Vec<_>>()];
-    let of = |drawn: &[Vec<f64>]| {
-        let pick = |stratum: &Vec<f64>| drawn[0].iter().map(|&run| stratum[run as usize]).collect();
-        statistic(&strata.iter().map(pick).collect::<Vec<_>>())
-    };
-    bootstrap(&numbers, of)
-}
-
-/// Does the same as [`bootstrap`] for a statistic of two groups, e.g.
-/// [`probability_of_improvement`].
-///
-/// `same_runs` says that within each group the strata are measurements of the same runs; see
-/// [`bootstrap_runs`].
-pub fn bootstrap_pair(
-    x: &[Vec<f64>],
-    y: &[Vec<f64>],
-    same_runs: bool,
-    statistic: impl Fn(&[Vec<f64>], &[Vec<f64>]) -> f64,
-) -> Option<Estimate> {
-    if !same_runs {
-        let joined: Vec<Vec<f64>> = x.iter().chain(y).cloned().collect();
-        return bootstrap(&joined, |drawn| statistic(&drawn[..x.len()], &drawn[x.len()..]));
-    }
-    let runs = |group: &[Vec<f64>]| {
-        (0..group.iter().map(Vec::len).min().unwrap_or(0)).map(|run| run as f64).collect()
-    };
-    let of = |drawn: &[Vec<f64>]| {
-        let pick = |group: &[Vec<f64>], runs: &[f64]| -> Vec<Vec<f64>> {
-            group
-                .iter()
-                .map(|scores| runs.iter().map(|&run| scores[run as usize]).collect())
-                .collect()
-        };
-        statistic(&pick(x, &drawn[0]), &pick(y, &drawn[1]))
-    };
-    bootstrap(&[runs(x), runs(y)], of)
+    let (low, high) = (percentile(&values, 0.025), percentile(&values, 0.975));
+    Some(Estimate { mean: statistic(groups), low, high })
 }
 
 /// Returns the mean curve of several runs with its t interval at each of `steps`. A run is a list
@@ -199,6 +158,14 @@ mod tests {
         ]
     }
 
+    fn alone(
+        scores: &[Vec<f64>],
+        same_runs: bool,
+        statistic: fn(&[Vec<f64>]) -> f64,
+    ) -> Option<Estimate> {
+        bootstrap([scores], same_runs, |[drawn]| statistic(drawn))
+    }
+
     fn close(found: f64, expected: f64, tolerance: f64) {
         assert!(
             (found - expected).abs() <= tolerance,
@@ -237,11 +204,12 @@ mod tests {
             (|s| optimality_gap(s, 1.0), 0.2473, 0.3153),
         ];
         for (statistic, low, high) in cases {
-            let found = bootstrap(&a(), statistic).unwrap();
+            let found = alone(&a(), false, statistic).unwrap();
             close(found.low, low, 0.008);
             close(found.high, high, 0.008);
         }
-        let found = bootstrap_pair(&a(), &b(), false, probability_of_improvement).unwrap();
+        let pair = [&a()[..], &b()[..]];
+        let found = bootstrap(pair, false, |[x, y]| probability_of_improvement(x, y)).unwrap();
         close(found.mean, 0.725, 1e-12);
         close(found.low, 0.5, 0.02);
         close(found.high, 0.9167, 0.02);
@@ -251,11 +219,11 @@ mod tests {
     fn the_bootstrap_draws_within_strata_and_repeats_itself() {
         // Tasks without spread have no uncertainty, however different their means are.
         let flat = [vec![0.1; 4], vec![0.9; 4]];
-        let found = bootstrap(&flat, task_mean).unwrap();
+        let found = alone(&flat, false, task_mean).unwrap();
         assert_eq!((found.low, found.high), (0.5, 0.5));
-        assert_eq!(bootstrap(&a(), task_mean), bootstrap(&a(), task_mean));
-        assert_eq!(bootstrap(&[vec![], vec![]], task_mean), None);
-        assert_eq!(bootstrap(&[], task_mean), None);
+        assert_eq!(alone(&a(), false, task_mean), alone(&a(), false, task_mean));
+        assert_eq!(alone(&[vec![], vec![]], false, task_mean), None);
+        assert_eq!(alone(&[], false, task_mean), None);
     }
 
     #[test]
@@ -263,11 +231,11 @@ mod tests {
         let once = vec![vec![0.2, 0.5, 0.9, 0.4, 0.7]];
         let often: Vec<Vec<f64>> = std::iter::repeat_n(once[0].clone(), 8).collect();
         let (many, one) =
-            (bootstrap_runs(&often, task_mean).unwrap(), bootstrap(&once, task_mean).unwrap());
+            (alone(&often, true, task_mean).unwrap(), alone(&once, false, task_mean).unwrap());
         close(many.low, one.low, 1e-12);
         close(many.high, one.high, 1e-12);
         let (apart, together) =
-            (bootstrap(&often, task_mean).unwrap(), bootstrap_runs(&often, task_mean).unwrap());
+            (alone(&often, false, task_mean).unwrap(), alone(&often, true, task_mean).unwrap());
         assert!(together.high - together.low > 2.0 * (apart.high - apart.low));
     }
 

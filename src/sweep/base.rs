@@ -7,24 +7,25 @@ use toml::{Table, Value};
 
 use super::Error;
 use crate::config::flatten;
+use crate::record;
 
 /// Reads the text of a file.
 pub(super) fn read(path: &Path) -> Result<String, Error> {
-    std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+    Ok(std::fs::read_to_string(path).map_err(record::Error::io("read", path))?)
 }
 
 /// Parses `text`, with the values of its base for everything that `text` does not set. The path of
 /// the base is relative to the folder of `file`.
 pub(super) fn resolve<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
     let whole = with_base::<T>(text, file, &mut Vec::new())?;
-    whole.try_into().map_err(|e: toml::de::Error| Error::Syntax {
+    whole.try_into().map_err(|e: toml::de::Error| Error::Content {
         file: format!("{} with its base", file.display()),
         message: e.message().to_owned(),
     })
 }
 
 fn parse<T: DeserializeOwned>(text: &str, file: &Path) -> Result<T, Error> {
-    toml::from_str(text).map_err(|e| Error::Syntax {
+    toml::from_str(text).map_err(|e| Error::Content {
         file: file.display().to_string(),
         message: e.to_string().trim_end().to_owned(),
     })
@@ -42,7 +43,7 @@ fn with_base<T: DeserializeOwned>(
     let Some(Value::String(base)) = own.remove("base") else { return Ok(own) };
     let path = file.parent().unwrap_or(Path::new("")).join(base);
     let text = read(&path)?;
-    let real = path.canonicalize().map_err(|source| Error::Read { path: path.clone(), source })?;
+    let real = path.canonicalize().map_err(record::Error::io("read", &path))?;
     if before.contains(&real) {
         let message = format!("base forms a cycle: `{}` is based on itself", path.display());
         return Err(Error::Content { file: file.display().to_string(), message });

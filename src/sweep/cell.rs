@@ -9,6 +9,7 @@ use toml::{Table, Value};
 
 use super::{Error, Evaluate, label, value_of};
 use crate::config::{self, Config};
+use crate::metrics::EvaluationResult;
 use crate::record::{self, write_atomic};
 use crate::train::RunDir;
 
@@ -136,22 +137,33 @@ impl Cell {
             .iter()
             .filter(|e| e.applies(self))
             .flat_map(|e| e.combinations().into_iter().map(move |c| (e, c)));
-        all.filter(|(evaluate, combination)| !self.is_evaluated(evaluate, combination))
+        all.filter(|(evaluate, combination)| {
+            !matches!(self.evaluation(evaluate, combination), Ok(Some(_)))
+        })
     }
 
-    /// Returns whether there is a result of exactly this evaluation: with the same episodes,
-    /// checkpoint and settings.
-    pub fn is_evaluated(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> bool {
-        let read = || {
-            serde_json::from_slice(&std::fs::read(self.result(evaluate, combination)).ok()?).ok()
+    /// Returns the result of exactly this evaluation: with the same episodes, checkpoint and
+    /// settings. `None` if there is none.
+    ///
+    /// # Errors
+    /// [`Error::Damaged`] if the file is not a result, [`Error::Record`] if it cannot be read.
+    pub fn evaluation(
+        &self,
+        evaluate: &Evaluate,
+        combination: &[(String, Value)],
+    ) -> Result<Option<EvaluationResult>, Error> {
+        let path = self.result(evaluate, combination);
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(source) if source.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(record::Error::io("read", &path)(source).into()),
         };
-        let Some(found): Option<serde_json::Value> = read() else { return false };
-        let sets: Vec<serde_json::Value> =
-            evaluate.sets(combination).into_iter().map(Into::into).collect();
-        let stored = found["set"].as_array().cloned().unwrap_or_default();
-        found["episodes"] == evaluate.episodes
-            && found["checkpoint"] == evaluate.checkpoint.file()
-            && stored == sets
+        let found: EvaluationResult =
+            serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path, source })?;
+        let same = found.episodes == evaluate.episodes
+            && found.checkpoint.as_deref() == Some(evaluate.checkpoint.file())
+            && found.set == evaluate.sets(combination);
+        Ok(same.then_some(found))
     }
 
     /// Checks that the run in the folder, if there is one, has this cell's settings and scenario.
@@ -208,11 +220,7 @@ impl Cell {
         self.check()?;
         let folder = self.folder.display().to_string();
         let evaluated = self.folder.join("evaluations");
-        std::fs::create_dir_all(&evaluated).map_err(|source| record::Error::Io {
-            action: "create",
-            path: evaluated.clone(),
-            source,
-        })?;
+        std::fs::create_dir_all(&evaluated).map_err(record::Error::io("create", &evaluated))?;
         if self.trained().is_none() {
             // A run that is resumed reads this file too: settings that do not change results may
             // have changed.
@@ -252,23 +260,21 @@ impl Cell {
         if kept.run().last().exists() || kept.run().best().exists() {
             return Err(Error::Kept { folder: kept.folder });
         }
-        let io = |action, path: &Path| {
-            let path = path.to_owned();
-            move |source| Error::from(record::Error::Io { action, path, source })
-        };
         let evaluations = self.folder.join("evaluations");
         let copies = kept.folder.join("evaluations");
-        std::fs::create_dir_all(&copies).map_err(io("create", &copies))?;
+        std::fs::create_dir_all(&copies).map_err(record::Error::io("create", &copies))?;
         let mut files = vec![(self.run().config(), kept.run().config())];
         if self.run().meta().exists() {
             files.push((self.run().meta(), kept.run().meta()));
         }
-        for entry in std::fs::read_dir(&evaluations).map_err(io("read", &evaluations))? {
-            let name = entry.map_err(io("read", &evaluations))?.file_name();
+        for entry in
+            std::fs::read_dir(&evaluations).map_err(record::Error::io("read", &evaluations))?
+        {
+            let name = entry.map_err(record::Error::io("read", &evaluations))?.file_name();
             files.push((evaluations.join(&name), copies.join(&name)));
         }
         for (from, to) in files {
-            write_atomic(&to, &std::fs::read(&from).map_err(io("read", &from))?)?;
+            write_atomic(&to, &std::fs::read(&from).map_err(record::Error::io("read", &from))?)?;
         }
         let lines: Vec<serde_json::Value> = record::read_json_lines(&self.run().metrics())?;
         let validations = lines.iter().filter(|line| line["validation/success"].is_number());
@@ -317,7 +323,7 @@ impl Cell {
         let path = self.failed_mark();
         match std::fs::remove_file(&path) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(record::Error::Io { action: "remove", path, source }.into())
+                Err(record::Error::io("remove", &path)(source).into())
             }
             _ => Ok(()),
         }

@@ -8,28 +8,12 @@ use crate::config;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The file cannot be read.
-    #[error("cannot read `{}`", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
-    /// The file is not TOML, or contains an unknown key.
-    #[error("{file}: {message}")]
-    Syntax {
-        /// The file.
-        file: String,
-        /// Description of the error, with line and column.
-        message: String,
-    },
     /// The content of the file is not valid.
     #[error("{file}: {message}")]
     Content {
         /// The file.
         file: String,
-        /// Description of the error.
+        /// Description of the error, with line and column where they are known.
         message: String,
     },
     /// The settings of a cell are not valid.
@@ -40,7 +24,15 @@ pub enum Error {
         /// The error of the settings.
         source: config::Error,
     },
-    /// A file of a cell cannot be read or written.
+    /// A result file does not contain what `iwol evaluate` writes.
+    #[error("`{}` is damaged; delete it, and run the sweep again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason.
+        source: serde_json::Error,
+    },
+    /// A file cannot be read or written.
     #[error(transparent)]
     Record(#[from] crate::record::Error),
     /// A cell's folder contains a run of a scenario that has changed since.

@@ -8,9 +8,7 @@ use toml::{Table, Value};
 
 use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
 use crate::config::{Config, Document, Layers, flatten, no_matter_of_evaluation};
-
-/// Metrics for which published values may be given.
-const METRICS: [&str; 3] = ["success", "safety", "window_reward"];
+use crate::metrics::{self, Shown};
 
 /// A sweep file as it is written, merged with its base.
 #[derive(Debug, Deserialize)]
@@ -125,10 +123,11 @@ impl File {
             }
             let known =
                 evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
-            if !known || !METRICS.contains(&metric.as_str()) {
+            let reported = || metrics::shown(Shown::InTables).map(|metric| metric.id);
+            if !known || !reported().any(|id| id == *metric) {
                 return Err(format!(
                     "[[reference]] `{label}`: metric must be one of {}, and evaluate the name of an evaluation",
-                    METRICS.join(", ")
+                    reported().collect::<Vec<_>>().join(", ")
                 ));
             }
         }

@@ -11,11 +11,12 @@ use crate::checkpoint::Progress;
 use crate::config::Config;
 use crate::env::EpisodeRecord;
 use crate::evaluate::Evaluation;
+use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
-/// variance of these features by the decoder and by the probe ([`crate::evaluate::Probe`]).
+/// variance of these features by the decoder and by the probe ([`crate::metrics::Probe`]).
 const WORLD: [&str; 6] = [
     "validation/world_error",
     "validation/world_explained",
@@ -148,22 +149,18 @@ impl Files {
         &mut self,
         progress: &Progress,
         evaluation: &Evaluation,
-        success: f64,
-        safety: f64,
-        window: f64,
     ) -> Result<(), Error> {
         for record in &evaluation.episodes {
             self.episodes.append(&EpisodeLine { step: progress.step, record })?;
         }
         let length = evaluation.episodes.iter().map(|r| f64::from(r.episode_length)).sum::<f64>()
             / evaluation.episodes.len().max(1) as f64;
-        let mut values = vec![
-            ("validation/success", success),
-            ("validation/safety", safety),
-            ("validation/window_reward", window),
-            ("validation/episode_length", length),
-            ("time/total_s", progress.seconds),
-        ];
+        let mut values: Vec<(&str, f64)> = Vec::new();
+        if let Some(metrics) = evaluation.metrics() {
+            let mean = |metric: &Metric| Some((metric.validation, metric.unscaled(&metrics)?.mean));
+            values.extend(metrics::shown(Shown::Everywhere).filter_map(mean));
+        }
+        values.extend([("validation/episode_length", length), ("time/total_s", progress.seconds)]);
         for r in &evaluation.reconstruction {
             let keys = if r.name == "world" { &WORLD } else { &INTERACTION };
             let probe = r.probe.as_ref();

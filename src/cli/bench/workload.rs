@@ -34,7 +34,7 @@ pub(super) struct Workload {
     /// Whether SUMO looks for collisions in junctions.
     pub(super) audit: bool,
     /// Distance travelled since the respawn, `[N, EPISODE]` \[m\].
-    ways: Vec<f64>,
+    distances: Vec<f64>,
 }
 
 impl Workload {
@@ -43,23 +43,24 @@ impl Workload {
         let speed = |agent: usize, step: u32| {
             6.0 + 6.0 * (0.07 * f64::from(step) + 0.9 * agent as f64).sin()
         };
-        let mut ways = Vec::with_capacity(task.agents * EPISODE as usize);
+        let mut distances = Vec::with_capacity(task.agents * EPISODE as usize);
         for agent in 0..task.agents {
             let place = &task.places[agent];
             // A vehicle that has arrived stays there.
             let longest = task.map.routes[place.routes[0]].arrival - place.pos;
-            let mut way = 0.0_f64;
+            let mut distance = 0.0_f64;
             for step in 0..EPISODE {
-                way = (way + f64::from(u8::from(step > 0)) * speed(agent, step) * interval)
+                distance = (distance
+                    + f64::from(u8::from(step > 0)) * speed(agent, step) * interval)
                     .min(longest);
-                ways.push(way);
+                distances.push(distance);
             }
         }
-        Self { task, control, audit, ways }
+        Self { task, control, audit, distances }
     }
 
-    fn way(&self, agent: u32, step: u32) -> f64 {
-        self.ways[(agent * EPISODE + step) as usize]
+    fn distance(&self, agent: u32, step: u32) -> f64 {
+        self.distances[(agent * EPISODE + step) as usize]
     }
 
     fn half(&self) -> f64 {
@@ -90,17 +91,20 @@ impl Workload {
         for slot in 0..agents {
             match self.control {
                 Control::Throttle => {
-                    let way = self.way(slot, episode_step) - self.way(slot, episode_step - 1);
+                    let driven =
+                        self.distance(slot, episode_step) - self.distance(slot, episode_step - 1);
                     out.push(Command::SetSpeed {
                         world,
                         slot,
-                        speed: way / self.task.scenario.control.interval,
+                        speed: driven / self.task.scenario.control.interval,
                     });
                 }
                 Control::Steering => {
                     let place = &self.task.places[slot as usize];
-                    let (route, front) =
-                        (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
+                    let (route, front) = (
+                        place.routes[0],
+                        place.pos + self.half() + self.distance(slot, episode_step),
+                    );
                     let ([x, y], heading, segment) =
                         self.task.map.routes[route].path.body(front, self.task.scenario.vehicle.length);
                     let keep_route = self.task.map.locate(route, [x, y], segment).0.keep_route();

@@ -1,0 +1,123 @@
+//! What the registry says about a metric.
+
+use super::{KmPerCrash, Metrics};
+use crate::stats::Estimate;
+
+/// A metric of the registry.
+#[derive(Debug, Clone, Copy)]
+pub struct Metric {
+    /// Key in the JSON output; the parts of a nested key are separated by dots.
+    pub id: &'static str,
+    /// Key of the mean in the validations of a training, in a run's `metrics.jsonl`.
+    pub validation: &'static str,
+    /// Heading in tables, without the unit.
+    pub title: &'static str,
+    /// Label of an axis, with the unit.
+    pub axis: &'static str,
+    /// Unit in which people see the metric.
+    pub scale: Scale,
+    /// Which values are better.
+    pub better: Better,
+    /// The outputs that show the metric.
+    pub shown: Shown,
+    /// What the metric is and how to read it.
+    pub explanation: &'static str,
+    pub(super) field: fn(&Metrics) -> Option<Estimate>,
+}
+
+/// How a number is shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    /// Unit of the shown number.
+    pub unit: &'static str,
+    /// Factor from the number in the JSON output to the shown number.
+    pub factor: f64,
+    /// Decimals in the table of `iwol evaluate`.
+    pub digits: usize,
+}
+
+pub(super) const PERCENT: Scale = Scale { unit: "%", factor: 100.0, digits: 1 };
+pub(super) const NUMBER: Scale = Scale { unit: "", factor: 1.0, digits: 1 };
+pub(super) const FINE: Scale = Scale { digits: 3, ..NUMBER };
+pub(super) const KILOMETRES: Scale = Scale { digits: 2, ..NUMBER };
+pub(super) const SECONDS: Scale = Scale { unit: "s", ..NUMBER };
+pub(super) const FINE_SECONDS: Scale = Scale { digits: 3, ..SECONDS };
+pub(super) const BRAKING: Scale = Scale { unit: "m/s²", ..NUMBER };
+
+/// Which values of a metric are better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Better {
+    /// Higher values.
+    Higher,
+    /// Lower values.
+    Lower,
+    /// Neither: the metric describes the episodes.
+    Neither,
+}
+
+/// The outputs that show a metric. Each output shows what the ones above it show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Shown {
+    /// Learning curves, and every report.
+    Everywhere,
+    /// Figures of reports, if results contain the metric.
+    InFigures,
+    /// Tables of reports, if results contain the metric.
+    InTables,
+    /// Only the output of `iwol evaluate`.
+    InEvaluations,
+}
+
+impl Metric {
+    /// Returns mean and interval in the shown unit; `None` if the results do not contain the
+    /// metric.
+    pub fn estimate(&self, metrics: &Metrics) -> Option<Estimate> {
+        let e = self.unscaled(metrics)?;
+        let factor = self.scale.factor;
+        Some(Estimate { mean: factor * e.mean, low: factor * e.low, high: factor * e.high })
+    }
+
+    /// Returns mean and interval as the JSON output contains them; `None` if the results do not
+    /// contain the metric.
+    pub fn unscaled(&self, metrics: &Metrics) -> Option<Estimate> {
+        (self.field)(metrics).filter(|e| !(e.mean.is_nan() && e.low.is_nan()))
+    }
+
+    /// Returns the heading in tables, with the unit.
+    pub fn heading(&self) -> String {
+        format!("{} {}", self.title, self.scale.unit).trim_end().to_owned()
+    }
+
+    /// Returns whether the metric is a rate in percent.
+    pub fn is_rate(&self) -> bool {
+        self.scale == PERCENT
+    }
+
+    /// Returns the ends of the axis of a rate; `None` for other metrics.
+    pub fn range(&self) -> Option<(f64, f64)> {
+        self.is_rate().then_some((0.0, 100.0))
+    }
+}
+
+/// A field of [`Metrics`] that contains an estimate.
+pub(super) trait Field {
+    fn estimate(&self) -> Option<Estimate>;
+}
+
+impl Field for Estimate {
+    fn estimate(&self) -> Option<Estimate> {
+        Some(*self)
+    }
+}
+
+impl Field for Option<Estimate> {
+    fn estimate(&self) -> Option<Estimate> {
+        *self
+    }
+}
+
+impl Field for Option<KmPerCrash> {
+    fn estimate(&self) -> Option<Estimate> {
+        self.map(|driven| driven.estimate)
+    }
+}

@@ -1,0 +1,231 @@
+//! Records an episode while it is played.
+
+use std::collections::BTreeMap;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+
+use super::{Column, Error, FORMAT, Lane, Recording, Size, Status};
+use crate::env::{EpisodeRecord, Outcome, Task, World};
+use crate::sumo::net::{EdgeFunction, Net};
+
+/// Number of steps for which a vehicle that has arrived stays visible.
+const FAREWELL: u32 = 5;
+
+/// Diagnostics of a policy at a decision of one world.
+#[derive(Debug, Clone, Default)]
+pub struct RecordedDiagnostics {
+    /// Value estimates, `[N]`; empty if the policy has none.
+    pub value: Vec<f32>,
+    /// Communication graph, `[N, N]`, row = receiver; empty for algorithms without messages.
+    pub graph: Vec<f32>,
+}
+
+/// Records one episode while it is played.
+#[derive(Debug)]
+pub struct Recorder {
+    episode: u64,
+    actions: usize,
+    /// Whether the task has background traffic.
+    others: bool,
+    rows: Rows,
+    finished: bool,
+}
+
+/// The columns of a recording, one entry per step and agent.
+#[derive(Debug, Default)]
+struct Rows {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    heading: Vec<f64>,
+    speed: Vec<f64>,
+    action: Vec<Vec<f64>>,
+    reward: Vec<f64>,
+    value: Vec<f64>,
+    status: Vec<u8>,
+    edges: Vec<u8>,
+    others: Vec<Vec<[f64; 6]>>,
+    /// Number of steps since each agent arrived.
+    arrived: Vec<u32>,
+    /// Whether the policy has a communication graph.
+    graph: bool,
+}
+
+impl Rows {
+    fn new(agents: usize, actions: usize) -> Self {
+        Self { action: vec![Vec::new(); actions], arrived: vec![0; agents], ..Self::default() }
+    }
+}
+
+impl Recorder {
+    /// Creates a recorder that waits for the given episode of a task.
+    pub fn new(task: &Task, episode: u64) -> Self {
+        let actions = task.spec.actions.len();
+        let rows = Rows::new(task.agents, actions);
+        Self { episode, actions, others: task.others > 0, rows, finished: false }
+    }
+
+    /// Returns whether a world plays the episode that the recorder waits for.
+    pub fn watches(&self, world: &World) -> bool {
+        !self.finished
+            && world.episode() == self.episode
+            && (world.is_running() || world.has_ended())
+    }
+
+    /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
+    pub fn decide(&mut self, world: &World, actions: &[f32], diagnostics: &RecordedDiagnostics) {
+        let agents = world.agents().count();
+        // An episode in which SUMO died is played again from its start.
+        if world.step_count() == 0 {
+            self.rows = Rows::new(agents, self.actions);
+        }
+        let acts = world.is_running();
+        let rows = &mut self.rows;
+        for (i, agent) in world.agents().enumerate() {
+            let status = match agent.outcome {
+                _ if agent.driving => Status::Driving,
+                _ if agent.wreck => Status::Crashed,
+                Outcome { arrived: true, .. } if rows.arrived[i] < FAREWELL => Status::Arrived,
+                _ => Status::Gone,
+            };
+            rows.arrived[i] += u32::from(agent.outcome.arrived);
+            rows.x.push(agent.pose.x);
+            rows.y.push(agent.pose.y);
+            // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
+            let (sin, cos) = agent.pose.heading.sin_cos();
+            rows.heading.push(sin.atan2(cos));
+            let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
+            rows.speed.push(if_driving(agent.speed));
+            for (a, column) in rows.action.iter_mut().enumerate() {
+                let action = actions
+                    .get(i * self.actions + a)
+                    .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
+                column.push(if acts { if_driving(action) } else { f64::NAN });
+            }
+            rows.value
+                .push(if_driving(diagnostics.value.get(i).copied().map_or(f64::NAN, f64::from)));
+            rows.reward.push(f64::NAN);
+            rows.status.push(status as u8);
+        }
+        if self.others {
+            let short = |v: f64| (1000.0 * v).round() / 1000.0;
+            let row = world.others().map(|other| {
+                let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
+                [
+                    short(pose.x),
+                    short(pose.y),
+                    short(pose.heading),
+                    other.size[0],
+                    other.size[1],
+                    wreck,
+                ]
+            });
+            rows.others.push(row.collect());
+        }
+        let comm = &world.frame().comm;
+        rows.graph = !diagnostics.graph.is_empty();
+        for i in 0..agents {
+            let mut bits = vec![0_u8; agents.div_ceil(8)];
+            for j in (0..agents).filter(|&j| j != i && comm[i * agents + j] > 0.0) {
+                if diagnostics.graph.get(i * agents + j).is_none_or(|&edge| edge > 0.5) {
+                    bits[j / 8] |= 1 << (j % 8);
+                }
+            }
+            rows.edges.extend(bits);
+        }
+        self.finished |= world.has_ended();
+    }
+
+    /// Records the rewards of the step that followed the last decision.
+    pub fn reward(&mut self, world: &World) {
+        if self.finished || world.episode() != self.episode || world.step_count() == 0 {
+            return;
+        }
+        let first = self.rows.reward.len().saturating_sub(world.agents().count());
+        for (i, agent) in world.agents().enumerate() {
+            if Status::from(self.rows.status[first + i]) == Status::Driving {
+                self.rows.reward[first + i] = agent.reward;
+            }
+        }
+    }
+
+    /// Returns the recording; `None` if the episode was not played to its end.
+    ///
+    /// # Errors
+    /// [`Error::Net`] if the net cannot be read.
+    pub fn finish(
+        self,
+        task: &Task,
+        policy: &str,
+        seed: u64,
+        record: Option<&EpisodeRecord>,
+    ) -> Result<Option<Recording>, Error> {
+        if !self.finished {
+            return Ok(None);
+        }
+        let path = task.map.net_file();
+        let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
+        let lanes = net
+            .lanes
+            .iter()
+            .filter(|lane| {
+                !matches!(
+                    net.edges[lane.edge].function,
+                    EdgeFunction::Other | EdgeFunction::WalkingArea
+                )
+            })
+            .map(|lane| Lane {
+                id: lane.id.clone(),
+                width: lane.width,
+                internal: net.edges[lane.edge].function == EdgeFunction::Internal,
+                crossing: net.edges[lane.edge].function == EdgeFunction::Crossing,
+                shape: lane.shape.clone(),
+            });
+        let mut columns = BTreeMap::from([
+            ("x".to_owned(), Column::new("m", &self.rows.x)),
+            ("y".to_owned(), Column::new("m", &self.rows.y)),
+            ("heading".to_owned(), Column::new("rad", &self.rows.heading)),
+            ("speed".to_owned(), Column::new("m/s", &self.rows.speed)),
+            ("reward".to_owned(), Column::new("1", &self.rows.reward)),
+        ]);
+        for (a, action) in self.rows.action.iter().enumerate() {
+            let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
+            columns.insert(name, Column::new("1", action));
+        }
+        if self.rows.value.iter().any(|value| value.is_finite()) {
+            columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
+        }
+        let summary = record.map(|r| {
+            [
+                ("success", r.success),
+                ("safety", r.safety),
+                ("reward", r.reward),
+                ("episode_length", f64::from(r.episode_length)),
+            ]
+        });
+        let (vehicle, range) = (&task.scenario.vehicle, task.scenario.communication.range);
+        Ok(Some(Recording {
+            format: FORMAT,
+            scenario: task.scenario.name.clone(),
+            policy: policy.to_owned(),
+            seed,
+            episode: self.episode,
+            step_length: task.scenario.control.interval,
+            agents: task.agents,
+            steps: self.rows.status.len() / task.agents,
+            comm_range: range.is_finite().then_some(range),
+            communicates: self.rows.graph,
+            vehicle: Size { length: vehicle.length, width: vehicle.width },
+            lanes: lanes.collect(),
+            columns,
+            status: STANDARD.encode(&self.rows.status),
+            edges: Some(STANDARD.encode(&self.rows.edges)),
+            others: self.rows.others,
+            summary: summary
+                .into_iter()
+                .flatten()
+                .map(|(key, value)| (key.to_owned(), value))
+                .collect(),
+        }))
+    }
+}

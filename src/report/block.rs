@@ -1,0 +1,309 @@
+//! The results of one evaluation of a sweep, sorted into lines and places.
+
+use std::collections::BTreeMap;
+
+use super::Error;
+use crate::metrics::{self, EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
+use crate::stats::Estimate;
+use crate::stats::aggregate::bootstrap;
+use crate::sweep::{Cell, Evaluate, Reference, Sweep, plain};
+
+/// One evaluation of all cells.
+#[derive(Debug)]
+pub(super) struct Block<'a> {
+    pub(super) evaluate: &'a Evaluate,
+    /// The key along the horizontal axis, if there is one.
+    pub(super) x: Option<String>,
+    /// The values of that key.
+    pub(super) categories: Vec<String>,
+    /// One line per combination of the other keys that vary, in the sweep's order.
+    pub(super) series: Vec<Line<'a>>,
+}
+
+/// The results that form one line of a figure.
+#[derive(Debug)]
+pub(super) struct Line<'a> {
+    pub(super) label: String,
+    /// The label within the panel and the name of the panel; `None` if the figure has no panels of
+    /// its own.
+    pub(super) panel: Option<(String, String)>,
+    /// One row per category.
+    pub(super) rows: Vec<Row<'a>>,
+}
+
+/// The runs of all seeds at one place of a figure.
+#[derive(Debug, Default)]
+pub(super) struct Row<'a> {
+    /// The cells at this place, each with its result; `None` until the cell is evaluated.
+    pub(super) runs: Vec<(&'a Cell, Option<EvaluationResult>)>,
+}
+
+/// The unit of an interval: the values that count as independent. All intervals of one table or
+/// figure have the same unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unit {
+    /// Trained runs: Student's t interval of their mean, which says what another seed may give. The
+    /// interval is a point if all runs have the same value.
+    Seeds,
+    /// The episodes of a single run: the interval says how that policy performs, not what another
+    /// seed would give.
+    Episodes,
+    /// The episodes of all runs together, for rates: Wilson's interval, which is not a point even
+    /// if all runs have the same value. The interval says how these policies perform, not what
+    /// another seed would give.
+    Together,
+}
+
+impl Unit {
+    /// Returns the description of the unit in a table's heading.
+    pub(super) fn describe(self) -> &'static str {
+        match self {
+            Self::Seeds => "± t-interval over seeds",
+            Self::Episodes => "[interval] over the episodes of a single run",
+            Self::Together => "[Wilson interval] over all episodes together",
+        }
+    }
+}
+
+impl Block<'_> {
+    /// Returns the metrics that an output of this block shows.
+    pub(super) fn metrics(&self, output: Shown) -> impl Iterator<Item = &'static Metric> {
+        metrics::shown(output)
+            .filter(|metric| metric.shown == Shown::Everywhere || self.has(metric))
+    }
+
+    fn has(&self, metric: &Metric) -> bool {
+        self.series.iter().flat_map(|line| &line.rows).any(|row| !row.values(metric).is_empty())
+    }
+
+    /// Returns the unit of a figure's intervals: seeds, unless no line has several.
+    pub(super) fn unit(&self) -> Unit {
+        if self.series.iter().any(Line::has_seeds) { Unit::Seeds } else { Unit::Episodes }
+    }
+}
+
+impl Line<'_> {
+    /// Returns whether the sweep has several seeds of this line, finished or not.
+    pub(super) fn has_seeds(&self) -> bool {
+        self.rows.iter().any(|row| row.runs.len() > 1)
+    }
+}
+
+impl Row<'_> {
+    /// Returns whether all runs of this row are finished.
+    pub(super) fn is_complete(&self) -> bool {
+        !self.runs.is_empty() && self.runs.iter().all(|(_, found)| found.is_some())
+    }
+
+    fn finished(&self) -> impl Iterator<Item = &EvaluationResult> {
+        self.runs.iter().filter_map(|(_, found)| found.as_ref())
+    }
+
+    /// Returns the mean of the metric of each finished run, in its shown unit.
+    pub(super) fn values(&self, metric: &Metric) -> Vec<f64> {
+        let mean = |found: &EvaluationResult| Some(metric.estimate(&found.metrics)?.mean);
+        self.finished().filter_map(mean).filter(|mean| !mean.is_nan()).collect()
+    }
+
+    /// Returns mean and interval of a metric. Bounds are infinite where the unit gives none (a
+    /// single seed, with seeds as the unit); bounds of rates stay between 0 and 100 %.
+    pub(super) fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
+        let values = self.values(metric);
+        match unit {
+            Unit::Seeds => {
+                let e = Estimate::t(&values)?;
+                let (low, high) = match metric.range() {
+                    Some((least, most)) if e.low.is_finite() => {
+                        (e.low.max(least), e.high.min(most))
+                    }
+                    _ => (e.low, e.high),
+                };
+                Some(Estimate { low, high, ..e })
+            }
+            Unit::Episodes => {
+                let mut finished = self.finished();
+                let (only, None) = (finished.next()?, finished.next()) else { return None };
+                metric.estimate(&only.metrics).filter(|e| !e.mean.is_nan())
+            }
+            Unit::Together => {
+                let of = |found: &EvaluationResult| {
+                    Some((found.episodes, metric.estimate(&found.metrics)?.mean))
+                };
+                let runs: Vec<(u64, f64)> = self.finished().filter_map(of).collect();
+                let episodes: u64 = runs.iter().map(|run| run.0).sum();
+                let mean =
+                    runs.iter().map(|run| run.0 as f64 * run.1).sum::<f64>() / episodes as f64;
+                let pooled = Estimate::rate(&vec![mean / 100.0; episodes as usize])?;
+                Some(Estimate { mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high })
+            }
+        }
+    }
+
+    /// Returns whether several runs all have the same value.
+    pub(super) fn is_tied(&self, metric: &Metric) -> bool {
+        let values = self.values(metric);
+        values.len() > 1 && values.iter().all(|value| *value == values[0])
+    }
+
+    /// Returns the distance per crash over all finished runs; `None` if the results do not contain
+    /// it.
+    pub(super) fn km_per_crash(&self) -> Option<KmPerCrash> {
+        let runs = self.finished().filter_map(|found| found.metrics.km_per_crash);
+        let (km, crashes) = runs
+            .map(|run| (run.km, run.crashes))
+            .reduce(|sum, run| (sum.0 + run.0, sum.1 + run.1))?;
+        KmPerCrash::new(km, crashes)
+    }
+
+    /// Returns, of each finished run, a number about what the latent explains of `target`.
+    pub(super) fn known(&self, target: &str, of: fn(&Knowledge) -> Option<f64>) -> Vec<f64> {
+        let of = |found: &EvaluationResult| {
+            of(found.metrics.reconstruction.iter().find(|known| known.name == target)?)
+        };
+        self.finished().filter_map(of).collect()
+    }
+}
+
+/// Sorts the results of one evaluation into lines and places.
+pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Block<'a>, Error> {
+    let varying: Vec<&str> = (sweep.keys.iter())
+        .filter(|(key, count)| key != "seed" && (*count > 1 || key == "algorithm"))
+        .map(|(key, _)| key.as_str())
+        .chain(evaluate.grid.keys().map(String::as_str))
+        .collect();
+    let x = evaluate.x.clone().or_else(|| {
+        let own: Vec<&String> = evaluate.grid.keys().collect();
+        let many = || varying.iter().filter(|key| **key != "algorithm");
+        match own[..] {
+            [only] => Some(only.clone()),
+            _ if varying.contains(&"agents") => Some("agents".to_owned()),
+            _ => many().next().map(|key| (*key).to_owned()),
+        }
+    });
+    for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
+        if let Some(key) = key.as_ref().filter(|key| !varying.contains(&key.as_str())) {
+            return Err(Error::Axis { evaluate: evaluate.name.clone(), what, key: key.clone() });
+        }
+    }
+    let mut categories: Vec<String> = Vec::new();
+    // Rows of each line, by place.
+    let mut series: Vec<(Line<'a>, BTreeMap<usize, Row<'a>>)> = Vec::new();
+    for cell in sweep.cells.iter().filter(|cell| evaluate.applies(cell)) {
+        for combination in evaluate.combinations() {
+            let value = |key: &str| {
+                let own = combination.iter().find(|(own, _)| own == key).map(|(_, value)| value);
+                own.or_else(|| cell.value(key)).map(plain)
+            };
+            let place = x.as_deref().and_then(value).unwrap_or_default();
+            let mut parts = Vec::new();
+            let mut panel = None;
+            for key in &varying {
+                let short = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
+                let evaluated = combination.iter().any(|(own, _)| own == key);
+                // A policy that was trained at one value and is evaluated at another is not a seed
+                // of the policy trained at the latter.
+                if let Some(trained) = cell.value(key).filter(|_| evaluated) {
+                    parts.push(format!("trained with {short} {}", plain(trained)));
+                }
+                let in_panels = evaluate.panels.as_deref() == Some(key);
+                match value(key).filter(|_| Some(*key) != x.as_deref()) {
+                    Some(value) if in_panels && *key == "algorithm" => panel = Some(value),
+                    Some(value) if in_panels => panel = Some(format!("{short} {value}")),
+                    Some(value) if *key == "algorithm" => parts.push(value),
+                    Some(value) => parts.push(format!("{short} {value}")),
+                    None => {}
+                }
+            }
+            let mut label = Vec::new();
+            for part in parts {
+                position(&mut label, part);
+            }
+            let label =
+                if label.is_empty() { cell.config.algorithm.clone() } else { label.join(", ") };
+            let panel = panel.map(|panel| (label.clone(), panel));
+            let label = panel.as_ref().map_or(label, |(label, panel)| format!("{label}, {panel}"));
+            let category = position(&mut categories, place);
+            let known = series.iter().position(|(own, _)| own.label == label);
+            let line = known.unwrap_or_else(|| {
+                series.push((Line { label, panel, rows: Vec::new() }, BTreeMap::new()));
+                series.len() - 1
+            });
+            let found = cell.evaluation(evaluate, &combination)?;
+            series[line].1.entry(category).or_default().runs.push((cell, found));
+        }
+    }
+    let count = categories.len();
+    let line = |(line, mut rows): (Line<'a>, BTreeMap<usize, Row<'a>>)| Line {
+        rows: (0..count).map(|k| rows.remove(&k).unwrap_or_default()).collect(),
+        ..line
+    };
+    Ok(Block { evaluate, x, categories, series: series.into_iter().map(line).collect() })
+}
+
+fn position(known: &mut Vec<String>, value: String) -> usize {
+    known.iter().position(|own| *own == value).unwrap_or_else(|| {
+        known.push(value);
+        known.len() - 1
+    })
+}
+
+/// Returns the published values for this evaluation and metric, as
+/// `(reference, [(category, value)])`.
+pub(super) fn references<'a>(
+    sweep: &'a Sweep,
+    block: &'a Block<'_>,
+    metric: &'a Metric,
+) -> impl Iterator<Item = (&'a Reference, Vec<(usize, f64)>)> {
+    let first = sweep.evaluations.first().map(|e| e.name.as_str());
+    let name = block.evaluate.name.as_str();
+    sweep
+        .references
+        .iter()
+        .filter(move |r| r.metric == metric.id && r.evaluate.as_deref().or(first) == Some(name))
+        .map(move |r| {
+            let place = |x: f64| {
+                block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x))
+            };
+            if r.x.is_empty() && block.categories.len() == 1 {
+                return (r, r.y.iter().take(1).map(|y| (0, y * metric.scale.factor)).collect());
+            }
+            let points =
+                r.x.iter()
+                    .zip(&r.y)
+                    .filter_map(|(x, y)| Some((place(*x)?, y * metric.scale.factor)));
+            (r, points.collect())
+        })
+}
+
+/// Returns the seeds' scores per category: the strata of the bootstrap.
+pub(super) fn scores(line: &Line<'_>, metric: &Metric) -> Vec<Vec<f64>> {
+    line.rows.iter().map(|row| row.values(metric)).collect()
+}
+
+/// Returns whether a bootstrap over seeds is meaningful: every place has at least two seeds.
+pub(super) fn resamples(line: &Line<'_>) -> bool {
+    line.rows.iter().all(|row| row.values(SUCCESS).len() > 1)
+}
+
+impl Block<'_> {
+    /// Returns whether every place contains the same trained runs.
+    pub(super) fn same_runs(&self) -> bool {
+        self.x.as_ref().is_some_and(|x| self.evaluate.grid.contains_key(x))
+    }
+}
+
+/// Returns an aggregate over seeds and places with its interval; the bounds are infinite without a
+/// second seed.
+pub(super) fn aggregate(
+    line: &Line<'_>,
+    metric: &Metric,
+    same_runs: bool,
+    of: &dyn Fn(&[Vec<f64>]) -> f64,
+) -> Option<Estimate> {
+    let scores = scores(line, metric);
+    if resamples(line) {
+        return bootstrap([&scores], same_runs, |[drawn]| of(drawn));
+    }
+    let mean = of(&scores);
+    mean.is_finite().then_some(Estimate { mean, low: f64::NEG_INFINITY, high: f64::INFINITY })
+}

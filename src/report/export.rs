@@ -1,0 +1,75 @@
+//! The results of a report for other programs, as JSON.
+
+use serde_json::{Value, json};
+
+use super::block::Block;
+use super::{Error, training};
+use crate::curves;
+use crate::metrics::{self, SUCCESS, Shown};
+use crate::sweep::Sweep;
+
+/// Returns the metrics of every run, with a description of the run.
+pub(super) fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
+    let mut rows = Vec::new();
+    for block in blocks {
+        for line in &block.series {
+            for (category, row) in block.categories.iter().zip(&line.rows) {
+                for (cell, found) in
+                    row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?)))
+                {
+                    let trained = cell.trained();
+                    rows.push(json!({
+                        "evaluation": block.evaluate.name, "series": line.label, "x": block.x, "at": category,
+                        "cell": cell.id, "algorithm": cell.config.algorithm, "agents": cell.config.agents,
+                        "seed": cell.config.seed, "episodes": found.episodes,
+                        "training_steps": trained.as_ref().map(|t| t.steps),
+                        "training_seconds": trained.map(|t| t.seconds), "run": training(cell, Some(found)),
+                        "program": found.program, "metrics": found.metrics,
+                    }));
+                }
+            }
+        }
+    }
+    json!({ "sweep": sweep.name, "command": command, "rows": rows })
+}
+
+/// Returns the results in the format of marl-eval: environment, task, algorithm, run, then steps
+/// with their values, and the final values.
+pub(super) fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
+    let mut tree = json!({});
+    for line in &block.series {
+        for (category, row) in block.categories.iter().zip(&line.rows) {
+            for (cell, found) in
+                row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?)))
+            {
+                let environment = cell
+                    .config
+                    .scenario
+                    .file_stem()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into_owned();
+                let task = match &block.x {
+                    Some(x) => format!("{x}={category}"),
+                    None => "all".to_owned(),
+                };
+                let mut run = json!({});
+                let lines = curves::read(&cell.run().metrics())?;
+                let validations = lines.iter().filter(|line| line.validation(SUCCESS).is_some());
+                for (k, line) in validations.enumerate() {
+                    let mut step = json!({ "step_count": line.step, "elapsed_time": line.seconds });
+                    for metric in metrics::shown(Shown::Everywhere) {
+                        step[metric.id] = json!([line.validation(metric)]);
+                    }
+                    run[format!("step_{k}")] = step;
+                }
+                for metric in metrics::shown(Shown::Everywhere) {
+                    let mean = metric.unscaled(&found.metrics).map(|estimate| estimate.mean);
+                    run["absolute_metrics"][metric.id] = json!([mean]);
+                }
+                tree[&environment][&task][&line.label][format!("seed_{}", cell.config.seed)] = run;
+            }
+        }
+    }
+    Ok(tree)
+}

@@ -1,0 +1,258 @@
+use std::path::PathBuf;
+
+use super::*;
+
+const FILE: &str = r#"
+    [settings]
+    scenario = "scenarios/intersection.xml"
+    steps = 4096
+    [settings.train]
+    envs = 4
+    [grid]
+    algorithm = ["im-iwol", "mappo"]
+    agents = [4, 8]
+    seed = [0, 1]
+    [[rule]]
+    when = { agents = [8, 16], algorithm = "mappo" }
+    set = { "train.envs" = 2, ppo = { gamma = 0.9 }, agents = 48 }
+    [[evaluate]]
+    name = "range"
+    grid = { "env.communication_range" = [100.0, 10.0] }
+"#;
+
+fn parse(text: &str) -> Result<Sweep, Error> {
+    Sweep::parse(text, "s.toml", "s", Path::new("out"))
+}
+
+#[test]
+fn a_grid_becomes_cells_in_the_order_of_seeds() {
+    let sweep = parse(FILE).unwrap();
+    let ids: Vec<&str> = sweep.cells.iter().map(|cell| cell.id.as_str()).collect();
+    assert_eq!(
+        ids[..5],
+        [
+            "im-iwol_agents=4/seed_0",
+            "im-iwol_agents=8/seed_0",
+            "mappo_agents=4/seed_0",
+            "mappo_agents=8/seed_0",
+            "im-iwol_agents=4/seed_1"
+        ]
+    );
+    assert_eq!(ids.len(), 8);
+    assert_eq!(sweep.cells[0].folder, Path::new("out/s/im-iwol_agents=4/seed_0"));
+    assert_eq!(sweep.evaluations[0].combinations().len(), 2);
+}
+
+#[test]
+fn rules_set_what_the_grid_does_not() {
+    let sweep = parse(FILE).unwrap();
+    let of = |id: &str| &sweep.cells.iter().find(|cell| cell.id == id).unwrap().config;
+    let (ruled, free) = (of("mappo_agents=8/seed_1"), of("mappo_agents=4/seed_1"));
+    assert_eq!((ruled.train.envs, ruled.ppo.gamma, ruled.agents), (2, 0.9, 8));
+    assert_eq!((free.train.envs, free.agents), (4, 4));
+}
+
+#[test]
+fn a_cell_may_begin_with_the_policy_of_another() {
+    let with =
+        |change: &str| FILE.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"));
+    let sweep = parse(&with("agents = 4")).unwrap();
+    let after: Vec<_> = sweep
+        .cells
+        .iter()
+        .filter_map(|cell| Some((cell.id.as_str(), cell.after.as_deref()?)))
+        .collect();
+    let expected = [0, 1]
+        .map(|seed| (format!("mappo_agents=8/seed_{seed}"), format!("mappo_agents=4/seed_{seed}")));
+    assert_eq!(after, expected.each_ref().map(|(cell, first)| (cell.as_str(), first.as_str())));
+    for cell in &sweep.cells {
+        let first = sweep.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+        let path = first.map_or_else(PathBuf::new, |first| first.folder.clone());
+        assert_eq!(cell.config.init_from, path);
+        assert_eq!(
+            sweep.waits_for(cell).map(|first| &first.id),
+            cell.after.as_ref(),
+            "nothing is trained"
+        );
+    }
+    let refused = |change: &str| parse(&with(change)).expect_err("must be refused").to_string();
+    assert!(
+        refused("agents = 5").contains("init_from = { agents = 5 }: the grid has no such cell")
+    );
+    assert!(refused("steps = 1").contains("the grid has no such cell"));
+    assert!(refused("agents = 8").contains("names the cell itself"));
+    let grid = FILE.replace("agents = [4, 8]", "agents = [8]\n\"ppo.gamma\" = [0.9, 0.99]");
+    let grid = grid.replace("ppo = { gamma = 0.9 }, agents = 48", "steps = 8");
+    let rule =
+        "[[rule]]\nwhen = { \"ppo.gamma\" = 0.99 }\nset = { init_from = { \"ppo.gamma\" = 0.9 } }";
+    let sweep = parse(&format!("{grid}\n{rule}")).unwrap();
+    let begins = |id: &str| sweep.cells.iter().find(|cell| cell.id == id).unwrap().after.as_deref();
+    assert_eq!(begins("mappo_agents=8_gamma=0.99/seed_0"), Some("mappo_agents=8_gamma=0.9/seed_0"));
+    let back = format!(
+        "{}\n[[rule]]\nwhen = {{ agents = 4 }}\nset = {{ init_from = {{ agents = 8 }} }}",
+        with("agents = 4")
+    );
+    let circle = parse(&back).expect_err("must be refused").to_string();
+    assert!(circle.contains("init_from forms a cycle"), "{circle}");
+}
+
+#[test]
+fn cells_may_be_left_out_and_evaluated_by_choice() {
+    let with = |lines: &str| parse(&FILE.replace("name = \"range\"", lines));
+    let sweep =
+        with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4, 5] }").unwrap();
+    let applies: Vec<&str> = (sweep.cells.iter())
+        .filter(|cell| sweep.evaluations[0].applies(cell))
+        .map(|cell| cell.id.as_str())
+        .collect();
+    assert_eq!(applies, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
+    let message = with("when = { agents = 5 }").expect_err("must be refused").to_string();
+    assert!(message.contains("[[evaluate]] `evaluation`: no cell has agents = 5"), "{message}");
+
+    let skip = |when: &str| {
+        parse(&FILE.replace("[[rule]]", &format!("[[skip]]\nwhen = {{ {when} }}\n[[rule]]")))
+    };
+    let ids: Vec<String> =
+        skip("agents = 8, seed = [1, 2]").unwrap().cells.into_iter().map(|cell| cell.id).collect();
+    assert_eq!(ids.len(), 6);
+    assert!(
+        !ids.contains(&"mappo_agents=8/seed_1".to_owned())
+            && ids.contains(&"mappo_agents=8/seed_0".to_owned())
+    );
+    let message = skip("agents = 5").expect_err("must be refused").to_string();
+    assert!(message.contains("[[skip]]: no combination has agents = 5"), "{message}");
+    let chain = FILE.replace("agents = 48 }", "init_from = { agents = 4 } }");
+    let broken = chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
+    let message = parse(&broken).expect_err("must be refused").to_string();
+    assert!(message.contains("a [[skip]] removes the cell mappo_agents=4/seed_1"), "{message}");
+}
+
+#[test]
+fn a_run_of_a_scenario_that_has_changed_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    std::fs::create_dir_all(&cell.folder).unwrap();
+    std::fs::write(cell.run().config(), cell.config.to_toml()).unwrap();
+    cell.mark_trained().unwrap();
+    let check = |meta: &str| {
+        std::fs::write(cell.run().meta(), meta).unwrap();
+        cell.check()
+    };
+    check("{}").expect("older runs do not say");
+    check(&format!("{{\"scenario\": \"{}\"}}", cell.fingerprint)).expect("the same");
+    assert!(matches!(check("{\"scenario\": \"0\"}"), Err(Error::Scenario { .. })));
+}
+
+#[test]
+fn what_is_kept_replaces_no_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    std::fs::create_dir_all(cell.folder.join("checkpoints")).unwrap();
+    std::fs::write(cell.run().last(), "weights").unwrap();
+    cell.mark_trained().unwrap();
+    assert!(matches!(cell.keep(folder.path(), "s"), Err(Error::Kept { .. })));
+}
+
+/// Combinations of policy and evaluation that cannot work are refused when the file is read,
+/// before hours of training.
+#[test]
+fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
+    let with = |algorithms: &str, grid: &str| {
+        let file = FILE
+            .replace("[\"im-iwol\", \"mappo\"]", algorithms)
+            .replace("agents = 48", "steps = 8");
+        parse(&file.replace("\"env.communication_range\" = [100.0, 10.0]", grid))
+            .map_err(|error| error.to_string())
+    };
+    let refused = |algorithms: &str, grid: &str, why: &str| {
+        let error = with(algorithms, grid).expect_err("must be refused");
+        assert!(error.contains(why), "{error}");
+    };
+    let (many, lost) = ("agents = [4, 6]", "\"channel.loss\" = [0.0, 0.5]");
+    refused(
+        "[\"mappo\", \"commformer\"]",
+        many,
+        "`range`, cell commformer_agents=4/seed_0: commformer has parameters",
+    );
+    refused(
+        "[\"mappo\", \"mat\"]",
+        lost,
+        "cell mat_agents=4/seed_0: [channel] applies to messages",
+    );
+    refused(
+        "[\"mappo\"]",
+        "seed = [7, 8]",
+        "seed=7: has no effect in an evaluation: --seed determines the episodes",
+    );
+    refused("[\"mappo\"]", "algorithm = [\"mat\"]", "the checkpoint determines the algorithm");
+    assert!(
+        with("[\"mappo\", \"magic\"]", many).is_ok()
+            && with("[\"mappo\", \"magic\", \"ex-iwol\"]", lost).is_ok()
+    );
+    let rule = |algorithms: &str, change: &str| {
+        let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms);
+        parse(&file.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}")))
+            .map_err(|e| e.to_string())
+    };
+    let other =
+        rule("[\"im-iwol\", \"mappo\"]", "algorithm = \"im-iwol\"").expect_err("must be refused");
+    assert!(
+        other.contains("im-iwol_agents=8/seed_0 trains im-iwol, which has other networks"),
+        "{other}"
+    );
+    let file = FILE
+        .replace("\"mappo\"", "\"commformer\"")
+        .replace("agents = 48 }", "init_from = { agents = 4 } }");
+    let fixed = parse(&file).expect_err("must be refused").to_string();
+    assert!(fixed.contains("each of 4 agents and cannot be used with 8"), "{fixed}");
+    let disturbed = parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { loss = 0.5 }"))
+        .expect_err("refused");
+    assert!(disturbed.to_string().contains("[channel] applies only to evaluation"), "{disturbed}");
+}
+
+#[test]
+fn mistakes_are_named() {
+    let message = |change: (&str, &str)| {
+        let error = parse(&FILE.replace(change.0, change.1)).expect_err("must be refused");
+        let source =
+            std::error::Error::source(&error).map(|e| format!(": {e}")).unwrap_or_default();
+        format!("{error}{source}")
+    };
+    assert!(message(("[grid]", "[gird]")).contains("unknown field `gird`"));
+    assert!(message(("seed = [0, 1]", "seed = 0")).contains("[grid] seed: give a list"), "");
+    let unknown = message(("steps = 4096", "stepz = 4096"));
+    assert!(
+        unknown.contains("did you mean `steps`")
+            && unknown.contains("cell im-iwol_agents=4/seed_0: its settings: "),
+        "{unknown}"
+    );
+    assert_eq!(unknown.matches("seed_0").count(), 1, "the cell is named twice: {unknown}");
+    assert!(
+        message(("[grid]\n", "[settings.train.more]\n"))
+            .contains("there is no [grid]; give it a list")
+    );
+    assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
+    assert!(message(("name = \"range\"", "episodes = 0")).contains("1 or more episodes"));
+    assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
+    assert!(
+        message(("agents = [8, 16]", "agents = [16]"))
+            .contains("[[rule]] number 1: no cell has agents = [16]")
+    );
+    assert!(
+        message(("env.communication_range", "env.comunication_range")).contains("did you mean")
+    );
+    assert!(
+        message(("name = \"range\"", "panels = \"agent\""))
+            .contains("panels = \"agent\" must be a key with several values")
+    );
+    assert!(
+        message(("name = \"range\"", "x = \"agents\"\npanels = \"agents\""))
+            .contains("x and panels must differ")
+    );
+    assert!(
+        message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]"))
+            .contains("leaves no cell")
+    );
+}
