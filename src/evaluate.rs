@@ -3,28 +3,33 @@
 //!
 //! Episode `i` depends only on `(seed, i)`, so results do not depend on the number of worlds.
 
+mod driver;
+#[cfg(feature = "learn")]
 mod knowledge;
+mod latent;
+#[cfg(feature = "learn")]
+mod learned;
 
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
-use tch::{Device, Kind, Tensor};
 
-use crate::algo::{ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation};
 use crate::env::{
-    self, Audit, BackgroundMetrics, Driver, EpisodeRecord, Failures, Frame, Pursuit, Task, VecEnv,
+    self, Audit, BackgroundMetrics, Driver, EpisodeRecord, Failures, Pursuit, Task, VecEnv,
     VecOptions,
 };
-use crate::replay::{RecordedDiagnostics, Recorder};
-use crate::rng::{self, Seed};
+use crate::replay::Recorder;
+use crate::rng::Seed;
 use crate::stats::Estimate;
 use crate::sumo::Hosting;
 
-use knowledge::Sums;
-pub use knowledge::{DETERMINED, Knowledge, Probe};
+use driver::PolicyDriver;
+pub use driver::{Actor, Controller};
+pub use latent::{DETERMINED, Knowledge, Probe};
+#[cfg(feature = "learn")]
+pub use learned::LearnedPolicy;
 
 /// Number of steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
@@ -47,8 +52,8 @@ pub enum Policy<'a> {
     Uniform,
     /// SUMO's own car-following and right-of-way model.
     Sumo,
-    /// The mean actions of a trained policy; messages pass through a channel.
-    Learned(&'a dyn Algorithm, Channel),
+    /// A trained policy.
+    Learned(&'a dyn Controller),
 }
 
 /// Names of the policies without training, as on the command line.
@@ -269,9 +274,9 @@ pub fn evaluate(
     observer: EvaluationObserver<'_>,
 ) -> Result<Evaluation, env::Error> {
     let EvaluationObserver { stop, report, recorder } = observer;
-    let stage = Stage { task, policy, seed, hosting, stop };
-    let mut watch = Watch { knowledge: Sums::default(), recorder };
-    let mut records = stage.play(0..episodes, RETRIES, &mut watch, report)?;
+    let mut driver = PolicyDriver::new(policy, task, seed.child("actions"), recorder);
+    let stage = Stage { task, seed, hosting, stop };
+    let mut records = stage.play(0..episodes, RETRIES, &mut driver, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -282,7 +287,7 @@ pub fn evaluate(
             return Ok(Evaluation {
                 episodes: records,
                 windows,
-                reconstruction: watch.knowledge.finish(),
+                reconstruction: driver.actor.map(|actor| actor.knowledge()).unwrap_or_default(),
             });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
@@ -290,7 +295,7 @@ pub fn evaluate(
         extra.extend(stage.play(
             next..next + missing.div_ceil(mean) as u64,
             RETRIES,
-            &mut watch,
+            &mut driver,
             &mut |_| {},
         )?);
     }
@@ -313,16 +318,9 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     sums
 }
 
-/// Collectors of data while episodes are played.
-struct Watch<'a> {
-    knowledge: Sums,
-    recorder: Option<&'a mut Recorder>,
-}
-
 /// Parameters that all episodes of an evaluation share.
 struct Stage<'a> {
     task: &'a Arc<Task>,
-    policy: &'a Policy<'a>,
     seed: Seed,
     hosting: &'a Hosting,
     stop: &'a AtomicBool,
@@ -335,12 +333,12 @@ impl Stage<'_> {
         &self,
         episodes: Range<u64>,
         retries: u32,
-        watch: &mut Watch<'_>,
+        policy: &mut PolicyDriver<'_>,
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
         let driver =
-            if matches!(self.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
+            if matches!(policy.policy, Policy::Sumo) { Driver::Sumo } else { Driver::Agents };
         let options = VecOptions {
             replay: 0.0,
             worlds,
@@ -354,11 +352,11 @@ impl Stage<'_> {
             return Ok(records);
         }
         let mut env = VecEnv::new(self.task, &options)?;
-        let mut driver = PolicyDriver::new(self.policy, self.task, self.seed.child("actions"));
+        policy.begin();
         while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            driver.act(&env, watch);
-            env.step(&driver.actions)?;
-            if let Some(recorder) = &mut watch.recorder {
+            policy.act(&env);
+            env.step(&policy.actions)?;
+            if let Some(recorder) = &mut policy.recorder {
                 env.worlds().for_each(|world| recorder.reward(world));
             }
             let finished = env.take_finished();
@@ -374,201 +372,11 @@ impl Stage<'_> {
             if retries == 0 {
                 return Err(env::Error::KeepsFailing { episode, times: RETRIES + 1 });
             }
-            records.extend(self.play(episode..episode + 1, retries - 1, watch, &mut |_| {})?);
+            records.extend(self.play(episode..episode + 1, retries - 1, policy, &mut |_| {})?);
         }
         records.sort_by_key(|record| record.episode);
         Ok(records)
     }
-}
-
-/// Computes actions from frames. All randomness depends only on seed, episode and step.
-struct PolicyDriver<'a> {
-    policy: &'a Policy<'a>,
-    task: &'a Task,
-    seed: Seed,
-    actions: Vec<f32>,
-    observation: Vec<f32>,
-    comm: Vec<f32>,
-    start: Vec<f32>,
-    state: Vec<f32>,
-    active: Vec<f32>,
-    memory: Tensor,
-    decisions: u64,
-}
-
-/// Number of decisions between two samples of the latent.
-const LOOK: u64 = 8;
-
-impl<'a> PolicyDriver<'a> {
-    fn new(policy: &'a Policy<'a>, task: &'a Task, seed: Seed) -> Self {
-        let (worlds, n) = (WORLDS, task.agents);
-        let memory = match policy {
-            Policy::Learned(learner, channel) => {
-                learner.memory() + channel.memory(learner.message_width())
-            }
-            _ => 0,
-        };
-        Self {
-            policy,
-            task,
-            seed,
-            actions: vec![0.0; worlds * n * task.spec.actions.len()],
-            observation: vec![0.0; worlds * n * task.spec.observation.len()],
-            comm: vec![0.0; worlds * n * n],
-            start: vec![0.0; worlds],
-            state: vec![0.0; worlds * n * task.spec.state.len()],
-            active: vec![0.0; worlds * n],
-            decisions: 0,
-            memory: Tensor::zeros(
-                [worlds as i64, n as i64, memory as i64],
-                (Kind::Float, Device::Cpu),
-            ),
-        }
-    }
-
-    fn act(&mut self, env: &VecEnv, watch: &mut Watch<'_>) {
-        let worlds = env.worlds();
-        let watched = env
-            .worlds()
-            .enumerate()
-            .find(|(_, world)| watch.recorder.as_ref().is_some_and(|r| r.watches(world)));
-        let mut thoughts = RecordedDiagnostics::default();
-        let width = self.task.agents * self.task.spec.actions.len();
-        match self.policy {
-            Policy::Throttle(throttle) => {
-                // With two actions, the first is the steering.
-                let actions = self.task.spec.actions.len();
-                for action in self.actions.chunks_mut(actions) {
-                    action.fill(0.0);
-                    action[actions - 1] = *throttle;
-                }
-            }
-            Policy::Pursuit(pursuit) => {
-                worlds
-                    .zip(self.actions.chunks_mut(width))
-                    .for_each(|(world, acts)| world.pursue(*pursuit, acts));
-            }
-            Policy::Sumo => {}
-            Policy::Gaussian | Policy::Uniform => {
-                for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
-                    let mut rng =
-                        self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
-                    if matches!(self.policy, Policy::Gaussian) {
-                        rng::fill_normal(&mut rng, actions);
-                    } else {
-                        actions.fill_with(|| rng.random_range(-1.0..1.0));
-                    }
-                }
-            }
-            Policy::Learned(learner, channel) => {
-                let n = self.task.agents;
-                let copy = |from: &[f32], to: &mut [f32], e: usize| {
-                    to[e * from.len()..(e + 1) * from.len()].copy_from_slice(from);
-                };
-                let mut sources = [Seed::new(0); WORLDS];
-                let mut episodes = [0; WORLDS];
-                for (e, world) in worlds.enumerate() {
-                    episodes[e] = world.episode();
-                    sources[e] =
-                        self.seed.index(world.episode()).index(u64::from(world.step_count()));
-                    let frame: &Frame = world.frame();
-                    copy(&frame.observation, &mut self.observation, e);
-                    copy(&frame.comm, &mut self.comm, e);
-                    copy(&frame.state, &mut self.state, e);
-                    copy(&frame.active, &mut self.active, e);
-                    self.start[e] = f32::from(u8::from(frame.start));
-                }
-                let (e, n) = (self.start.len() as i64, n as i64);
-                let observation = Observation {
-                    observation: Tensor::from_slice(&self.observation).view([e, n, -1]),
-                    comm: Tensor::from_slice(&self.comm).view([e, n, n]),
-                    start: Tensor::from_slice(&self.start),
-                    memory: self.memory.shallow_clone(),
-                };
-                let decision = if channel.is_perfect() {
-                    learner.act(&observation, &ActMode::Deterministic)
-                } else {
-                    let noise = channel_noise(
-                        channel,
-                        &sources,
-                        &self.comm,
-                        self.task.agents,
-                        learner.message_width(),
-                    );
-                    learner.act_through(&observation, channel, &noise)
-                };
-                // Latents are evaluated only with undisturbed messages.
-                if self.decisions.is_multiple_of(LOOK) && channel.is_perfect() {
-                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
-                    let active = Tensor::from_slice(&self.active).view([e, n]);
-                    let told = learner.reconstruct(&observation, &state);
-                    watch.knowledge.add(&told, &observation.observation, &active, &episodes);
-                }
-                self.decisions += 1;
-                if let Some((world, _)) = watched.filter(|_| channel.is_perfect()) {
-                    let state = Tensor::from_slice(&self.state).view([e, n, -1]);
-                    thoughts = thoughts_of(&learner.inspect(&observation, &state), world as i64);
-                }
-                self.memory = decision.memory;
-                let count = self.actions.len();
-                decision.action.reshape([-1]).copy_data(&mut self.actions, count);
-            }
-        }
-        if let (Some(recorder), Some((e, world))) = (&mut watch.recorder, watched) {
-            let actions = if matches!(self.policy, Policy::Sumo) {
-                &[][..]
-            } else {
-                &self.actions[e * width..][..width]
-            };
-            recorder.decide(world, actions, &thoughts);
-        }
-    }
-}
-
-fn thoughts_of(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
-    let numbers = |tensor: &Option<Tensor>| {
-        let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
-        tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
-    };
-    RecordedDiagnostics { value: numbers(&diagnostics.value), graph: numbers(&diagnostics.graph) }
-}
-
-/// Returns the randomness of a channel, which depends only on each world's episode and step.
-/// Falsified messages get a content where a receiver is in range according to `comm [E, N, N]`;
-/// elsewhere the content is zero.
-fn channel_noise(
-    channel: &Channel,
-    sources: &[Seed],
-    comm: &[f32],
-    agents: usize,
-    width: usize,
-) -> ChannelNoise {
-    let (e, n) = (sources.len() as i64, agents as i64);
-    let uniform = |what: &str| -> Vec<f32> {
-        let draws = sources.iter().flat_map(|seed| {
-            let mut rng = seed.child(what).rng();
-            std::iter::repeat_with(move || rng.random::<f32>()).take(agents * agents)
-        });
-        draws.collect()
-    };
-    let (lost, falsified) = (uniform("lost"), uniform("falsified"));
-    // Without falsified messages, or for algorithms without messages, a content of width 1
-    // suffices.
-    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
-    let mut content = vec![0.0; falsified.len() * width];
-    for (k, content) in content.chunks_mut(width).enumerate() {
-        let (world, pair) = (k / (agents * agents), k % (agents * agents));
-        let told = pair / agents != pair % agents && comm[k] > 0.0;
-        if told && f64::from(falsified[k]) < channel.falsified {
-            rng::fill_normal(
-                &mut sources[world].child("content").index(pair as u64).rng(),
-                content,
-            );
-        }
-    }
-    let view = |values: &[f32]| Tensor::from_slice(values).view([e, n, n, -1]);
-    let flat = |values: &[f32]| view(values).squeeze_dim(-1);
-    ChannelNoise { lost: flat(&lost), falsified: flat(&falsified), content: view(&content) }
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ const ALLOWED: [(&str, &[&str]); 23] = [
     ("plot", &["record"]),
     ("config", &["algo", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
-    ("evaluate", &["algo", "env", "replay", "rng", "stats", "sumo"]),
+    ("evaluate", &["algo", "env", "replay", "rng", "rollout", "stats", "sumo"]),
     (
         "train",
         &[

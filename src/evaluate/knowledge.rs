@@ -12,14 +12,11 @@
 use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
 use tch::{Kind, Tensor};
 
+use super::latent::{DETERMINED, Knowledge, Probe};
 use crate::algo::Reconstruction;
 
-/// Limit from which a target feature counts as determined by the observation: the share of its
-/// variance that the probe explains in episodes on which it was not fitted.
-pub const DETERMINED: f64 = 0.99;
 /// Ridge penalty of the regression on standardised features. If a target equals a feature of the
 /// observation, the share of its variance that remains unexplained is at most a quarter of this
 /// value.
@@ -31,48 +28,6 @@ const FEWEST_EPISODES: usize = 4;
 /// Minimum number of samples per feature of the observation for fitting; with fewer there is no
 /// probe.
 const FEWEST_SAMPLES: f64 = 10.0;
-
-/// How well a decoder predicts its target from a latent, over the active agents in every eighth
-/// step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Knowledge {
-    /// The target: `world` (the privileged state) or `interaction` (the agent's message).
-    pub name: &'static str,
-    /// Mean squared error over samples and features.
-    pub error: f64,
-    /// Share of the target's variance that the decoder explains: 1 is perfect, 0 is as good as
-    /// predicting the mean.
-    pub explained: f64,
-    /// Comparison with a linear probe from the observation; `None` with too few episodes or
-    /// samples.
-    pub probe: Option<Probe>,
-}
-
-/// Comparison of a decoder with a linear probe from the raw observation, on episodes on which the
-/// probe was not fitted. Features that hardly vary are left out.
-///
-/// A linear probe finds only weighted sums of the observation's features. A feature that the
-/// observation determines in another way (a product, a minimum, a case distinction) counts as
-/// undetermined. The number of undetermined features is therefore an upper bound of the number that
-/// the observation leaves open.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Probe {
-    /// Number of samples on which probe and decoder are compared.
-    pub samples: u64,
-    /// Number of features of the target that vary.
-    pub features: usize,
-    /// Share of the variance of all these features that the probe explains.
-    pub explained: f64,
-    /// Number of features that the observation does not determine: the probe explains less than
-    /// [`DETERMINED`].
-    pub undetermined: usize,
-    /// Share of the variance of the undetermined features that the decoder explains; `None` if all
-    /// features are determined.
-    pub undetermined_explained: Option<f64>,
-    /// Share of the variance of the undetermined features that the probe explains; `None` if all
-    /// features are determined.
-    pub undetermined_probe_explained: Option<f64>,
-}
 
 /// Sums over samples from which [`Knowledge`] is computed. Index 0 is the half for fitting, index 1
 /// the half for comparing.
@@ -136,8 +91,8 @@ impl Sums {
                 Tensor::cat(&[&Tensor::ones([x.size()[0], 1], (Kind::Double, x.device())), &x], 1);
             let transposed = x.tr();
             accumulate(&mut self.observations[half], transposed.matmul(&x));
-            for Reconstruction { name, found, truth } in all {
-                let (prediction, target) = (rows(found, &chosen), rows(truth, &chosen));
+            for Reconstruction { name, prediction, target } in all {
+                let (prediction, target) = (rows(prediction, &chosen), rows(target, &chosen));
                 let sum = |x: Tensor| x.sum_dim_intlist(&[0_i64][..], false, Kind::Double);
                 let sums = TargetSums {
                     products: transposed.matmul(&target),
@@ -364,13 +319,13 @@ mod tests {
                         all.iter_mut().zip(sample).for_each(|(all, one)| all.extend(one));
                     }
                 }
-                let [observation, truth, found] = all.map(|values| {
+                let [observation, target, prediction] = all.map(|values| {
                     Tensor::from_slice(&values).view([WORLDS as i64, AGENTS as i64, -1])
                 });
                 let active =
                     Tensor::ones([WORLDS as i64, AGENTS as i64], (Kind::Float, tch::Device::Cpu));
                 sums.add(
-                    &[Reconstruction { name: "world", found, truth }],
+                    &[Reconstruction { name: "world", prediction, target }],
                     &observation,
                     &active,
                     &episodes,

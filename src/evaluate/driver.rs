@@ -1,0 +1,114 @@
+//! Computes the actions of a policy in the worlds of an evaluation.
+
+use rand::RngExt as _;
+
+use super::{Knowledge, Policy, WORLDS};
+use crate::env::{Task, VecEnv};
+use crate::replay::{RecordedDiagnostics, Recorder};
+use crate::rng::{self, Seed};
+
+/// A policy with a state of its own, such as a trained one.
+pub trait Controller {
+    /// Returns an actor that draws all its random numbers from `seed`, by episode and step.
+    fn actor<'a>(&'a self, task: &'a Task, seed: Seed) -> Box<dyn Actor + 'a>;
+}
+
+/// Chooses the actions of all worlds of an evaluation.
+pub trait Actor {
+    /// Forgets everything about the worlds: others follow.
+    fn begin(&mut self);
+
+    /// Chooses the actions of all worlds, and returns diagnostics of the decision in the world
+    /// `watched`.
+    fn act(
+        &mut self,
+        env: &VecEnv,
+        actions: &mut [f32],
+        watched: Option<usize>,
+    ) -> RecordedDiagnostics;
+
+    /// Returns how well the policy's latent predicted its targets so far.
+    fn knowledge(&self) -> Vec<Knowledge>;
+}
+
+/// Computes actions from frames. All randomness depends only on seed, episode and step.
+pub(super) struct PolicyDriver<'a> {
+    pub(super) policy: &'a Policy<'a>,
+    task: &'a Task,
+    seed: Seed,
+    pub(super) actions: Vec<f32>,
+    pub(super) actor: Option<Box<dyn Actor + 'a>>,
+    pub(super) recorder: Option<&'a mut Recorder>,
+}
+
+impl<'a> PolicyDriver<'a> {
+    pub(super) fn new(
+        policy: &'a Policy<'a>,
+        task: &'a Task,
+        seed: Seed,
+        recorder: Option<&'a mut Recorder>,
+    ) -> Self {
+        let actor = match policy {
+            Policy::Learned(controller) => Some(controller.actor(task, seed)),
+            _ => None,
+        };
+        Self { policy, task, seed, actions: Vec::new(), actor, recorder }
+    }
+
+    /// Forgets everything about the worlds: others follow.
+    pub(super) fn begin(&mut self) {
+        self.actions = vec![0.0; WORLDS * self.task.agents * self.task.spec.actions.len()];
+        if let Some(actor) = &mut self.actor {
+            actor.begin();
+        }
+    }
+
+    pub(super) fn act(&mut self, env: &VecEnv) {
+        let worlds = env.worlds();
+        let watched = env
+            .worlds()
+            .enumerate()
+            .find(|(_, world)| self.recorder.as_ref().is_some_and(|r| r.watches(world)));
+        let mut diagnostics = RecordedDiagnostics::default();
+        let width = self.task.agents * self.task.spec.actions.len();
+        match self.policy {
+            Policy::Throttle(throttle) => {
+                // With two actions, the first is the steering.
+                let actions = self.task.spec.actions.len();
+                for action in self.actions.chunks_mut(actions) {
+                    action.fill(0.0);
+                    action[actions - 1] = *throttle;
+                }
+            }
+            Policy::Pursuit(pursuit) => {
+                worlds
+                    .zip(self.actions.chunks_mut(width))
+                    .for_each(|(world, acts)| world.pursue(*pursuit, acts));
+            }
+            Policy::Sumo => {}
+            Policy::Gaussian | Policy::Uniform => {
+                for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
+                    let mut rng =
+                        self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
+                    if matches!(self.policy, Policy::Gaussian) {
+                        rng::fill_normal(&mut rng, actions);
+                    } else {
+                        actions.fill_with(|| rng.random_range(-1.0..1.0));
+                    }
+                }
+            }
+            Policy::Learned(_) => {
+                let actor = self.actor.as_mut().expect("a trained policy has an actor");
+                diagnostics = actor.act(env, &mut self.actions, watched.map(|(world, _)| world));
+            }
+        }
+        if let (Some(recorder), Some((e, world))) = (&mut self.recorder, watched) {
+            let actions = if matches!(self.policy, Policy::Sumo) {
+                &[][..]
+            } else {
+                &self.actions[e * width..][..width]
+            };
+            recorder.decide(world, actions, &diagnostics);
+        }
+    }
+}
