@@ -36,6 +36,12 @@ impl Setup {
         if !args.set.is_empty() {
             bail!(crate::cli::absent::needs_learn("`--set`"));
         }
+        if args.device != "cpu" {
+            bail!(crate::cli::absent::needs_learn("`--device`"));
+        }
+        if args.agents == Some(0) {
+            bail!("--agents 0: allowed: at least 1");
+        }
         let path = args.scenario.as_ref().context("no scenario given; name one with --scenario")?;
         let scenario = Scenario::load(path)?;
         let agents = args.agents.unwrap_or(scenario.agents.default);
