@@ -12,10 +12,10 @@ export PATH := $(PATH):$(HOME)/.cargo/bin
 
 # One cargo at a time, whatever -j says: they would only wait for each other's lock.
 .NOTPARALLEL:
-.PHONY: help bootstrap build demo test lint bench
+.PHONY: help bootstrap build demo test lint check-client bench
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
 
 bootstrap: ## install what is missing: SUMO, build tools, Python headers, libtorch
 	@scripts/bootstrap
@@ -30,10 +30,14 @@ test: ## run every test: unit, integration (against the real SUMO) and documenta
 	@scripts/bootstrap --tests
 	$(CARGO) test --locked --features "$(FEATURES)"
 
-lint: bootstrap ## check formatting, clippy's lints and the documentation; a warning is an error
+lint: bootstrap check-client ## check formatting, clippy's lints and the documentation; a warning is an error
 	$(CARGO) fmt --check
 	$(CARGO) clippy --locked --all-targets --features "$(FEATURES)" -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --features "$(FEATURES)"
+
+check-client: ## check that library and program build without libtorch (without the feature `learn`)
+	$(CARGO) clippy --locked --no-default-features -- -D warnings
+	$(CARGO) clippy --locked --no-default-features --features "$(FEATURES)" -- -D warnings
 
 bench: bootstrap ## measure speed with criterion
 	$(CARGO) bench --locked --features "$(FEATURES)"

@@ -1,7 +1,8 @@
 //! Build script. It tells the program the commit from which it is built, and the linker where
 //! libtorch is, so that programs, tests, examples and benches find libtorch at run time without
 //! environment variables. The folder of libtorch is `LIBTORCH`, which `.cargo/config.toml` sets to
-//! the link `.libtorch` that `scripts/bootstrap` creates.
+//! the link `.libtorch` that `scripts/bootstrap` creates. Without the feature `learn`, libtorch is
+//! neither needed nor looked for.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -11,6 +12,13 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     describe_checkout();
     println!("cargo::rerun-if-env-changed=LIBTORCH");
+    if env::var_os("CARGO_FEATURE_LEARN").is_some() {
+        link_libtorch();
+    }
+}
+
+/// Tells the linker and the program where libtorch is.
+fn link_libtorch() {
     let Some(libtorch) = env::var_os("LIBTORCH").map(PathBuf::from) else {
         fail(
             "LIBTORCH is not set, and .cargo/config.toml, which sets it, was not read: run cargo inside the repository",

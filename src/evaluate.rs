@@ -4,23 +4,26 @@
 //! Episode `i` depends only on `(seed, i)`, so results do not depend on the number of worlds.
 
 mod driver;
+#[cfg(feature = "learn")]
 mod knowledge;
+#[cfg(feature = "learn")]
+mod learned;
 
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::algo::{Algorithm, Channel};
 use crate::env::{self, Driver, EpisodeRecord, Pursuit, Task, VecEnv, VecOptions};
 use crate::metrics::WINDOW;
 use crate::replay::Recorder;
 use crate::rng::Seed;
 use crate::sumo::Hosting;
 
-pub use crate::metrics::{Knowledge, Metrics, Probe};
+pub use crate::metrics::{DETERMINED, Knowledge, Metrics, Probe};
 use driver::PolicyDriver;
-pub use knowledge::DETERMINED;
-use knowledge::Sums;
+pub use driver::{Actor, Controller};
+#[cfg(feature = "learn")]
+pub use learned::LearnedPolicy;
 
 /// Number of worlds that run at a time. A learned policy always gets this number of rows, whatever
 /// the machine and the number of episodes, so that episodes are reproducible to the last bit.
@@ -40,8 +43,8 @@ pub enum Policy<'a> {
     Uniform,
     /// SUMO's own car-following and right-of-way model.
     Sumo,
-    /// The mean actions of a trained policy; messages pass through a channel.
-    Learned(&'a dyn Algorithm, Channel),
+    /// A trained policy.
+    Learned(&'a dyn Controller),
 }
 
 /// Names of the policies without training, as on the command line.
@@ -119,9 +122,9 @@ pub fn evaluate(
     observer: EvaluationObserver<'_>,
 ) -> Result<Evaluation, env::Error> {
     let EvaluationObserver { stop, report, recorder } = observer;
-    let stage = Stage { task, policy, seed, hosting, stop };
-    let mut watch = Watch { knowledge: Sums::default(), recorder };
-    let mut records = stage.play(0..episodes, RETRIES, &mut watch, report)?;
+    let mut driver = PolicyDriver::new(policy, task, seed.child("actions"), recorder);
+    let stage = Stage { task, seed, hosting, stop };
+    let mut records = stage.play(0..episodes, RETRIES, &mut driver, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -132,7 +135,7 @@ pub fn evaluate(
             return Ok(Evaluation {
                 episodes: records,
                 windows,
-                reconstruction: watch.knowledge.finish(),
+                reconstruction: driver.actor.map(|actor| actor.knowledge()).unwrap_or_default(),
             });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
@@ -140,7 +143,7 @@ pub fn evaluate(
         extra.extend(stage.play(
             next..next + missing.div_ceil(mean) as u64,
             RETRIES,
-            &mut watch,
+            &mut driver,
             &mut |_| {},
         )?);
     }
@@ -163,16 +166,9 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
     sums
 }
 
-/// Collectors of data while episodes are played.
-struct Watch<'a> {
-    knowledge: Sums,
-    recorder: Option<&'a mut Recorder>,
-}
-
 /// Parameters that all episodes of an evaluation share.
 struct Stage<'a> {
     task: &'a Arc<Task>,
-    policy: &'a Policy<'a>,
     seed: Seed,
     hosting: &'a Hosting,
     stop: &'a AtomicBool,
@@ -185,11 +181,11 @@ impl Stage<'_> {
         &self,
         episodes: Range<u64>,
         retries: u32,
-        watch: &mut Watch<'_>,
+        policy: &mut PolicyDriver<'_>,
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
-        let driver = match self.policy {
+        let driver = match policy.policy {
             Policy::Sumo => Driver::Sumo,
             Policy::Pursuit(pursuit) if pursuit.gives_way => Driver::Rules,
             _ => Driver::Agents,
@@ -207,11 +203,11 @@ impl Stage<'_> {
             return Ok(records);
         }
         let mut env = VecEnv::new(self.task, &options)?;
-        let mut driver = PolicyDriver::new(self.policy, self.task, self.seed.child("actions"));
+        policy.begin();
         while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            driver.act(&env, watch);
-            env.step(&driver.actions)?;
-            if let Some(recorder) = &mut watch.recorder {
+            policy.act(&env);
+            env.step(&policy.actions)?;
+            if let Some(recorder) = &mut policy.recorder {
                 env.worlds().for_each(|world| recorder.reward(world));
             }
             let finished = env.take_finished();
@@ -227,7 +223,7 @@ impl Stage<'_> {
             if retries == 0 {
                 return Err(env::Error::KeepsFailing { episode, times: RETRIES + 1 });
             }
-            records.extend(self.play(episode..episode + 1, retries - 1, watch, &mut |_| {})?);
+            records.extend(self.play(episode..episode + 1, retries - 1, policy, &mut |_| {})?);
         }
         records.sort_by_key(|record| record.episode);
         Ok(records)

@@ -6,35 +6,57 @@
 //! - [`sumo`]: TraCI client, SUMO processes, nets
 //! - [`scenario`]: description of a task, as data
 //! - [`mod@env`]: the multi-agent environments; [`inspect`]: views and trial runs of a scenario
-//! - [`nn`], [`rollout`], [`algo`]: the learners
-//! - [`config`], [`train`], [`evaluate`], [`sweep`], [`checkpoint`], [`record`], [`plot`],
-//!   [`report`], [`replay`]: running them
-//! - [`metrics`]: the registry of what is measured; [`curves`]: learning curves; [`stats`]: intervals and aggregates over seeds; [`provenance`]: the program and machine that
-//!   computed a result
+//! - `nn`, `rollout`, `algo`: the learners
+//! - `config`, `train`, [`evaluate`], `sweep`, `checkpoint`, [`record`], [`plot`], `report`,
+//!   [`replay`]: running them
+//! - [`metrics`]: the registry of what is measured; `curves`: learning curves; [`stats`]: intervals
+//!   and aggregates over seeds; [`provenance`]: the program and machine that computed a result
+//!
+//! # Without libtorch
+//!
+//! The TraCI client, scenarios, environments and the evaluation of drivers without training need no
+//! libtorch. A project that uses only them turns the default feature `learn` off:
+//!
+//! ```toml
+//! [dependencies]
+//! iwol-sumo = { version = "0.2", default-features = false }
+//! ```
+//!
+//! The feature `libsumo` adds SUMO inside the process, besides processes of its own.
 
-pub mod algo;
-pub mod checkpoint;
-pub mod config;
-pub mod curves;
 pub mod env;
 pub mod evaluate;
 mod fnv;
 pub mod inspect;
 mod markup;
 pub mod metrics;
-pub mod nn;
 pub mod plot;
 pub mod provenance;
 pub mod record;
 pub mod replay;
-pub mod report;
 pub mod rng;
-pub mod rollout;
 pub mod scenario;
 pub mod stats;
 pub mod suggest;
 pub mod sumo;
+
+#[cfg(feature = "learn")]
+pub mod algo;
+#[cfg(feature = "learn")]
+pub mod checkpoint;
+#[cfg(feature = "learn")]
+pub mod config;
+#[cfg(feature = "learn")]
+pub mod curves;
+#[cfg(feature = "learn")]
+pub mod nn;
+#[cfg(feature = "learn")]
+pub mod report;
+#[cfg(feature = "learn")]
+pub mod rollout;
+#[cfg(feature = "learn")]
 pub mod sweep;
+#[cfg(feature = "learn")]
 pub mod train;
 
 /// Runs the examples of the README as doctests.

@@ -17,7 +17,7 @@ use crate::stats::Estimate;
 
 use metric::{BRAKING, FINE, FINE_SECONDS, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS};
 pub use metric::{Better, Metric, Scale, Shown};
-pub use result::{EvaluationResult, KmPerCrash, Knowledge, Probe};
+pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 
 /// Number of steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;

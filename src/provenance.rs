@@ -159,6 +159,7 @@ mod tests {
         assert_eq!(library_path("7f00-7f10 rw-p 00000000 00:00 0 ", "libtorch_cpu.so"), None);
     }
 
+    #[cfg(feature = "learn")]
     #[test]
     fn this_process_has_loaded_libtorch() {
         assert_eq!(tch::Tensor::from_slice(&[1.0_f32]).size(), [1]);

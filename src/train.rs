@@ -5,13 +5,14 @@
 //! nothing.
 
 mod collect;
+mod error;
 mod files;
 mod meta;
 mod noise;
 mod run_dir;
 mod schedule;
+mod setup;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -20,15 +21,15 @@ use serde::Serialize;
 use tch::Tensor;
 
 use crate::algo::{self, Algorithm, Losses, UpdateParameters};
-use crate::checkpoint::{self, Checkpoint, Progress};
-use crate::config::{self, Config};
-use crate::env::{self, Driver, EpisodeRecord, Task, VecEnv, VecOptions, WorldState};
-use crate::evaluate::{Evaluation, EvaluationObserver, Policy, evaluate};
-use crate::record;
+use crate::checkpoint::{Checkpoint, Progress};
+use crate::config::Config;
+use crate::env::{EpisodeRecord, Task, VecEnv, WorldState};
+use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
 
+pub use error::Error;
 use files::Files;
 pub use run_dir::RunDir;
 
@@ -117,107 +118,6 @@ impl Trainer {
         Self::build(config, scenario, Some(checkpoint))
     }
 
-    fn build(
-        config: Config,
-        scenario: Scenario,
-        checkpoint: Option<&Checkpoint>,
-    ) -> Result<Self, Error> {
-        let seed = Seed::new(config.seed);
-        let mut task = Task::new(&scenario, config.agents)?;
-        let fewest = config.train.fewest_agents;
-        if fewest > config.agents {
-            return Err(Error::TooFew { fewest, agents: config.agents });
-        }
-        if fewest > 0 {
-            task = task.with_fewest(fewest as usize);
-        }
-        let task = Arc::new(task);
-        let device = config.device.find()?;
-        let mut learner = algo::build(
-            &config.algorithm,
-            &task.spec,
-            &config.settings(),
-            seed.child("weights"),
-            device,
-        )?;
-        let worlds = config.train.envs;
-        let options = VecOptions {
-            worlds,
-            driver: Driver::Agents,
-            seed: seed.child("episodes"),
-            episodes: 0..u64::MAX,
-            replay: config.train.repeat_failed,
-            hosting: config.hosting(),
-        };
-        let sizes = Sizes {
-            steps: config.train.rollout_steps,
-            envs: worlds,
-            agents: task.agents,
-            observation: task.spec.observation.len(),
-            state: task.spec.state.len(),
-            actions: task.spec.actions.len(),
-            memory: learner.memory(),
-            graphs: learner.graphs(),
-        };
-        let shape = [worlds as i64, task.agents as i64, learner.memory() as i64];
-        let count = worlds * task.agents * learner.memory();
-        let (env, memory, progress) = match checkpoint {
-            None => {
-                let path = &config.init_from;
-                if !path.as_os_str().is_empty() {
-                    let stored = Checkpoint::load(&RunDir::checkpoint(path))?;
-                    if stored.algorithm != config.algorithm {
-                        let (of, trained) = (stored.algorithm, config.algorithm);
-                        return Err(Error::OtherMethod { path: path.clone(), of, trained });
-                    }
-                    let unfit = |source| Error::InitFrom { path: path.clone(), source };
-                    learner.load_weights(&stored.learner).map_err(unfit)?;
-                }
-                let first = Progress {
-                    next_validation: config.train.validate_every,
-                    ..Progress::default()
-                };
-                (VecEnv::new(&task, &options)?, vec![0.0; count], first)
-            }
-            Some(stored) => {
-                same_run(&config, stored)?;
-                let width = task.agents * task.spec.actions.len();
-                let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
-                let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
-                let fits = carried.is_none_or(|(_, t)| {
-                    t.size() == [(worlds * task.agents) as i64, config.network.hidden]
-                });
-                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits
-                {
-                    return Err(Error::OtherRun { key: other_shape(&config, stored) });
-                }
-                learner.load(&stored.learner)?;
-                let before = toml::from_str::<toml::Table>(&stored.config)
-                    .ok()
-                    .and_then(|t| t.get("steps")?.as_integer());
-                let mut progress = stored.progress.clone();
-                schedule::extended(&config, &mut progress, before.map_or(0, i64::cast_unsigned));
-                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
-            }
-        };
-        let mut rollout = Rollout::new(sizes);
-        rollout.cooperation = task.scenario.reward.cooperation;
-        rollout.bootstrap_horizon = config.train.bootstrap_horizon;
-        Ok(Self {
-            rollout,
-            memory: Tensor::from_slice(&memory).view(shape),
-            config,
-            scenario,
-            task,
-            env,
-            learner,
-            progress,
-            seed,
-            finished: Vec::new(),
-            timers: Timers::default(),
-        })
-    }
-
     /// Returns the learner.
     pub fn learner(&self) -> &dyn Algorithm {
         &*self.learner
@@ -276,9 +176,10 @@ impl Trainer {
     /// If SUMO fails twice in a row.
     pub fn validate(&mut self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         self.learner.swap_average();
+        let policy = LearnedPolicy { learner: &*self.learner, channel: algo::Channel::default() };
         let evaluation = evaluate(
             &self.task,
-            &Policy::Learned(&*self.learner, algo::Channel::default()),
+            &Policy::Learned(&policy),
             self.config.train.validation_episodes,
             self.seed.child("validation"),
             // The training worlds may use libsumo, which a process can have only once.
@@ -405,31 +306,6 @@ impl Trainer {
     }
 }
 
-/// Refuses to resume a run with settings under which its worlds cannot be restored.
-fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
-    const ONCE: [&str; 6] =
-        ["algorithm", "agents", "seed", "train.envs", "train.rollout_steps", "train.fewest_agents"];
-    let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
-    let changed = config::changes(&stored.config, &config.to_toml());
-    changed
-        .into_iter()
-        .find(|c| other(&c.key))
-        .map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
-}
-
-/// Returns the setting that gives a run memories or worlds of another shape than the checkpoint's.
-fn other_shape(config: &Config, stored: &Checkpoint) -> String {
-    let changed =
-        config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
-    let of_networks = |key: &String| {
-        !["train.", "ppo.", "simulation."].iter().any(|group| key.starts_with(group))
-    };
-    changed
-        .filter(|key| key.contains('.'))
-        .find(of_networks)
-        .unwrap_or_else(|| "train.envs".to_owned())
-}
-
 fn timed<R>(total: &mut f64, work: impl FnOnce() -> R) -> R {
     let begin = Instant::now();
     let result = work();
@@ -445,78 +321,4 @@ pub fn human_duration(duration: Duration) -> String {
     } else {
         format!("{} min {:02} s", s / 60, s % 60)
     }
-}
-
-/// An error in training.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// A world failed.
-    #[error(transparent)]
-    Env(#[from] env::Error),
-    /// The learner failed.
-    #[error(transparent)]
-    Algorithm(#[from] algo::Error),
-    /// A file of the run cannot be written.
-    #[error(transparent)]
-    Record(#[from] record::Error),
-    /// A checkpoint cannot be read or written.
-    #[error(transparent)]
-    Checkpoint(#[from] checkpoint::Error),
-    /// The requested device is not available.
-    #[error(transparent)]
-    Device(#[from] algo::NoDevice),
-    /// The initial weights do not fit this run's networks.
-    #[error("the weights in `{}` do not fit this run's networks and observations", path.display())]
-    InitFrom {
-        /// The checkpoint.
-        path: PathBuf,
-        /// The mismatch.
-        source: algo::Error,
-    },
-    /// The initial weights belong to another method.
-    #[error(
-        "`{}` contains a policy of {of}, but this run trains {trained}, which has other networks",
-        path.display()
-    )]
-    OtherMethod {
-        /// The checkpoint.
-        path: PathBuf,
-        /// Method of the checkpoint.
-        of: String,
-        /// Method of this run.
-        trained: String,
-    },
-    /// The run folder cannot be created.
-    #[error("cannot create the run folder `{}`", path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// Another process trains in the folder.
-    #[error("another process is training in `{}`; wait for it, or choose another folder", path.display())]
-    Locked {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The least number of agents in an episode exceeds the number of agents.
-    #[error(
-        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents"
-    )]
-    TooFew {
-        /// The setting `train.fewest_agents`.
-        fewest: u32,
-        /// The setting `agents`.
-        agents: u32,
-    },
-    /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
-    #[error(
-        "the checkpoint was written with another `{key}`; resume with the settings in the config.toml of its run folder"
-    )]
-    OtherRun {
-        /// The first setting that differs.
-        key: String,
-    },
 }

@@ -25,7 +25,7 @@ const ALLOWED: [(&str, &[&str]); 26] = [
     ("checkpoint", &["env", "record"]),
     ("metrics", &["env", "provenance", "stats"]),
     ("curves", &["metrics", "plot", "record", "stats"]),
-    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "sumo"]),
+    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "rollout", "sumo"]),
     (
         "train",
         &[

@@ -538,7 +538,7 @@ fn where_nobody_is_left_nothing_breaks() {
             learner
                 .reconstruct(&input, &state)
                 .iter()
-                .all(|told| told.found.size() == told.truth.size())
+                .all(|told| told.prediction.size() == told.target.size())
         );
         let mut rollout = random_rollout(&*learner, 4, 3);
         rollout.active.fill(0.0);

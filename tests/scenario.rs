@@ -15,7 +15,7 @@ use std::{
 use iwol_sumo::{
     algo::{self, Channel},
     env::{EpisodeRecord, Task},
-    evaluate::{EvaluationObserver, Policy, evaluate},
+    evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar,
@@ -231,7 +231,8 @@ fn every_shipped_scenario_is_for_every_method() {
             let settings = algo::Settings::default();
             let learner =
                 algo::build(name, &task.spec, &settings, Seed::new(0), Device::Cpu).unwrap();
-            let policy = Policy::Learned(&*learner, Channel::default());
+            let learned = LearnedPolicy { learner: &*learner, channel: Channel::default() };
+            let policy = Policy::Learned(&learned);
             // One episode is enough; a whole window of the throughput metric would take hundreds.
             let stop = AtomicBool::new(false);
             let observer = EvaluationObserver {

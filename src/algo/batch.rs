@@ -3,9 +3,14 @@
 use tch::{Device, Kind, Tensor};
 
 use super::ppo;
+use crate::nn::graph::edge_rate;
 use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
+
+/// Name of a diagnostic: the share of the physically possible edges of the learned graph that are
+/// open.
+pub(super) const EDGE_RATE: &str = "graph/edge_rate";
 
 /// A rollout as tensors. The first dimension is the row `t · E + e` of step t and environment e.
 pub(super) struct Batch {
@@ -265,6 +270,12 @@ impl Shard {
         tensors: [&Tensor; K],
     ) -> [Tensor; K] {
         packing.take(tensors, &self.samples)
+    }
+
+    /// Returns the share of the physically possible edges of a graph that are open, a mean over the
+    /// active samples. `graph` and `comm` hold this shard's rows, `[L · C, N, N]`.
+    pub(super) fn edge_rate(&self, graph: &Tensor, comm: &Tensor) -> Tensor {
+        self.pick(&edge_rate(graph, comm).unsqueeze(-1)).mean(Kind::Float)
     }
 
     /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to

@@ -6,9 +6,9 @@
 //! for all rounds, because agents send only once per decision.
 
 use serde::{Deserialize, Serialize};
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
-use super::Observation;
+use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
 
 /// Disturbances of messages.
@@ -62,6 +62,16 @@ pub struct ChannelNoise {
     pub falsified: Tensor,
     /// Standard normal, `[E, N, N, H]`; needed only where messages are falsified.
     pub content: Tensor,
+}
+
+impl ChannelNoise {
+    pub(super) fn to(&self, device: Device) -> Self {
+        Self {
+            lost: self.lost.to_device(device),
+            falsified: self.falsified.to_device(device),
+            content: self.content.to_device(device),
+        }
+    }
 }
 
 /// The embeddings that receivers know after the exchange.
@@ -183,8 +193,6 @@ impl Channel {
 
 #[cfg(test)]
 mod tests {
-    use tch::Device;
-
     use super::*;
 
     const CPU: (Kind, Device) = (Kind::Float, Device::Cpu);
@@ -245,7 +253,7 @@ mod tests {
         let (heard, _) = send(&channel, &f, 0.0, &Tensor::zeros([1, N, 0], CPU), &noise(1.0, 0.4));
         for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
             let same = numbers(&heard.embedding.get(0).get(i).get(j)) == numbers(&f.get(0).get(j));
-            assert_eq!(same, i == j, "{i} scope {j}");
+            assert_eq!(same, i == j, "{i} hears {j}");
         }
     }
 

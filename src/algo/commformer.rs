@@ -35,22 +35,28 @@
 //! Observation encoder, value, noise and absent agents are as in [`mat`](super::mat).
 //! `commformer.lambda_world` adds IWoL's world decoder.
 //!
+//! Shapes: scores of the links `[N, N]`, row = listener; graph `[rows, N, N]`; representations
+//! `[rows, N, H]`.
+//!
 //! The graph links N slots, so that a policy serves only as many agents as it was trained with,
 //! though some may be absent. Where slots are assigned anew in each episode, as on the
 //! intersection, no link is better than another, and the graph has nothing to learn.
 
 use tch::{Kind, Tensor};
 
-use super::batch::{Batch, Shard};
-use super::core::{EDGE_RATE, Loss, Networks};
+use super::CommunicationScope;
+use super::batch::{Batch, EDGE_RATE, Shard};
+use super::critic::{ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder, ParameterGroup};
 use super::scene::Scene;
 use super::sequence::{Input, Order, Sequence, ValueHead};
-use super::{ActMode, CommunicationScope, Decision, Observation, Reconstruction, Settings, ppo};
+use super::settings::Settings;
 use crate::env::EnvSpec;
-use crate::nn::graph::{edge_rate, sample_best, with_self_loops};
+use crate::nn::graph::{sample_best, with_self_loops};
 use crate::nn::{AdamConfig, Dropout, Init, Reach, RelationBlock, TransformerDecoder, ValueNorm};
 
 /// The group of the graph's scores.
@@ -107,12 +113,6 @@ impl CommFormer {
         let order = Order::new(&scene.present(), &graph, &reach);
         Represented { representation, order, graph, memory }
     }
-
-    /// Returns the loss of the world decoder on representations `[rows, N, H]`, if there is a
-    /// decoder.
-    fn world_loss(&self, batch: &Batch, shard: &Shard, representation: &Tensor) -> Option<Tensor> {
-        self.world.as_ref().map(|world| world.loss(batch, shard, &shard.pick(representation)))
-    }
 }
 
 impl Networks for CommFormer {
@@ -140,9 +140,7 @@ impl Networks for CommFormer {
             heads,
             related,
         );
-        let world = |builder: &mut ParameterBuilder| {
-            WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, hidden)
-        };
+        let lambda = settings.commformer.lambda_world;
         Self {
             edges: builder.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
             links: ((agents as f64 * settings.commformer.sparsity) as i64).clamp(1, agents),
@@ -152,29 +150,24 @@ impl Networks for CommFormer {
             value: ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden),
             sequence: Sequence {
                 decoder,
-                head: GaussianHead::new(
-                    builder.of(ACTOR).sub("head"),
-                    hidden,
-                    &spec.actions,
-                    &settings.exploration,
-                ),
+                head: GaussianHead::of_actor(builder, hidden, spec, settings),
                 actions,
             },
-            world: (settings.commformer.lambda_world > 0.0).then(|| world(builder)),
+            world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
         }
     }
 
     fn rate(
-        set: ParameterGroup,
+        group: ParameterGroup,
         epoch: usize,
         learning_rate: f64,
         settings: &Settings,
     ) -> Option<f64> {
-        let turn = (epoch + 1).is_multiple_of(settings.commformer.graph_every);
-        if set == GRAPH {
-            turn.then_some(learning_rate * settings.commformer.graph_rate)
+        let trains_graph = (epoch + 1).is_multiple_of(settings.commformer.graph_every);
+        if group == GRAPH {
+            trains_graph.then_some(learning_rate * settings.commformer.graph_rate)
         } else {
-            (!turn).then_some(learning_rate)
+            (!trains_graph).then_some(learning_rate)
         }
     }
 
@@ -186,25 +179,59 @@ impl Networks for CommFormer {
         self.input.memory()
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let noise = match mode {
-            ActMode::Deterministic => None,
-            ActMode::Sample { graph, .. } => Some(*graph),
-        };
-        let Represented { representation, order, memory, .. } =
-            self.represent(&Scene::of(input, noise));
-        let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        let memory = memory
-            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
-        Decision { action, log_prob, memory }
+    fn critic(&self) -> &dyn ValueFunction {
+        self
     }
 
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        Some(self.value.forward(&self.represent(&Scene::of(input, None)).representation, state))
+    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        let Represented { representation, order, memory, .. } =
+            self.represent(&Scene::of(input, mode.graph_noise()));
+        let (action, log_prob) = self.sequence.act(&representation, &order, mode);
+        Decision { action, log_prob, memory: input.memory_after(memory) }
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
         Some(self.represent(&Scene::of(input, None)).graph)
+    }
+
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let rate = settings.commformer.dropout;
+        let dropout = (rate > 0.0).then(|| Dropout::new(rate, shard.seed.rng()));
+        let Represented { representation, order, graph, .. } =
+            self.represent_with(&scene, dropout.as_ref());
+        let edges = shard.edge_rate(&graph, &scene.comm);
+        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
+        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
+        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
+        let policy = PolicyTerms::new(
+            batch,
+            shard,
+            self.head(),
+            &shard.pick(&read),
+            &settings.ppo,
+            Ratio::PerDimension,
+        );
+        let world = |world: &WorldDecoder| world.loss(batch, shard, &shard.pick(&representation));
+        Loss::new(&policy.loss + &value, &value, [(EDGE_RATE, &edges)], &policy)
+            .with_world(settings.commformer.lambda_world, self.world.as_ref().map(world))
+    }
+
+    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
+        let reconstruct = |world: &WorldDecoder| {
+            world.reconstruct(&self.represent(&Scene::of(input, None)).representation, input, state)
+        };
+        self.world.as_ref().map(reconstruct).into_iter().collect()
+    }
+}
+
+impl ValueFunction for CommFormer {
+    fn memory(&self) -> i64 {
+        0
+    }
+
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        Some(self.value.forward(&self.represent(&Scene::of(input, None)).representation, state))
     }
 
     fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
@@ -215,40 +242,5 @@ impl Networks for CommFormer {
             self.value.forward(&self.represent(scene).representation, state)
         };
         (rows.in_parts(&batch.state, value), None)
-    }
-
-    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let rate = settings.commformer.dropout;
-        let dropout = (rate > 0.0).then(|| Dropout::new(rate, shard.seed.rng()));
-        let Represented { representation, order, graph, .. } =
-            self.represent_with(&scene, dropout.as_ref());
-        let edges = shard.pick(&edge_rate(&graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
-        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
-        let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
-        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy = PolicyTerms::new(
-            batch,
-            shard,
-            self.head(),
-            &shard.pick(&read),
-            &settings.ppo,
-            Ratio::PerDimension,
-        );
-        let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];
-        report.extend(policy.report());
-        let mut total = &policy.loss + value;
-        if let Some(loss) = self.world_loss(batch, shard, &representation) {
-            report.push(("loss/world", loss.detach()));
-            total += settings.commformer.lambda_world * loss;
-        }
-        Loss { total, report }
-    }
-
-    fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let reconstruct = |world: &WorldDecoder| {
-            world.reconstruct(&self.represent(&Scene::of(input, None)).representation, input, state)
-        };
-        self.world.as_ref().map(reconstruct).into_iter().collect()
     }
 }

@@ -3,14 +3,30 @@
 
 use tch::Tensor;
 
-use super::Observation;
 use super::batch::{Batch, Shard};
+use super::decision::Observation;
 use super::encoder::{Encoder, encode_active, encode_rows};
-use super::settings::Network;
+use super::ppo;
+use super::settings::{Network, Ppo};
 use crate::env::{EnvSpec, Features};
-use crate::nn::{Init, Linear, Path};
+use crate::nn::{Init, Linear, Path, ValueNorm};
 
-/// A value function: an encoder and a linear layer.
+/// The value function of a method.
+pub(super) trait ValueFunction {
+    /// Returns the width of its memory per agent; 0 where it has none of its own.
+    fn memory(&self) -> i64;
+
+    /// Returns the values (normalised) at one decision, `[E, N]`; `None` where the value function
+    /// has a memory, because that memory is not kept outside training.
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor>;
+
+    /// Returns the values (normalised) of all rows of C sequences of `length` steps, `[rows, N]`,
+    /// and the memory after each step, `[length, C · N, M]`, if there is one. `memory` is the
+    /// memory before the first step, `[C · N, M]`.
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>);
+}
+
+/// A value function of given features: an encoder and a linear layer.
 #[derive(Debug)]
 pub(super) struct Critic {
     encoder: Encoder,
@@ -62,31 +78,6 @@ impl PrivilegedCritic {
         Self(Critic::new(path, &spec.observation.join(&spec.state), network))
     }
 
-    /// Returns the width of the memory per agent.
-    pub(super) fn memory(&self) -> i64 {
-        self.0.memory()
-    }
-
-    /// Returns the values at one decision, as [`Critic::value`] does.
-    pub(super) fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        self.0.value(&Tensor::cat(&[&input.observation, state], -1), input)
-    }
-
-    /// Returns the values of all rows of a batch, as [`Critic::values`] does.
-    pub(super) fn values(
-        &self,
-        batch: &Batch,
-        length: i64,
-        memory: &Tensor,
-    ) -> (Tensor, Option<Tensor>) {
-        self.0.values(
-            &Tensor::cat(&[&batch.observation, &batch.state], -1),
-            &batch.keep,
-            length,
-            memory,
-        )
-    }
-
     /// Returns the values (normalised) of a shard's active samples, `[B]`.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
         let privileged = [&batch.observation, &batch.state];
@@ -94,4 +85,38 @@ impl PrivilegedCritic {
             encode_active(&self.0.encoder, shard, &privileged, &batch.value_memory, &batch.keep);
         self.0.value.forward(&f).squeeze_dim(-1)
     }
+}
+
+impl ValueFunction for PrivilegedCritic {
+    fn memory(&self) -> i64 {
+        self.0.memory()
+    }
+
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        self.0.value(&Tensor::cat(&[&input.observation, state], -1), input)
+    }
+
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        let privileged = Tensor::cat(&[&batch.observation, &batch.state], -1);
+        self.0.values(&privileged, &batch.keep, length, memory)
+    }
+}
+
+/// Returns the value loss of a shard from the critic's outputs for its active samples.
+pub(super) fn value_loss(
+    batch: &Batch,
+    shard: &Shard,
+    values: &Tensor,
+    norm: &ValueNorm,
+    ppo: &Ppo,
+) -> Tensor {
+    let target = norm.normalize(&shard.active(&batch.returns));
+    ppo::value_loss(
+        values,
+        &shard.active(&batch.value),
+        &target,
+        &target.ones_like(),
+        ppo.clip_range,
+        ppo.huber_delta,
+    )
 }

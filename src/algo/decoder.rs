@@ -3,8 +3,9 @@
 use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
+use super::decision::{Observation, Reconstruction};
+use super::parameters::{ACTOR, ParameterBuilder};
 use super::settings::{Settings, WorldTarget};
-use super::{Observation, Reconstruction};
 use crate::env::EnvSpec;
 use crate::nn::{Init, Linear, Path};
 
@@ -59,11 +60,23 @@ impl WorldDecoder {
         Self { decoder, target, share: settings.iwol.decoded }
     }
 
+    /// Creates the actor's `world` decoder of latents of width `inputs`, where its loss has a
+    /// weight.
+    pub(super) fn of_actor(
+        builder: &mut ParameterBuilder,
+        spec: &EnvSpec,
+        settings: &Settings,
+        inputs: i64,
+        weight: f64,
+    ) -> Option<Self> {
+        (weight > 0.0).then(|| Self::new(builder.of(ACTOR).sub("world"), spec, settings, inputs))
+    }
+
     /// Returns the mean squared error on a part of a shard's active samples, whose latents are
     /// `x: [B, D]`.
     pub(super) fn loss(&self, batch: &Batch, shard: &Shard, x: &Tensor) -> Tensor {
-        let truth = shard.active(self.target.of(&batch.observation, &batch.state));
-        self.decoder.loss(&shard.part(x, self.share), &shard.part(&truth, self.share))
+        let target = shard.active(self.target.of(&batch.observation, &batch.state));
+        self.decoder.loss(&shard.part(x, self.share), &shard.part(&target, self.share))
     }
 
     /// Returns the mean squared error on samples with latents `x: [B, D]` and these observations
@@ -79,7 +92,7 @@ impl WorldDecoder {
         input: &Observation,
         state: &Tensor,
     ) -> Reconstruction {
-        let truth = self.target.of(&input.observation, state).shallow_clone();
-        Reconstruction { name: "world", found: self.decoder.forward(x), truth }
+        let target = self.target.of(&input.observation, state).shallow_clone();
+        Reconstruction { name: "world", prediction: self.decoder.forward(x), target }
     }
 }

@@ -1,7 +1,9 @@
 //! The device that computes the networks.
 
 use serde::{Deserialize, Serialize};
-use tch::{Cuda, Device};
+use tch::{Cuda, Device, no_grad};
+
+use super::decision::{ActMode, Decision, Observation};
 
 /// The device that computes the networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,4 +68,29 @@ impl From<ComputeDevice> for String {
 pub struct NoDevice {
     number: usize,
     present: usize,
+}
+
+/// Makes one decision without gradients, on the device that holds the networks.
+pub(super) fn act_on(
+    device: Device,
+    input: &Observation,
+    mode: &ActMode<'_>,
+    act: impl Fn(&Observation, &ActMode<'_>) -> Decision,
+) -> Decision {
+    no_grad(|| {
+        if device == Device::Cpu {
+            return act(input, mode);
+        }
+        let input = input.to(device);
+        let decision = match mode {
+            ActMode::Deterministic => act(&input, mode),
+            ActMode::Sample { action, carried, graph, log_fresh } => {
+                let [action, carried, graph] =
+                    [action, carried, graph].map(|t| t.to_device(device));
+                let (action, carried, graph) = (&action, &carried, &graph);
+                act(&input, &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh })
+            }
+        };
+        decision.to(Device::Cpu)
+    })
 }

@@ -2,8 +2,8 @@
 
 use tch::Tensor;
 
-use super::Observation;
 use super::batch::Shard;
+use super::decision::Observation;
 use super::settings::{EncoderKind, Network};
 use crate::env::Features;
 use crate::nn::{Entity, Gru, LayerNorm, Mlp, Path, TokenGroup};
@@ -135,7 +135,5 @@ pub(super) fn encode_shard(
 /// decision, `[E, N, M]`.
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
-    let memory =
-        memory.map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
-    (f, memory)
+    (f, input.memory_after(memory))
 }

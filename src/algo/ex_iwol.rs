@@ -5,23 +5,26 @@
 //! Policy and value function each have their own message path. The policy's graph is sampled once
 //! per decision, and its noise is stored with the rollout, so that the update sees the graph that
 //! acted. A deployed policy uses the most likely graph.
+//!
+//! Shapes: embeddings f `[B, H]`, messages m `[B, D]`, policy and value on `[B, D + H]`, world
+//! decoder from m to the privileged state `[B, S]`. Differences from the paper are those of
+//! [`im_iwol`](super::im_iwol).
 
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
-use super::batch::{Batch, Shard};
-use super::core::{EDGE_RATE, Loss, Networks};
+use super::batch::{Batch, EDGE_RATE, Shard};
+use super::critic::{ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::message::{MessageCritic, MessageTrunk, Messages};
+use super::message::{MessageCritic, MessageTrunk};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::scene::Scene;
-use super::{
-    ActMode, Channel, ChannelNoise, CommunicationScope, Decision, Observation, Reconstruction,
-    Settings, ppo,
-};
+use super::scene::{Messages, Scene};
+use super::settings::Settings;
+use super::{Channel, ChannelNoise, CommunicationScope};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
-use crate::nn::graph::edge_rate;
 
 /// The networks of explicit IWoL.
 pub(super) struct ExIwol {
@@ -29,7 +32,7 @@ pub(super) struct ExIwol {
     head: GaussianHead,
     world: WorldDecoder,
     /// Whether the world decoder is trained.
-    told: bool,
+    trained: bool,
     critic: MessageCritic,
 }
 
@@ -61,14 +64,9 @@ impl Networks for ExIwol {
                 network,
                 iwol,
             ),
-            head: GaussianHead::new(
-                builder.of(ACTOR).sub("head"),
-                message + hidden,
-                &spec.actions,
-                &settings.exploration,
-            ),
+            head: GaussianHead::of_actor(builder, message + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
-            told: iwol.lambda_world > 0.0,
+            trained: iwol.lambda_world > 0.0,
             critic: MessageCritic::new(builder.of(CRITIC), &spec.observation, network, iwol),
         }
     }
@@ -81,24 +79,16 @@ impl Networks for ExIwol {
         self.trunk.memory()
     }
 
-    fn value_memory(&self) -> i64 {
-        self.critic.memory()
+    fn critic(&self) -> &dyn ValueFunction {
+        &self.critic
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let (envs, agents, _) = input.observation.size3().expect("observations are [E, N, O]");
-        let graph = match mode {
-            ActMode::Deterministic => None,
-            ActMode::Sample { graph, .. } => Some(*graph),
-        };
-        let messages = self.exchange(input, graph);
+        let messages = self.exchange(input, mode.graph_noise());
         let read =
             messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        let memory = messages
-            .memory
-            .map_or_else(|| input.memory.shallow_clone(), |m| m.view([envs, agents, -1]));
-        Decision { action, log_prob, memory }
+        Decision { action, log_prob, memory: input.memory_after(messages.memory) }
     }
 
     fn message_width(&self) -> i64 {
@@ -117,43 +107,29 @@ impl Networks for ExIwol {
         Decision { action, log_prob, memory }
     }
 
-    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
-        self.critic.value(input)
-    }
-
     fn graph(&self, input: &Observation) -> Option<Tensor> {
         Some(self.exchange(input, None).graph)
-    }
-
-    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        self.critic.values(batch, length, memory)
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, ..) = self.critic.shard(batch, shard);
-        let value = ppo::value_terms(batch, shard, &values, norm, ppo);
+        let value = value_loss(batch, shard, &values, norm, ppo);
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene);
-        let edges =
-            shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let edges = shard.edge_rate(&messages.graph, &scene.comm);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let world = self.world.loss(batch, shard, &m);
 
-        let mut report = vec![
-            ("loss/value", value.detach()),
-            ("loss/world", world.detach()),
-            (EDGE_RATE, edges),
-        ];
-        report.extend(policy.report());
-        Loss { total: &policy.loss + iwol.lambda_world * &world + value, report }
+        let total = &policy.loss + iwol.lambda_world * &world + &value;
+        Loss::new(total, &value, [("loss/world", &world), (EDGE_RATE, &edges)], &policy)
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        if !self.told {
+        if !self.trained {
             return Vec::new();
         }
         let messages = self.exchange(input, None);

@@ -3,9 +3,11 @@
 use tch::{Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard};
-use super::settings::{Exploration, NoiseMode, Ppo};
-use super::{ActMode, ppo};
-use crate::env::ActionDimension;
+use super::decision::ActMode;
+use super::parameters::{ACTOR, ParameterBuilder};
+use super::ppo;
+use super::settings::{Exploration, NoiseMode, Ppo, Settings};
+use crate::env::{ActionDimension, EnvSpec};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
 
 /// Name of a diagnostic: the distance of the policy from the policy that acted, as the mean of
@@ -46,6 +48,16 @@ impl GaussianHead {
         let head = Self { mean, log_std, relative, mode: exploration.mode, bounded: false };
         head.set(exploration.log_std_start);
         head
+    }
+
+    /// Creates the head of a policy that reads `inputs` features, as the actor's `head`.
+    pub(super) fn of_actor(
+        builder: &mut ParameterBuilder,
+        inputs: i64,
+        spec: &EnvSpec,
+        settings: &Settings,
+    ) -> Self {
+        Self::new(builder.of(ACTOR).sub("head"), inputs, &spec.actions, &settings.exploration)
     }
 
     fn set(&self, log_std: f64) {

@@ -21,24 +21,29 @@
 //! symbol is always shown (original: Gumbel noise); the mean of decoded symbols serves any number
 //! of other agents (adaptation: one input for each). Proximal policy optimisation and the Gaussian
 //! head are those of all methods.
+//!
+//! Shapes: symbols `[rows, N, K]`, which end the policy's memory; what an agent reads of others,
+//! and what the decoder predicts, `[rows, N, H + A]`.
 
 use std::marker::PhantomData;
 
 use tch::{Kind, Tensor};
 
+use super::CommunicationScope;
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
-use super::critic::Critic;
+use super::critic::{Critic, ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation};
 use super::decoder::LatentDecoder;
 use super::encoder::{Encoder, encode_rows, encode_shard};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::{ActMode, CommunicationScope, Decision, Observation, Settings, ppo};
+use super::settings::Settings;
 use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
 use crate::nn::{Init, Linear, Mixer, ValueNorm};
 
-/// The way in which the agents' values form the value that is trained.
+/// How the agents' values form the value that is trained.
 pub(super) trait Decomposition: Send + 'static {
     /// Name of the method.
     const NAME: &'static str;
@@ -137,7 +142,7 @@ impl<D: Decomposition> Networks for Icp<D> {
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, symbols, actions) =
             (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
-        let (hidden, told) = (network.hidden, network.hidden + actions);
+        let (hidden, decoded) = (network.hidden, network.hidden + actions);
         let heard = |i| Feature {
             name: format!("heard.{i}"),
             unit: "1".to_owned(),
@@ -147,11 +152,11 @@ impl<D: Decomposition> Networks for Icp<D> {
         let group = Group {
             name: "heard".to_owned(),
             offset: 0,
-            width: told as usize,
+            width: decoded as usize,
             count: 1,
             presence: None,
         };
-        let heard = Features { list: (0..told).map(heard).collect(), groups: vec![group] };
+        let heard = Features { list: (0..decoded).map(heard).collect(), groups: vec![group] };
         let mixer = |builder: &mut ParameterBuilder| {
             Mixer::new(builder.of(CRITIC).sub("mixer"), spec.state.len() as i64)
         };
@@ -161,12 +166,7 @@ impl<D: Decomposition> Networks for Icp<D> {
                 &spec.observation.join(&heard),
                 network,
             ),
-            head: GaussianHead::new(
-                builder.of(ACTOR).sub("head"),
-                hidden,
-                &spec.actions,
-                &settings.exploration,
-            ),
+            head: GaussianHead::of_actor(builder, hidden, spec, settings),
             symbol: Linear::new(
                 builder.of(ACTOR).sub("symbol"),
                 hidden,
@@ -177,7 +177,7 @@ impl<D: Decomposition> Networks for Icp<D> {
                 builder.of(ACTOR).sub("decoder"),
                 symbols,
                 hidden,
-                told,
+                decoded,
                 false,
             ),
             critic: Critic::new(builder.of(CRITIC), &spec.observation, network),
@@ -199,8 +199,8 @@ impl<D: Decomposition> Networks for Icp<D> {
         self.encoder.memory() > 0
     }
 
-    fn value_memory(&self) -> i64 {
-        self.critic.memory()
+    fn critic(&self) -> &dyn ValueFunction {
+        self
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
@@ -211,6 +211,33 @@ impl<D: Decomposition> Networks for Icp<D> {
         Decision { action, log_prob, memory: Tensor::cat(&[&after, &self.show(&f)], -1) }
     }
 
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let (comm, keep) = (shard.take(&batch.comm), shard.take(&batch.keep));
+        let first = batch.value_memory.index_select(0, &shard.first);
+        let (values, _) =
+            self.critic.values(&shard.take(&batch.observation), &keep, shard.length, &first);
+        let values = shard.pick(&self.decomposed(values, &shard.take(&batch.state), &comm));
+        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
+
+        let heard = self.heard(&shard.take(&batch.memory), &keep, &comm);
+        let x = Tensor::cat(&[shard.take(&batch.observation), heard], -1);
+        let own = batch.memory.narrow(2, 0, self.encoder.memory());
+        let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
+        let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
+        // Other agents see the executed action, which is clipped to its bounds.
+        let target = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
+        let message = (self.decoder.forward(&self.show(&f)) - target).square().mean(Kind::Float);
+
+        let total = &policy.loss + &value + settings.icp.lambda_message * &message;
+        Loss::new(total, &value, [("loss/message", &message)], &policy)
+    }
+}
+
+impl<D: Decomposition> ValueFunction for Icp<D> {
+    fn memory(&self) -> i64 {
+        self.critic.memory()
+    }
+
     fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
         let values = self.critic.value(&input.observation, input);
         values.map(|values| self.decomposed(values, state, &input.comm))
@@ -219,27 +246,5 @@ impl<D: Decomposition> Networks for Icp<D> {
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         let (values, after) = self.critic.values(&batch.observation, &batch.keep, length, memory);
         (self.decomposed(values, &batch.state, &batch.comm), after)
-    }
-
-    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let (comm, keep) = (shard.take(&batch.comm), shard.take(&batch.keep));
-        let first = batch.value_memory.index_select(0, &shard.first);
-        let (values, _) =
-            self.critic.values(&shard.take(&batch.observation), &keep, shard.length, &first);
-        let values = shard.pick(&self.decomposed(values, &shard.take(&batch.state), &comm));
-        let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
-
-        let heard = self.heard(&shard.take(&batch.memory), &keep, &comm);
-        let x = Tensor::cat(&[shard.take(&batch.observation), heard], -1);
-        let own = batch.memory.narrow(2, 0, self.encoder.memory());
-        let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
-        let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        // Other agents see the executed action, which is clipped to its bounds.
-        let told = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
-        let message = (self.decoder.forward(&self.show(&f)) - told).square().mean(Kind::Float);
-
-        let mut report = vec![("loss/value", value.detach()), ("loss/message", message.detach())];
-        report.extend(policy.report());
-        Loss { total: &policy.loss + value + settings.icp.lambda_message * message, report }
     }
 }

@@ -2,23 +2,28 @@
 //! interaction-world latent z; messages reach only the value function (paper: take-away box, eq.
 //! for L_Im; DongsuLeeTech/IWoL, `ImIWoL_net.py`, `ImIWoL.py`).
 //!
-//! - policy: encoder f, z = Enc_IW(f), Gaussian head on [z; f]
-//! - value function: V(m, f), with its own message path for m
-//! - world decoder: predicts the privileged state from z
+//! - policy: encoder f `[B, H]`, z = Enc_IW(f) `[B, Z]`, Gaussian head on [z; f]
+//! - value function: V(m, f) `[B]`, with its own message path for m `[B, D]`
+//! - world decoder: predicts the privileged state `[B, S]` from z
 //! - interaction decoder: predicts the agent's message m from z; m is a target and gets no gradient
 //! - deployed policy: encoder, Enc_IW and head, without a message path
+//!
+//! Differences on purpose: edges beyond the radio range do not exist, and closed edges carry nothing
+//! (released code: neither); the decoders learn from a part of the samples (`iwol.decoded`). The
+//! settings [`Iwol`](super::settings::Iwol) name the released code's alternatives.
 
 use tch::Tensor;
 
-use super::batch::{Batch, Shard};
-use super::core::{EDGE_RATE, Loss, Networks};
+use super::batch::{Batch, EDGE_RATE, Shard};
+use super::critic::{ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::{LatentDecoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::settings::PolicyInput;
-use super::{ActMode, Decision, Observation, Reconstruction, Settings, ppo};
+use super::settings::{PolicyInput, Settings};
 use crate::env::EnvSpec;
 use crate::nn::{Linear, ValueNorm};
 
@@ -38,7 +43,7 @@ pub(super) struct LatentPolicy {
     pub(super) interaction: LatentDecoder,
     input: PolicyInput,
     /// Whether the world decoder and the interaction decoder are trained.
-    told: [bool; 2],
+    trained: [bool; 2],
 }
 
 /// Enc_IW: embedding to latent z.
@@ -78,12 +83,7 @@ impl LatentPolicy {
         Self {
             encoder,
             latent,
-            head: GaussianHead::new(
-                builder.of(ACTOR).sub("head"),
-                inputs,
-                &spec.actions,
-                &settings.exploration,
-            ),
+            head: GaussianHead::of_actor(builder, inputs, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: LatentDecoder::new(
                 builder.of(ACTOR).sub("interaction"),
@@ -93,7 +93,7 @@ impl LatentPolicy {
                 iwol.interaction_tanh,
             ),
             input: iwol.policy_input,
-            told: [iwol.lambda_world > 0.0, iwol.lambda_interaction > 0.0],
+            trained: [iwol.lambda_world > 0.0, iwol.lambda_interaction > 0.0],
         }
     }
 
@@ -121,11 +121,11 @@ impl LatentPolicy {
         state: &Tensor,
         messages: Option<Tensor>,
     ) -> Vec<Reconstruction> {
-        let [world, interaction] = self.told;
+        let [world, interaction] = self.trained;
         let world = world.then(|| self.world.reconstruct(z, input, state));
-        let interaction = messages.filter(|_| interaction).map(|truth| {
-            let found = self.interaction.forward(z);
-            Reconstruction { name: "interaction", found, truth }
+        let interaction = messages.filter(|_| interaction).map(|target| {
+            let prediction = self.interaction.forward(z);
+            Reconstruction { name: "interaction", prediction, target }
         });
         world.into_iter().chain(interaction).collect()
     }
@@ -158,8 +158,8 @@ impl Networks for ImIwol {
         self.policy.encoder.memory()
     }
 
-    fn value_memory(&self) -> i64 {
-        self.critic.memory()
+    fn critic(&self) -> &dyn ValueFunction {
+        &self.critic
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
@@ -168,18 +168,10 @@ impl Networks for ImIwol {
         Decision { action, log_prob, memory }
     }
 
-    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
-        self.critic.value(input)
-    }
-
-    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        self.critic.values(batch, length, memory)
-    }
-
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, messages, edges) = self.critic.shard(batch, shard);
-        let value = ppo::value_terms(batch, shard, &values, norm, ppo);
+        let value = value_loss(batch, shard, &values, norm, ppo);
 
         let f = encode_active(
             &self.policy.encoder,
@@ -196,14 +188,8 @@ impl Networks for ImIwol {
 
         let actor =
             &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
-        let mut report = vec![
-            ("loss/value", value.detach()),
-            ("loss/world", world.detach()),
-            ("loss/interaction", interaction.detach()),
-            (EDGE_RATE, edges),
-        ];
-        report.extend(policy.report());
-        Loss { total: actor + value, report }
+        let own = [("loss/world", &world), ("loss/interaction", &interaction), (EDGE_RATE, &edges)];
+        Loss::new(actor + &value, &value, own, &policy)
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {

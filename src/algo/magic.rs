@@ -10,6 +10,9 @@
 //! 3. attention weights are normalised over the edges (`GATLayer`)
 //! 4. the policy reads [f; m] (`action_head`)
 //!
+//! Shapes: embeddings f and messages m `[P, H]` of the P present agents; graphs of both rounds
+//! `[rows, N, N]`, row = listener, with noise `[rows, N, 2 · N]`.
+//!
 //! Differences on purpose:
 //!
 //! - Observation encoder, proximal policy optimisation and Gaussian head are those of all methods
@@ -25,23 +28,21 @@
 //!   new noise).
 //! - `magic.lambda_world` adds IWoL's world decoder.
 
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
-use super::batch::{Batch, Shard};
-use super::channel::{exchange, of_everyone, of_receivers};
-use super::core::{EDGE_RATE, Loss, Networks};
-use super::critic::PrivilegedCritic;
+use super::CommunicationScope;
+use super::batch::{Batch, EDGE_RATE, Shard};
+use super::channel::{Channel, ChannelNoise, exchange, of_everyone, of_receivers};
+use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::scene::Scene;
-use super::{
-    ActMode, Channel, ChannelNoise, CommunicationScope, Decision, Observation, Reconstruction,
-    Settings, ppo,
-};
+use super::scene::{Messages, Scene};
+use super::settings::Settings;
 use crate::env::EnvSpec;
-use crate::nn::graph::edge_rate;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
 
 /// Attention heads of the first round.
@@ -56,18 +57,6 @@ pub(super) struct Magic {
     world: Option<WorldDecoder>,
     critic: PrivilegedCritic,
     hidden: i64,
-}
-
-/// Result of the message path for the P present agents of a scene.
-struct Heard {
-    /// Messages, `[P, H]`.
-    message: Tensor,
-    /// Embeddings, `[P, H]`.
-    embedding: Tensor,
-    /// Edges that are open in at least one round, `[rows, N, N]`, row = listener.
-    graph: Tensor,
-    packing: Packing,
-    memory: Option<Tensor>,
 }
 
 impl Magic {
@@ -91,14 +80,14 @@ impl Magic {
         (self.rounds[1].forward(&first, packing, &graphs[1]), graphs)
     }
 
-    fn hear(&self, scene: &Scene) -> Heard {
+    fn exchange(&self, scene: &Scene) -> Messages {
         let (rows, agents) = scene.size();
         let packing =
             if scene.pack { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
         let (message, [first, second]) =
             self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
-        Heard { message, embedding, graph: first.maximum(&second), packing, memory }
+        Messages { message, embedding, graph: first.maximum(&second), packing, memory }
     }
 }
 
@@ -114,10 +103,7 @@ impl Networks for Magic {
         let (network, hidden) = (&settings.network, settings.network.hidden);
         // Four heads, each with a quarter of the width.
         let width = (hidden / HEADS).max(1);
-        let exploration = &settings.exploration;
-        let world = |builder: &mut ParameterBuilder| {
-            WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, hidden)
-        };
+        let lambda = settings.magic.lambda_world;
         Self {
             encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
             schedulers: [0, 1]
@@ -138,13 +124,8 @@ impl Networks for Magic {
                     false,
                 ),
             ],
-            head: GaussianHead::new(
-                builder.of(ACTOR).sub("head"),
-                2 * hidden,
-                &spec.actions,
-                exploration,
-            ),
-            world: (settings.magic.lambda_world > 0.0).then(|| world(builder)),
+            head: GaussianHead::of_actor(builder, 2 * hidden, spec, settings),
+            world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
             hidden,
         }
@@ -158,21 +139,16 @@ impl Networks for Magic {
         self.encoder.memory()
     }
 
-    fn value_memory(&self) -> i64 {
-        self.critic.memory()
+    fn critic(&self) -> &dyn ValueFunction {
+        &self.critic
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let noise = match mode {
-            ActMode::Deterministic => None,
-            ActMode::Sample { graph, .. } => Some(*graph),
-        };
-        let Heard { message, embedding, packing, memory, .. } = self.hear(&Scene::of(input, noise));
+        let Messages { message, embedding, packing, memory, .. } =
+            self.exchange(&Scene::of(input, mode.graph_noise()));
         let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        let memory = memory
-            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
-        Decision { action, log_prob, memory }
+        Decision { action, log_prob, memory: input.memory_after(memory) }
     }
 
     fn message_width(&self) -> i64 {
@@ -200,44 +176,29 @@ impl Networks for Magic {
         Decision { action, log_prob, memory }
     }
 
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        self.critic.value(input, state)
-    }
-
     fn graph(&self, input: &Observation) -> Option<Tensor> {
-        Some(self.hear(&Scene::of(input, None)).graph)
-    }
-
-    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        self.critic.values(batch, length, memory)
+        Some(self.exchange(&Scene::of(input, None)).graph)
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let value =
-            ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let heard = self.hear(&scene);
-        let edges =
-            shard.pick(&edge_rate(&heard.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let messages = self.exchange(&scene);
+        let edges = shard.edge_rate(&messages.graph, &scene.comm);
         let [message, embedding] =
-            shard.unpacked(&heard.packing, [&heard.message, &heard.embedding]);
+            shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
-        let mut report = vec![("loss/value", value.detach()), (EDGE_RATE, edges)];
-        report.extend(policy.report());
-        let mut total = &policy.loss + value;
-        if let Some(world) = &self.world {
-            let loss = world.loss(batch, shard, &message);
-            report.push(("loss/world", loss.detach()));
-            total += settings.magic.lambda_world * loss;
-        }
-        Loss { total, report }
+        Loss::new(&policy.loss + &value, &value, [(EDGE_RATE, &edges)], &policy).with_world(
+            settings.magic.lambda_world,
+            self.world.as_ref().map(|world| world.loss(batch, shard, &message)),
+        )
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let reconstruct = |world: &WorldDecoder| {
-            let heard = self.hear(&Scene::of(input, None));
-            world.reconstruct(&heard.packing.unpack(&heard.message), input, state)
+            let messages = self.exchange(&Scene::of(input, None));
+            world.reconstruct(&messages.packing.unpack(&messages.message), input, state)
         };
         self.world.as_ref().map(reconstruct).into_iter().collect()
     }

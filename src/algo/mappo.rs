@@ -1,15 +1,25 @@
-//! MAPPO: shared parameters, local policy, centralised value function (marlbenchmark/on-policy,
+//! MAPPO: shared parameters, local policy, centralised value function (Yu et al. 2022, "The
+//! surprising effectiveness of PPO in cooperative multi-agent games"; marlbenchmark/on-policy,
 //! `r_mappo.py`, `r_actor_critic.py`).
-
-use tch::Tensor;
+//!
+//! - policy: embedding f `[B, H]` of the own observation `[B, O]`, Gaussian head on f
+//!   (`R_Actor`)
+//! - value function: its own encoder of `[B, O + S]`, V(o, s) `[B]` (`R_Critic`)
+//!
+//! Differences on purpose: the value reads each agent's own observation beside the privileged state
+//! (reference: the concatenation of all observations), so that one network serves any number of
+//! agents; the noise of actions follows a schedule (reference: a learned parameter, as with
+//! `exploration.mode = "learned"`); advantages are shared among agents
+//! ([`Rollout::share_advantages`](crate::rollout::Rollout::share_advantages)).
 
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
-use super::critic::PrivilegedCritic;
+use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::{ActMode, Decision, Observation, Settings, ppo};
+use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 
@@ -27,12 +37,7 @@ impl Networks for Mappo {
         let network = &settings.network;
         Self {
             encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
-            head: GaussianHead::new(
-                builder.of(ACTOR).sub("head"),
-                network.hidden,
-                &spec.actions,
-                &settings.exploration,
-            ),
+            head: GaussianHead::of_actor(builder, network.hidden, spec, settings),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
         }
     }
@@ -45,8 +50,8 @@ impl Networks for Mappo {
         self.encoder.memory()
     }
 
-    fn value_memory(&self) -> i64 {
-        self.critic.memory()
+    fn critic(&self) -> &dyn ValueFunction {
+        &self.critic
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
@@ -55,22 +60,11 @@ impl Networks for Mappo {
         Decision { action, log_prob, memory }
     }
 
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        self.critic.value(input, state)
-    }
-
-    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        self.critic.values(batch, length, memory)
-    }
-
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let f =
             encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        let value =
-            ppo::value_terms(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
-        let mut report = vec![("loss/value", value.detach())];
-        report.extend(policy.report());
-        Loss { total: &policy.loss + &value, report }
+        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        Loss::new(&policy.loss + &value, &value, [], &policy)
     }
 }

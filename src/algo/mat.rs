@@ -19,17 +19,22 @@
 //! methods (reference: standard deviation ½ σ(parameter)); absent agents are left out of attention
 //! and sequence (reference: of the loss alone).
 //!
+//! Shapes: representations `[rows, N, H]`; previous actions `[rows, N, A]`; values `[rows, N]`.
+//!
 //! Execution is central: one place needs the observations of all agents.
 
 use tch::Tensor;
 
+use super::CommunicationScope;
 use super::batch::{Batch, Shard};
-use super::core::{Loss, Networks};
+use super::critic::{ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder};
 use super::scene::Scene;
 use super::sequence::{Input, Order, Sequence, ValueHead};
-use super::{ActMode, CommunicationScope, Decision, Observation, Settings, ppo};
+use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
 use crate::nn::transformer::Block;
@@ -84,12 +89,7 @@ impl Networks for Mat {
                     heads,
                     None,
                 ),
-                head: GaussianHead::new(
-                    builder.of(ACTOR).sub("head"),
-                    hidden,
-                    &spec.actions,
-                    &settings.exploration,
-                ),
+                head: GaussianHead::of_actor(builder, hidden, spec, settings),
                 actions,
             },
         }
@@ -103,12 +103,37 @@ impl Networks for Mat {
         self.input.memory()
     }
 
+    fn critic(&self) -> &dyn ValueFunction {
+        self
+    }
+
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (representation, order, memory) = self.represent(&Scene::of(input, None));
         let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        let memory = memory
-            .map_or_else(|| input.memory.shallow_clone(), |memory| memory.view_as(&input.memory));
-        Decision { action, log_prob, memory }
+        Decision { action, log_prob, memory: input.memory_after(memory) }
+    }
+
+    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
+        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
+        let (representation, order, _) = self.represent(&scene);
+        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
+        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
+        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
+        let policy = PolicyTerms::new(
+            batch,
+            shard,
+            self.head(),
+            &shard.pick(&read),
+            &settings.ppo,
+            Ratio::PerDimension,
+        );
+        Loss::new(&policy.loss + &value, &value, [], &policy)
+    }
+}
+
+impl ValueFunction for Mat {
+    fn memory(&self) -> i64 {
+        0
     }
 
     fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
@@ -123,24 +148,5 @@ impl Networks for Mat {
             self.value.forward(&self.represent(scene).0, state)
         });
         (values, None)
-    }
-
-    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let (representation, order, _) = self.represent(&scene);
-        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
-        let value = ppo::value_terms(batch, shard, &values, norm, &settings.ppo);
-        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy = PolicyTerms::new(
-            batch,
-            shard,
-            self.head(),
-            &shard.pick(&read),
-            &settings.ppo,
-            Ratio::PerDimension,
-        );
-        let mut report = vec![("loss/value", value.detach())];
-        report.extend(policy.report());
-        Loss { total: &policy.loss + &value, report }
     }
 }

@@ -4,14 +4,14 @@
 
 use tch::{Kind, Tensor};
 
-use super::Observation;
 use super::batch::{Batch, Shard};
 use super::channel::{Channel, ChannelNoise, exchange, of_everyone, of_receivers};
+use super::critic::ValueFunction;
+use super::decision::Observation;
 use super::encoder::Encoder;
-use super::scene::Scene;
+use super::scene::{Messages, Scene};
 use super::settings::{Iwol, Network};
 use crate::env::Features;
-use crate::nn::graph::edge_rate;
 use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
 
 /// The message path: from the observations of all agents to embeddings f and messages m.
@@ -24,20 +24,6 @@ pub(super) struct MessageTrunk {
     physical_mask: bool,
     /// Whether agents that are absent or cut off still influence others, as in the released code.
     leaks: bool,
-}
-
-/// Result of the message path for the P present agents.
-pub(super) struct Messages {
-    /// Messages m, `[P, D]`.
-    pub(super) message: Tensor,
-    /// Embeddings f, `[P, H]`.
-    pub(super) embedding: Tensor,
-    /// Communication graph, `[L · C, N, N]`, row = listener.
-    pub(super) graph: Tensor,
-    /// Positions of the present agents among `[L · C, N]`.
-    pub(super) packing: Packing,
-    /// Memory of the encoder after each step, `[L, C · N, M]`.
-    pub(super) memory: Option<Tensor>,
 }
 
 impl MessageTrunk {
@@ -93,13 +79,10 @@ impl MessageTrunk {
             let scene = Scene::of(input, None);
             let heard =
                 self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
-            let memory = heard
-                .memory
-                .map_or_else(|| input.memory.shallow_clone(), |m| m.view_as(&input.memory));
             return (
                 heard.packing.unpack(&heard.message),
                 heard.packing.unpack(&heard.embedding),
-                memory,
+                input.memory_after(heard.memory),
             );
         }
         exchange(&self.encoder, input, channel, noise, |known, arrived| {
@@ -116,9 +99,9 @@ impl MessageTrunk {
                     &self.graph.forward_one(known, &own, &edges),
                 );
             }
-            let anyone = || arrived.expand([-1, agents, -1], false);
+            let all_arrived = || arrived.expand([-1, agents, -1], false);
             let edges =
-                if self.physical_mask { of_everyone(&input.comm, arrived) } else { anyone() };
+                if self.physical_mask { of_everyone(&input.comm, arrived) } else { all_arrived() };
             let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
             let graph = self.graph.forward(&all, &packing, &edges, None);
             of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))
@@ -135,9 +118,9 @@ impl MessageTrunk {
             Packing::full(rows, agents)
         };
         let (embedding, memories) = scene.embed_packed(&self.encoder, &packing);
-        let anyone =
+        let allowed =
             if self.physical_mask { scene.comm.shallow_clone() } else { scene.comm.ones_like() };
-        let graph = self.graph.forward(&embedding, &packing, &anyone, scene.noise.as_ref());
+        let graph = self.graph.forward(&embedding, &packing, &allowed, scene.noise.as_ref());
         let message = self.transformer.forward(&embedding, &packing, &graph);
         Messages { message, embedding, graph, packing, memory: memories }
     }
@@ -169,18 +152,12 @@ impl MessageCritic {
         }
     }
 
-    /// Returns the width of the memory per agent.
-    pub(super) fn memory(&self) -> i64 {
-        self.trunk.memory()
-    }
-
     /// Returns the values (normalised) of a shard's active samples, `[B]`, the messages that they
     /// read, `[B, D]`, and the share of possible edges that are open.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
-        let edges =
-            shard.pick(&edge_rate(&messages.graph, &scene.comm).unsqueeze(-1)).mean(Kind::Float);
+        let edges = shard.edge_rate(&messages.graph, &scene.comm);
         let [values, message] =
             shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
         (values, message, edges)
@@ -196,12 +173,6 @@ impl MessageCritic {
         (self.trunk.memory() == 0).then(messages)
     }
 
-    /// Returns the values (normalised) at one decision, over the most likely graph, `[E, N]`;
-    /// `None` where the critic has a memory.
-    pub(super) fn value(&self, input: &Observation) -> Option<Tensor> {
-        (self.trunk.memory() == 0).then(|| self.rows(&self.trunk.forward(&Scene::of(input, None))))
-    }
-
     fn head(&self, messages: &Messages) -> Tensor {
         self.value
             .forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1))
@@ -212,15 +183,19 @@ impl MessageCritic {
     fn rows(&self, messages: &Messages) -> Tensor {
         messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1)
     }
+}
 
-    /// Returns the values (normalised) of sequences of `length` steps, `[rows, N]`, and the memory
-    /// after each step.
-    pub(super) fn values(
-        &self,
-        batch: &Batch,
-        length: i64,
-        memory: &Tensor,
-    ) -> (Tensor, Option<Tensor>) {
+impl ValueFunction for MessageCritic {
+    fn memory(&self) -> i64 {
+        self.trunk.memory()
+    }
+
+    /// Returns the values over the most likely graph.
+    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
+        (self.trunk.memory() == 0).then(|| self.rows(&self.trunk.forward(&Scene::of(input, None))))
+    }
+
+    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         if self.trunk.memory() > 0 {
             let messages =
                 self.trunk.forward(&Scene::of_batch(batch, length, memory, &batch.value_graph));

@@ -1,19 +1,21 @@
 //! The learning algorithms. Each algorithm is one file with networks that act and compute their
-//! loss. [`ppo`] holds the losses as pure functions, `core` the passes over a rollout; a method
-//! that does not fit them implements [`Algorithm`] itself.
+//! loss (`networks`). `actor_critic` trains them by proximal policy optimisation, with the losses of
+//! [`ppo`]; a method that is trained otherwise implements [`Algorithm`] itself.
 //!
 //! A new method needs a file, its `mod` line and an entry in `METHODS` below. Commands, messages
 //! and tests follow from that entry.
 
+mod actor_critic;
 mod batch;
 mod channel;
 mod commformer;
-mod core;
 mod critic;
+mod decision;
 mod decoder;
 mod device;
 mod encoder;
 mod ex_iwol;
+mod frames;
 mod head;
 mod icp;
 mod im_iwol;
@@ -21,21 +23,25 @@ mod maddpg;
 mod magic;
 mod mappo;
 mod mat;
+mod means;
 mod message;
+mod networks;
 mod parameters;
 pub mod ppo;
-mod replay;
 mod scene;
 mod sequence;
 pub mod settings;
 
 pub use channel::{Channel, ChannelNoise};
+pub use decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 pub use device::{ComputeDevice, NoDevice};
+pub use frames::store_frames;
 pub use settings::Settings;
 
 use tch::{Device, Tensor};
 
-use self::core::{ActorCritic, Networks};
+use self::actor_critic::ActorCritic;
+use self::networks::Networks;
 
 use crate::env::EnvSpec;
 use crate::nn;
@@ -43,7 +49,7 @@ use crate::rng::Seed;
 use crate::rollout::Rollout;
 
 /// All methods, in the order in which commands and messages list them.
-const METHODS: [Method; 11] = [
+const METHODS: &[Method] = &[
     Method::of::<mappo::Mappo>(),
     Method::of::<im_iwol::ImIwol>(),
     Method::of::<ex_iwol::ExIwol>(),
@@ -174,102 +180,6 @@ pub fn check_agents(name: &str, trained: i64, agents: i64) -> Result<(), Error> 
     let Method { name, capabilities, .. } = Method::named(name)?;
     let fits = capabilities.any_number || trained == agents;
     if fits { Ok(()) } else { Err(Error::FixedAgents { algorithm: name, trained, agents }) }
-}
-
-/// The input of a policy at one decision of E environments with N agent slots each.
-#[derive(Debug)]
-pub struct Observation {
-    /// Observation features, `[E, N, O]`.
-    pub observation: Tensor,
-    /// Physical mask, `[E, N, N]`; the diagonal is 1 where an agent is present.
-    pub comm: Tensor,
-    /// 1 where a trajectory starts, else 0, `[E]`.
-    pub start: Tensor,
-    /// Memory of the policy after the last decision, `[E, N, M]`.
-    pub memory: Tensor,
-}
-
-impl Observation {
-    /// Returns 0 where memories are cleared before the decision and 1 elsewhere, `[E, N]`.
-    fn keep(&self) -> Tensor {
-        let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
-        (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
-    }
-}
-
-/// The way to choose actions.
-#[derive(Debug)]
-pub enum ActMode<'a> {
-    /// The mean action, with the most likely communication graph.
-    Deterministic,
-    /// A sample from noise that the caller provides, so that the caller owns all randomness.
-    Sample {
-        /// Standard normal noise, `[E, N, A]`.
-        action: &'a Tensor,
-        /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
-        /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
-        carried: &'a Tensor,
-        /// Noise of G graphs side by side, standard logistic times the noise scale,
-        /// `[E, N, G · N]`; empty for policies without a graph.
-        graph: &'a Tensor,
-        /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
-        /// independent from step to step.
-        log_fresh: f64,
-    },
-}
-
-/// The output of a policy at one decision.
-#[derive(Debug)]
-pub struct Decision {
-    /// Action, not clipped, `[E, N, A]`.
-    pub action: Tensor,
-    /// Log-probability of each dimension of the action, `[E, N, A]`.
-    pub log_prob: Tensor,
-    /// Memory of the policy after the decision, `[E, N, M]`.
-    pub memory: Tensor,
-}
-
-impl Observation {
-    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
-        Self {
-            observation: change(&self.observation),
-            comm: change(&self.comm),
-            start: change(&self.start),
-            memory: change(&self.memory),
-        }
-    }
-}
-
-impl Decision {
-    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
-        Self {
-            action: change(&self.action),
-            log_prob: change(&self.log_prob),
-            memory: change(&self.memory),
-        }
-    }
-}
-
-/// A decoder's prediction from a latent, and its target.
-#[derive(Debug)]
-pub struct Reconstruction {
-    /// Name of the target: `world` or `interaction`.
-    pub name: &'static str,
-    /// The decoder's prediction, `[E, N, K]`.
-    pub found: Tensor,
-    /// The target of the prediction, `[E, N, K]`.
-    pub truth: Tensor,
-}
-
-/// Diagnostics of a policy at one decision.
-#[derive(Debug, Default)]
-pub struct Diagnostics {
-    /// Value of each agent, in units of the reward, `[E, N]`; `None` where the value function needs
-    /// a memory of its own.
-    pub value: Option<Tensor>,
-    /// Communication graph at run time, `[E, N, N]`, row = listener; `None` for methods without
-    /// messages.
-    pub graph: Option<Tensor>,
 }
 
 /// Parameters of one update, and the noise of the actions after it.

@@ -3,10 +3,6 @@
 
 use tch::{Kind, Tensor};
 
-use super::batch::{Batch, Shard};
-use super::settings::Ppo;
-use crate::nn::ValueNorm;
-
 /// Returns the clipped surrogate loss −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active.
 /// Log-probabilities are `[B, K]`, and the surrogates of a sample's K ratios are added. The other
 /// arguments are `[B]`.
@@ -45,25 +41,6 @@ pub fn value_loss(
 pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
     let excess = (mean.abs() - 1.0).relu() / log_std.detach().exp();
     excess.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
-}
-
-/// Returns the value loss of a shard from the critic's outputs for its active samples.
-pub(super) fn value_terms(
-    batch: &Batch,
-    shard: &Shard,
-    values: &Tensor,
-    norm: &ValueNorm,
-    ppo: &Ppo,
-) -> Tensor {
-    let target = norm.normalize(&shard.active(&batch.returns));
-    value_loss(
-        values,
-        &shard.active(&batch.value),
-        &target,
-        &target.ones_like(),
-        ppo.clip_range,
-        ppo.huber_delta,
-    )
 }
 
 /// Returns e²/2 up to an error of `delta`, and a linear function beyond.

@@ -2,8 +2,8 @@
 
 use tch::Tensor;
 
-use super::Observation;
 use super::batch::{Batch, Shard};
+use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
 use crate::nn::Packing;
 
@@ -26,6 +26,20 @@ pub(super) struct Scene {
     /// slots, so that its rounding does not depend on which agents are present in other
     /// environments.
     pub(super) pack: bool,
+}
+
+/// Result of a message path for the P present agents of a scene.
+pub(super) struct Messages {
+    /// Messages m, `[P, D]`.
+    pub(super) message: Tensor,
+    /// Embeddings f, `[P, H]`.
+    pub(super) embedding: Tensor,
+    /// Communication graph, `[L · C, N, N]`, row = listener.
+    pub(super) graph: Tensor,
+    /// Positions of the present agents among `[L · C, N]`.
+    pub(super) packing: Packing,
+    /// Memory of the encoder after each step, `[L, C · N, M]`.
+    pub(super) memory: Option<Tensor>,
 }
 
 impl Scene {

@@ -10,7 +10,7 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::ActMode;
+use super::decision::ActMode;
 use super::encoder::Encoder;
 use super::head::GaussianHead;
 use super::scene::Scene;
@@ -84,22 +84,22 @@ pub(super) struct Sequence {
     pub(super) actions: i64,
 }
 
-/// The order of decisions in rows `[B]`: present agents, and who reads whose action.
+/// The order of decisions in rows `[B]`: which agents are present, and whose action each agent reads.
 pub(super) struct Order {
     /// True where an agent is present, `[B, N]`.
     present: Tensor,
     /// Number, counted from 1, of the slot of the last present agent before each slot, `[B, N]`; 0
     /// where there is none.
     before: Tensor,
-    /// 1 where an agent scope the last present agent before it, `[B, N]`.
+    /// 1 where an agent listens to the last present agent before it, `[B, N]`.
     heard: Tensor,
     /// Attention among the agents up to and including each agent.
     reach: Reach,
 }
 
 impl Order {
-    /// Creates the order. In `present: [B, N]` and `graph: [B, N, N]` (row = listener) 1 is present
-    /// and scope; `reach` is the graph for attention.
+    /// Creates the order. `present: [B, N]` is 1 where an agent is present, `graph: [B, N, N]` is 1
+    /// where the agent of the row listens to that of the column; `reach` is the graph for attention.
     pub(super) fn new(present: &Tensor, graph: &Tensor, reach: &Reach) -> Self {
         let agents = present.size()[1];
         let present = present.gt(0.5);

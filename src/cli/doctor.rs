@@ -8,13 +8,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use iwol_sumo::provenance::{Program, libtorch_version, loaded_library};
+use iwol_sumo::provenance::Program;
+#[cfg(feature = "learn")]
+use iwol_sumo::provenance::{libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
 
 use super::chain;
 
 /// The libtorch version that the `tch` crate is made for.
+#[cfg(feature = "learn")]
 const TORCH: &str = "2.13.0";
 /// A small net to start SUMO with; it is compiled in, so the check does not depend on the current
 /// folder.
@@ -25,6 +28,7 @@ pub fn run() -> bool {
     let mut findings = Findings::default();
     findings.row("iwol", format!("{}, {}", Program::current().describe(), program()));
     check_sumo(&mut findings);
+    #[cfg(feature = "learn")]
     check_torch(&mut findings);
     check_threads(&mut findings);
     check_files(&mut findings);
@@ -147,6 +151,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
     ))
 }
 
+#[cfg(feature = "learn")]
 fn check_torch(findings: &mut Findings) {
     let library = loaded_library("libtorch_cpu.so");
     let folder = library.as_deref().and_then(Path::parent);
@@ -193,14 +198,12 @@ fn check_torch(findings: &mut Findings) {
 fn check_threads(findings: &mut Findings) {
     let cores = std::thread::available_parallelism()
         .map_or_else(|_| "unknown".to_owned(), |n| n.to_string());
-    findings.row(
-        "threads",
-        format!(
-            "cores {cores}, rayon {}, libtorch {}",
-            rayon::current_num_threads(),
-            tch::get_num_threads()
-        ),
-    );
+    #[cfg(feature = "learn")]
+    let libtorch = format!(", libtorch {}", tch::get_num_threads());
+    #[cfg(not(feature = "learn"))]
+    let libtorch = "";
+    findings
+        .row("threads", format!("cores {cores}, rayon {}{libtorch}", rayon::current_num_threads()));
 }
 
 /// Checks the scenarios and counts the nets below the current folder. Finding none is not a fault:

@@ -1,26 +1,25 @@
 //! `iwol evaluate`
 
+#[cfg(feature = "learn")]
+mod setup;
+#[cfg(not(feature = "learn"))]
+#[path = "evaluate/setup_without_learn.rs"]
+mod setup;
 mod table;
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo::{self, Algorithm};
-use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document, Layers};
-use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{EvaluationObserver, POLICIES, Policy, evaluate};
 use iwol_sumo::metrics::EvaluationResult;
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
 use iwol_sumo::replay::Recorder;
 use iwol_sumo::rng::Seed;
-use iwol_sumo::train::RunDir;
-use toml::Value;
 
+use self::setup::Setup;
 use super::Verdict;
 
 /// Policies act deterministically, on seeds that training does not use. Results are means with 95 %
@@ -81,48 +80,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         })?;
         policies.push((name.clone(), policy));
     }
-    if let Some(why) = args.set.iter().find_map(|set| config::no_matter_of_evaluation(set)) {
-        bail!("--set {why}");
-    }
-    let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
-    let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
-    if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
-        layers.document = Document::of_run(
-            format!("{} (stored settings)", run.display()),
-            checkpoint.config.clone(),
-        );
-    }
-    if let Some(path) = &args.scenario {
-        layers.flags.push(("scenario", Value::String(path.display().to_string())));
-    }
-    if let Some(agents) = args.agents {
-        layers.flags.push(("agents", Value::Integer(agents.into())));
-    }
-    layers.flags.push(("device", Value::String(args.device.clone())));
-    if let Some(backend) = &args.backend {
-        layers.flags.push(("simulation.backend", Value::String(backend.clone())));
-    }
-    let (config, scenario) = Config::resolve(&layers)?;
-    let task = Arc::new(Task::new(&scenario, config.agents)?);
-    let learner: Option<Box<dyn Algorithm>> = match &checkpoint {
-        Some(checkpoint) => {
-            let (settings, device) = (config.settings(), config.device.find()?);
-            let mut learner =
-                algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
-            learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
-                algo::Error::State(_) => anyhow::Error::new(unfit).context(
-                    "the checkpoint does not fit the observations and networks that the scenario and the settings define",
-                ),
-                other => other.into(),
-            })?;
-            algo::check_channel(learner.name(), &config.channel)?;
-            Some(learner)
-        }
-        None => None,
-    };
-    if let Some(learner) = &learner {
-        policies
-            .insert(0, (learner.name().to_owned(), Policy::Learned(&**learner, config.channel)));
+    let setup = Setup::new(args)?;
+    let Setup { task, hosting, .. } = &setup;
+    let trained = setup.controller();
+    if let Some((name, controller)) = &trained {
+        policies.insert(0, ((*name).to_owned(), Policy::Learned(&**controller)));
     }
 
     if args.record_episode >= args.episodes {
@@ -150,10 +112,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let stop = super::stop_flag()?;
     let program = Program::current();
-    let training = args
-        .run
-        .as_deref()
-        .map(|path| RunDir::of(path).and_then(|run| run.training()).unwrap_or_default());
     let mut rows = Vec::new();
     let mut recorded = None;
     for (name, policy) in &policies {
@@ -168,12 +126,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .record
             .as_ref()
             .filter(|_| rows.is_empty())
-            .map(|_| Recorder::new(&task, args.record_episode));
+            .map(|_| Recorder::new(task, args.record_episode));
         let mut show = |done| bar.set_position(done);
-        let hosting = config.hosting();
         let observer =
             EvaluationObserver { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
-        let evaluation = evaluate(&task, policy, args.episodes, seed, &hosting, observer)
+        let evaluation = evaluate(task, policy, args.episodes, seed, hosting, observer)
             .with_context(|| format!("the evaluation of {name} failed"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
@@ -191,26 +148,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .run
                 .as_ref()
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
-            let recording = recorder.finish(&task, &driver, args.seed, record)?;
+            let recording = recorder.finish(task, &driver, args.seed, record)?;
             recorded =
                 Some((recording.context("the recorded episode did not reach its end")?, path));
         }
         let metrics = evaluation.metrics().context("no episode finished")?;
         rows.push(EvaluationResult {
-            scenario: scenario.name.clone(),
-            agents: config.agents,
-            audited: config.simulation.audit,
-            learners: (task.agents < config.agents as usize).then_some(task.agents),
+            scenario: setup.scenario.clone(),
+            agents: setup.agents,
+            audited: hosting.audit,
+            learners: (task.agents < setup.agents as usize).then_some(task.agents),
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
-            checkpoint: matches!(policy, Policy::Learned(..))
-                .then(|| args.run.as_deref().map(RunDir::checkpoint))
-                .flatten()
-                .and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())),
+            checkpoint: setup.checkpoint.clone().filter(|_| matches!(policy, Policy::Learned(_))),
             set: args.set.clone(),
             program: program.clone(),
-            run: training.clone().filter(|_| matches!(policy, Policy::Learned(..))),
+            run: setup.training.clone().filter(|_| matches!(policy, Policy::Learned(_))),
             metrics,
         });
     }
@@ -231,23 +185,4 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         recording.save(path)?;
     }
     Ok(Verdict::Good)
-}
-
-fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
-    let path = RunDir::checkpoint(run);
-    if run.is_dir() && !path.exists() {
-        bail!(
-            "`{}` contains no checkpoint; a run folder contains checkpoints/best.safetensors",
-            run.display()
-        );
-    }
-    let checkpoint = Checkpoint::load(&path)?;
-    if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
-        bail!(
-            "`{}` is a checkpoint of the algorithm `{}`, which this program does not support",
-            path.display(),
-            checkpoint.algorithm
-        );
-    }
-    Ok(checkpoint)
 }

@@ -17,15 +17,26 @@ macro_rules! tell {
     };
 }
 
+#[cfg(not(feature = "learn"))]
+mod absent;
+#[cfg(not(feature = "learn"))]
+use absent::{bench, export, plot, report, sweep, train};
+
+#[cfg(feature = "learn")]
 mod bench;
 mod doctor;
 mod evaluate;
+#[cfg(feature = "learn")]
 mod export;
+#[cfg(feature = "learn")]
 mod plot;
 mod replay;
+#[cfg(feature = "learn")]
 mod report;
 mod scenario;
+#[cfg(feature = "learn")]
 mod sweep;
+#[cfg(feature = "learn")]
 mod train;
 
 use std::io::IsTerminal as _;
@@ -34,7 +45,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
-use iwol_sumo::{config, env, scenario as scenarios, sumo};
+use iwol_sumo::{env, scenario as scenarios, sumo};
 
 /// Multi-vehicle coordination in SUMO: train, evaluate and plot.
 #[derive(Debug, Parser)]
@@ -111,6 +122,7 @@ pub fn main() -> ExitCode {
         }
     }
     // Learners work on shards in parallel; libtorch's own threads would compete with them.
+    #[cfg(feature = "learn")]
     tch::set_num_threads(1);
     let result = match &cli.verb {
         Verb::Train(args) => train::run(args),
@@ -145,15 +157,23 @@ fn hint(error: &anyhow::Error) -> Option<String> {
             .or_else(|| cause.downcast_ref::<env::Error>()?.hint())
             .or_else(|| cause.downcast_ref::<scenarios::Error>()?.hint())
             .or_else(|| cause.downcast_ref::<scenarios::author::Error>()?.hint())
-            .or_else(|| match cause.downcast_ref::<config::Error>()? {
-                config::Error::Scenario(e) => e.hint(),
-                _ => None,
-            })
-            .or_else(|| match cause.downcast_ref::<iwol_sumo::train::Error>()? {
-                iwol_sumo::train::Error::Env(e) => e.hint(),
-                _ => None,
-            })
+            .or_else(|| hint_of_learning(cause))
     })
+}
+
+#[cfg(feature = "learn")]
+fn hint_of_learning(cause: &(dyn std::error::Error + 'static)) -> Option<String> {
+    use iwol_sumo::{config, train};
+    match (cause.downcast_ref::<config::Error>(), cause.downcast_ref::<train::Error>()) {
+        (Some(config::Error::Scenario(e)), _) => e.hint(),
+        (_, Some(train::Error::Env(e))) => e.hint(),
+        _ => None,
+    }
+}
+
+#[cfg(not(feature = "learn"))]
+fn hint_of_learning(_: &(dyn std::error::Error + 'static)) -> Option<String> {
+    None
 }
 
 /// Formats an error and its causes in one line.

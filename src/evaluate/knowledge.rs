@@ -15,11 +15,8 @@ use nalgebra::{DMatrix, DVector};
 use tch::{Kind, Tensor};
 
 use crate::algo::Reconstruction;
-use crate::metrics::{Knowledge, Probe};
+use crate::metrics::{DETERMINED, Knowledge, Probe};
 
-/// Limit from which a target feature counts as determined by the observation: the share of its
-/// variance that the probe explains in episodes on which it was not fitted.
-pub const DETERMINED: f64 = 0.99;
 /// Ridge penalty of the regression on standardised features. If a target equals a feature of the
 /// observation, the share of its variance that remains unexplained is at most a quarter of this
 /// value.
@@ -94,8 +91,8 @@ impl Sums {
                 Tensor::cat(&[&Tensor::ones([x.size()[0], 1], (Kind::Double, x.device())), &x], 1);
             let transposed = x.tr();
             accumulate(&mut self.observations[half], transposed.matmul(&x));
-            for Reconstruction { name, found, truth } in all {
-                let (prediction, target) = (rows(found, &chosen), rows(truth, &chosen));
+            for Reconstruction { name, prediction, target } in all {
+                let (prediction, target) = (rows(prediction, &chosen), rows(target, &chosen));
                 let sum = |x: Tensor| x.sum_dim_intlist(&[0_i64][..], false, Kind::Double);
                 let sums = TargetSums {
                     products: transposed.matmul(&target),
@@ -320,13 +317,13 @@ mod tests {
                         all.iter_mut().zip(sample).for_each(|(all, one)| all.extend(one));
                     }
                 }
-                let [observation, truth, found] = all.map(|values| {
+                let [observation, target, prediction] = all.map(|values| {
                     Tensor::from_slice(&values).view([WORLDS as i64, AGENTS as i64, -1])
                 });
                 let active =
                     Tensor::ones([WORLDS as i64, AGENTS as i64], (Kind::Float, tch::Device::Cpu));
                 sums.add(
-                    &[Reconstruction { name: "world", found, truth }],
+                    &[Reconstruction { name: "world", prediction, target }],
                     &observation,
                     &active,
                     &episodes,

@@ -94,6 +94,10 @@ pub struct Knowledge {
     pub probe: Option<Probe>,
 }
 
+/// Limit from which a target feature counts as determined by the observation: the share of its
+/// variance that the probe explains in episodes on which it was not fitted.
+pub const DETERMINED: f64 = 0.99;
+
 /// Comparison of a decoder with a linear probe from the raw observation, on episodes on which the
 /// probe was not fitted. Features that hardly vary are left out.
 ///
@@ -110,7 +114,7 @@ pub struct Probe {
     /// Share of the variance of all these features that the probe explains.
     pub explained: f64,
     /// Number of features that the observation does not determine: the probe explains less than
-    /// [`DETERMINED`](crate::evaluate::DETERMINED).
+    /// [`DETERMINED`].
     pub undetermined: usize,
     /// Share of the variance of the undetermined features that the decoder explains; `None` if all
     /// features are determined.

@@ -54,9 +54,9 @@ impl SelfAttention {
         let (batch, tokens, _) = x.size3().expect("tokens are [B, T, width]");
         let [queries, keys, values] =
             self.project(&self.qkv.forward(&x.flatten(0, 1)).view([batch, tokens, -1]));
-        let asks =
+        let index =
             place.view([batch, 1, 1, 1]).expand([batch, self.heads, 1, queries.size()[3]], false);
-        let mixed = Self::mix(&queries.gather(2, &asks, false), &keys, &values, mask);
+        let mixed = Self::mix(&queries.gather(2, &index, false), &keys, &values, mask);
         self.out.forward(&mixed.squeeze_dim(1))
     }
 
@@ -218,6 +218,6 @@ mod tests {
         let after = read(&other);
         assert!(before.narrow(0, 0, 7).equal(&after.narrow(0, 0, 7)));
         assert!(before.narrow(0, 8, 12).equal(&after.narrow(0, 8, 12)));
-        assert!(!before.get(7).equal(&after.get(7)), "what it asks itself does change");
+        assert!(!before.get(7).equal(&after.get(7)), "its own queries do change");
     }
 }

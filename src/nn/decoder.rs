@@ -175,7 +175,7 @@ impl Attention {
 /// A block of the decoder: self-attention among the actions so far, attention from the agents'
 /// representations to the result, then a perceptron for each agent.
 #[derive(Debug)]
-struct Block {
+struct DecoderBlock {
     own: Attention,
     own_norm: LayerNorm,
     cross: Attention,
@@ -188,7 +188,7 @@ struct Block {
 /// Keys and values of a block's two attentions for the agents decoded so far, if there are any.
 type Remembered = Option<(KeysValues, KeysValues)>;
 
-impl Block {
+impl DecoderBlock {
     fn new(mut path: Path<'_>, width: i64, heads: i64, init: Init, related: bool) -> Self {
         Self {
             own: Attention::new(path.sub("own"), width, heads, init, related),
@@ -230,7 +230,7 @@ impl Block {
 pub struct TransformerDecoder {
     embed: Linear,
     embed_norm: LayerNorm,
-    blocks: Vec<Block>,
+    blocks: Vec<DecoderBlock>,
     head: Linear,
     head_norm: LayerNorm,
     /// Embeddings of the two kinds of relation, `[2, W]`; `None` without relations.
@@ -261,7 +261,7 @@ impl TransformerDecoder {
         let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
         let mut below = path.sub("blocks");
         let blocks = (0..blocks)
-            .map(|i| Block::new(below.sub(i), width, heads, init, relations.is_some()))
+            .map(|i| DecoderBlock::new(below.sub(i), width, heads, init, relations.is_some()))
             .collect();
         Self {
             embed,

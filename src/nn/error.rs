@@ -1,10 +1,7 @@
-//! Errors for tensors that come from outside (a checkpoint) or hold values that are not finite (a
-//! diverging run).
+//! Errors for tensors that come from outside (a checkpoint).
 //!
 //! Wrong shapes between this program's own layers are bugs: they panic in libtorch and have no
 //! error here.
-
-use tch::Tensor;
 
 /// An error about a tensor that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -38,22 +35,4 @@ pub enum Error {
         /// Shape of the tensor to load.
         found: Vec<i64>,
     },
-    /// A tensor holds NaN or an infinity.
-    #[error("`{what}` holds values that are not finite")]
-    NonFinite {
-        /// Description of the tensor.
-        what: String,
-    },
-}
-
-/// Checks that every element of `tensor` is finite.
-///
-/// # Errors
-/// [`Error::NonFinite`] with the description `what` if any element is NaN or infinite.
-pub fn ensure_finite(what: &str, tensor: &Tensor) -> Result<(), Error> {
-    if tensor.isfinite().all().int64_value(&[]) != 0 {
-        Ok(())
-    } else {
-        Err(Error::NonFinite { what: what.to_owned() })
-    }
 }

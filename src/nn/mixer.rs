@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(
             (&gradient * gone).abs().max().double_value(&[]),
             0.0,
-            "who is gone does not count"
+            "absent agents do not count"
         );
         assert!(gradient.gt(0.0).to_kind(Kind::Float).mean(Kind::Float).double_value(&[]) > 0.5);
     }

@@ -34,7 +34,7 @@ pub use attention::{Mask, SelfAttention};
 pub use decoder::{Attention, Decoded, Dropout, Reach, RelationBlock, TransformerDecoder};
 pub use distributions::{gaussian_entropy, gaussian_log_prob};
 pub use entity::{Entity, TokenGroup};
-pub use error::{Error, ensure_finite};
+pub use error::Error;
 pub use graph::CommGraph;
 pub use gru::Gru;
 pub use init::Init;

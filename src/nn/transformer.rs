@@ -58,20 +58,20 @@ impl Block {
 
     /// Maps tokens `x: [P, width]` of the occupied slots of a packing to the same shape.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
-        self.think(&(x + self.attention.forward(x, packing, mask)))
+        self.feed_forward(&(x + self.attention.forward(x, packing, mask)))
     }
 
     /// Computes [`Block::forward`] for one token of each row, where every slot is occupied, as
     /// [`SelfAttention::forward_one`] does.
     fn forward_one(&self, x: &Tensor, place: &Tensor, mask: Mask<'_>) -> Tensor {
         let (batch, _, width) = x.size3().expect("tokens are [B, T, width]");
-        let asks = place.view([batch, 1, 1]).expand([batch, 1, width], false);
-        let own = x.gather(1, &asks, false).squeeze_dim(1);
-        self.think(&(own + self.attention.forward_one(x, place, mask)))
+        let index = place.view([batch, 1, 1]).expand([batch, 1, width], false);
+        let own = x.gather(1, &index, false).squeeze_dim(1);
+        self.feed_forward(&(own + self.attention.forward_one(x, place, mask)))
     }
 
     /// Applies the rest of the block to the sum of input and attention, `[P, width]`.
-    fn think(&self, x: &Tensor) -> Tensor {
+    fn feed_forward(&self, x: &Tensor) -> Tensor {
         let x = self.attention_norm.forward(x);
         let change = self.down.forward(&self.up.forward(&x).gelu("none"));
         self.mlp_norm.forward(&(x + change))
@@ -132,7 +132,7 @@ impl GraphTransformer {
         for block in &self.blocks {
             x = block.forward(&x, packing, self.masked(&mask));
         }
-        self.speak(&x)
+        self.output(&x)
     }
 
     /// Computes [`GraphTransformer::forward`] for one agent of each row, with all agents present
@@ -144,7 +144,7 @@ impl GraphTransformer {
     pub fn forward_one(&self, f: &Tensor, place: &Tensor, graph: &Tensor) -> Tensor {
         let [block] = &self.blocks[..] else { panic!("{} rounds, and not one", self.blocks.len()) };
         let x = self.embed(&f.flatten(0, 1)).view([f.size()[0], f.size()[1], -1]);
-        self.speak(&block.forward_one(&x, place, self.masked(&graph.unsqueeze(1))))
+        self.output(&block.forward_one(&x, place, self.masked(&graph.unsqueeze(1))))
     }
 
     /// Returns the number of rounds L.
@@ -156,7 +156,7 @@ impl GraphTransformer {
         self.embed_norm.forward(&self.input.forward(&self.in_norm.forward(f)).gelu("none"))
     }
 
-    fn speak(&self, x: &Tensor) -> Tensor {
+    fn output(&self, x: &Tensor) -> Tensor {
         self.out.forward(&self.head_norm.forward(&self.head.forward(x).gelu("none")))
     }
 

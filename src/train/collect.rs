@@ -5,7 +5,7 @@ use tch::Tensor;
 use super::noise::CorrelatedNoise;
 use super::{Error, Trainer, schedule, timed};
 use crate::algo::settings::NoiseMode;
-use crate::algo::{ActMode, Observation};
+use crate::algo::{self, ActMode, Observation};
 use crate::env::VecEnv;
 use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
@@ -35,7 +35,7 @@ impl Trainer {
         };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
-                store_frames(&self.env, &self.memory, &mut self.rollout, t);
+                store_row(&self.env, &self.memory, &mut self.rollout, t);
             });
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
@@ -59,16 +59,7 @@ impl Trainer {
                     Tensor::zeros([0], FLOAT)
                 };
                 let action = Tensor::from_slice(noise.drawn()).view([e, n, a]);
-                let observation = Observation {
-                    observation: Tensor::from_slice(
-                        &self.rollout.observation[self.rollout.at(t, s.observation)],
-                    )
-                    .view([e, n, -1]),
-                    comm: Tensor::from_slice(&self.rollout.comm[self.rollout.at(t, s.agents)])
-                        .view([e, n, n]),
-                    start: Tensor::from_slice(&self.rollout.start[t * s.envs..(t + 1) * s.envs]),
-                    memory: self.memory.shallow_clone(),
-                };
+                let observation = Observation::at(&self.rollout, t, &self.memory);
                 let (action, carried, graph) = (&action, &carried, &graph);
                 self.learner
                     .act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
@@ -93,7 +84,7 @@ impl Trainer {
             });
         }
         timed(&mut self.timers.copy, || {
-            store_frames(&self.env, &self.memory, &mut self.rollout, s.steps);
+            store_row(&self.env, &self.memory, &mut self.rollout, s.steps);
         });
         if self.learner.graph_lasts() {
             // The last observation is valued over the same graph as the rollout.
@@ -104,26 +95,10 @@ impl Trainer {
 }
 
 /// Stores row `t` of the rollout: the worlds' frames before decision `t`, and the policy's memory.
-fn store_frames(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
-    let s = rollout.sizes;
-    for (e, world) in env.worlds().enumerate() {
-        let frame = world.frame();
-        let cell = |width| rollout.cell(t, e, width);
-        let (observation, state, comm, active) =
-            (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
-        rollout.observation[observation].copy_from_slice(&frame.observation);
-        rollout.state[state].copy_from_slice(&frame.state);
-        rollout.comm[comm].copy_from_slice(&frame.comm);
-        rollout.active[active].copy_from_slice(&frame.active);
-        if !frame.sharing.is_empty() && t < s.steps {
-            rollout.sharing.resize(s.steps * s.envs * s.agents * s.agents, 0.0);
-            let cell = rollout.cell(t, e, s.agents);
-            rollout.sharing[cell].copy_from_slice(&frame.sharing);
-        }
-        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
-    }
-    if s.memory > 0 {
-        let range = rollout.at(t, s.memory);
+fn store_row(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
+    algo::store_frames(env, rollout, t);
+    if rollout.sizes.memory > 0 {
+        let range = rollout.at(t, rollout.sizes.memory);
         let count = range.len();
         memory.reshape([-1]).copy_data(&mut rollout.memory[range], count);
     }
@@ -173,12 +148,7 @@ mod tests {
             let part = |array: &[f32], width: usize| {
                 Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
             };
-            let input = Observation {
-                observation: part(&rollout.observation, s.observation),
-                comm: part(&rollout.comm, s.agents),
-                start: Tensor::zeros([e], FLOAT),
-                memory: Tensor::zeros([e, n, 0], FLOAT),
-            };
+            let input = Observation::at(rollout, t, &Tensor::zeros([e, n, 0], FLOAT));
             let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
             let [mean, action, carried, log_prob] = [
                 &mean,

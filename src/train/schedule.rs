@@ -16,19 +16,19 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
     let (noise, ppo) = (&config.exploration, &config.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
-    let (quiet, slow) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let loud = between(
+    let (noise_share, rate_share) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
+    let exploring = between(
         noise.log_std_start,
         noise.log_std_explore,
         ramp(progress.step, noise.explore_steps),
     );
-    let log_std = between(loud, noise.log_std_end.min(loud), quiet);
+    let log_std = between(exploring, noise.log_std_end.min(exploring), noise_share);
     let explored = progress.step >= noise.explore_steps;
     // A step of the same size changes a policy with less noise more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
     UpdateParameters {
-        learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, slow),
+        learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, rate_share),
         log_std,
         gamma: if explored && ppo.gamma_explored > 0.0 { ppo.gamma_explored } else { ppo.gamma },
         batch_growth: if explored { config.train.batch_growth } else { 1 },
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_view_grows_longer_when_the_noise_is_small() {
+    fn the_discount_rises_when_the_noise_is_small() {
         let mut config = config();
         let at = |config: &Config, step| {
             update_parameters(config, &Progress { step, ..Progress::default() }).gamma.to_bits()
@@ -252,11 +252,11 @@ mod tests {
             |progress, parameters| history.push((progress.step, parameters)),
         );
         assert!(end.step >= 1000 && end.annealed >= 200, "and it ends annealed");
-        let quiet = history
+        let annealed = history
             .iter()
             .position(|(_, parameters)| parameters.log_std <= -2.0)
             .expect("it anneals");
-        assert!(history[quiet..].iter().all(|(_, parameters)| parameters.log_std <= -2.0));
+        assert!(history[annealed..].iter().all(|(_, parameters)| parameters.log_std <= -2.0));
         let slowest = history
             .iter()
             .position(|(_, parameters)| parameters.learning_rate < 2e-4 * (-2.0_f64).exp())
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_loses_its_way_explores_again() {
+    fn a_run_whose_performance_collapses_explores_again() {
         let config = config();
         let mut lost =
             Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_lasts_until_the_way_is_found() {
+    fn noise_is_correlated_until_annealing_begins() {
         let mut config = config();
         config.exploration.correlation = 0.5;
         let mut seen = Vec::new();
@@ -303,17 +303,17 @@ mod tests {
         });
         let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
         assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
-        assert_eq!(at(560), 0.5, "it looks for a way again");
+        assert_eq!(at(560), 0.5, "it explores again");
     }
 
     #[test]
     fn a_longer_run_takes_back_what_its_end_forced() {
         let mut config = config();
         let mut progress = play(&config, |_| 0.0, |_, _| ());
-        let loud = update_parameters(&config, &progress).log_std + 1.0;
+        let exploring = update_parameters(&config, &progress).log_std + 1.0;
         config.steps = 2000;
         extended(&config, &mut progress, 1000);
-        assert!((update_parameters(&config, &progress).log_std - loud).abs() < 1e-12);
+        assert!((update_parameters(&config, &progress).log_std - exploring).abs() < 1e-12);
         let mut earned =
             Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
         extended(&config, &mut earned, 1000);

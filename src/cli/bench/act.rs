@@ -7,6 +7,7 @@ use anyhow::bail;
 use iwol_sumo::algo::{self, ActMode, Observation, Settings};
 use iwol_sumo::env::Task;
 use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::rollout::{Rollout, Sizes};
 use iwol_sumo::scenario::Scenario;
 use serde::Serialize;
 use tch::{Device, Tensor};
@@ -102,16 +103,23 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
 /// other.
 fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
     let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)?;
-    let (e, n, o) =
-        (i64::from(args.worlds), task.agents as i64, task.spec.observation.len() as i64);
-    let mut numbers = vec![0.0; (e * n * o) as usize];
-    rng::fill_normal(&mut Seed::new(1).rng(), &mut numbers);
-    let mut input = Observation {
-        observation: Tensor::from_slice(&numbers).view([e, n, o]).clamp(-1.0, 1.0),
-        comm: Tensor::ones([e, n, n], (tch::Kind::Float, Device::Cpu)),
-        start: Tensor::zeros([e], (tch::Kind::Float, Device::Cpu)),
-        memory: Tensor::zeros([e, n, learner.memory() as i64], (tch::Kind::Float, Device::Cpu)),
+    let sizes = Sizes {
+        steps: 0,
+        envs: args.worlds.into(),
+        agents: task.agents,
+        observation: task.spec.observation.len(),
+        state: 0,
+        actions: 0,
+        memory: learner.memory(),
+        graphs: 0,
     };
+    let mut rollout = Rollout::new(sizes);
+    rng::fill_normal(&mut Seed::new(1).rng(), &mut rollout.observation);
+    rollout.observation.iter_mut().for_each(|x| *x = x.clamp(-1.0, 1.0));
+    rollout.comm.fill(1.0);
+    let (e, n) = (i64::from(args.worlds), task.agents as i64);
+    let memory = Tensor::zeros([e, n, sizes.memory as i64], (tch::Kind::Float, Device::Cpu));
+    let mut input = Observation::at(&rollout, 0, &memory);
     let mut times = Vec::new();
     for decision in 0..args.decisions + args.decisions / 10 {
         let begin = Instant::now();

@@ -25,30 +25,32 @@
 //! states and actions (reference: reads all of them side by side), so that any number of agents may
 //! be present and absent agents have no influence; the critic reads the privileged state, as the
 //! value functions of most methods do, except with IWoL, where messages take its place.
+//!
+//! Shapes: R sampled steps of all N agents, so observations `[R, N, O]`, actions `[R, N, A]`, values
+//! `[R, N]`.
 
-use std::f64::consts::SQRT_2;
+mod networks;
+mod replay_buffer;
 
 use tch::{Device, Kind, Tensor, no_grad};
 
-use super::core::{Means, act_on, scalar};
-use super::encoder::{Encoder, encode_locally};
-use super::head::GaussianHead;
-use super::im_iwol::LatentPolicy;
-use super::message::MessageTrunk;
+use self::networks::{Actor, MaddpgNetworks};
+use self::replay_buffer::{ReplayBuffer, Transitions, View};
+use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
+use super::device::act_on;
+use super::encoder::encode_locally;
+use super::means::{Means, scalar};
 use super::parameters::{
     ACTOR, CRITIC, ParameterBuilder, Weights, load_value_norm, part, value_norm_entry,
 };
-use super::replay::{Replay, Transitions, View};
-use super::scene::Scene;
-use super::settings::NoiseMode;
+use super::ppo::masked_mean;
+use super::settings::{NoiseMode, Settings};
 use super::{
-    ActMode, Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Decision,
-    Diagnostics, Error, Losses, Method, Observation, Reconstruction, Settings, UpdateParameters,
-    ppo,
+    Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses, Method,
+    UpdateParameters,
 };
 use crate::env::EnvSpec;
-use crate::nn::graph::with_self_loops;
-use crate::nn::{Attention, Init, LayerNorm, Linear, Reach, ValueNorm};
+use crate::nn::ValueNorm;
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
@@ -84,209 +86,6 @@ const fn method(
     Method { name, capabilities, build }
 }
 
-/// A policy on the agent's own observation.
-enum Actor {
-    Plain { encoder: Encoder, head: GaussianHead },
-    Latent(LatentPolicy),
-}
-
-impl Actor {
-    fn new(
-        spec: &EnvSpec,
-        settings: &Settings,
-        builder: &mut ParameterBuilder,
-        iwol: bool,
-    ) -> Self {
-        if iwol {
-            return Self::Latent(LatentPolicy::new(spec, settings, builder).bounded());
-        }
-        let hidden = settings.network.hidden;
-        let encoder =
-            Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, &settings.network);
-        let head = GaussianHead::new(
-            builder.of(ACTOR).sub("head"),
-            hidden,
-            &spec.actions,
-            &settings.exploration,
-        );
-        Self::Plain { encoder, head: head.bounded() }
-    }
-
-    fn encoder(&self) -> &Encoder {
-        match self {
-            Self::Plain { encoder, .. } => encoder,
-            Self::Latent(policy) => &policy.encoder,
-        }
-    }
-
-    fn head(&self) -> &GaussianHead {
-        match self {
-            Self::Plain { head, .. } => head,
-            Self::Latent(policy) => &policy.head,
-        }
-    }
-
-    /// Returns the head's input for embeddings `[.., H]`.
-    fn read(&self, f: &Tensor) -> Tensor {
-        match self {
-            Self::Plain { .. } => f.shallow_clone(),
-            Self::Latent(policy) => policy.read(f).1,
-        }
-    }
-
-    /// Embeds observations `[R, N, O]`.
-    fn embed(&self, observation: &Tensor) -> Tensor {
-        let nothing = Tensor::zeros([0], (Kind::Float, observation.device()));
-        self.encoder().forward(observation, &nothing, &nothing).0
-    }
-
-    /// Returns the mean actions `[R, N, A]` for observations `[R, N, O]`.
-    fn mean(&self, observation: &Tensor) -> Tensor {
-        self.head().forward(&self.read(&self.embed(observation))).0
-    }
-}
-
-/// What the critic reads of each agent.
-enum Eyes {
-    /// The agent's observation and its view of the privileged state.
-    Privileged(Encoder),
-    /// The agent's embedding and the message that it receives.
-    Messages(Box<MessageTrunk>),
-}
-
-/// The critic: Q of each agent, from its features and its own action, and by attention from the
-/// features and actions of the other agents.
-struct Critic {
-    eyes: Eyes,
-    join: Linear,
-    join_norm: LayerNorm,
-    attention: Attention,
-    deep: Linear,
-    deep_norm: LayerNorm,
-    value: Linear,
-}
-
-impl Critic {
-    fn new(
-        spec: &EnvSpec,
-        settings: &Settings,
-        builder: &mut ParameterBuilder,
-        iwol: bool,
-    ) -> Self {
-        let (network, hidden) = (&settings.network, settings.network.hidden);
-        let root = |builder: &mut ParameterBuilder, name: &str, inputs: i64| {
-            Linear::new(builder.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
-        };
-        let (eyes, seen) = if iwol {
-            let trunk = MessageTrunk::new(
-                builder.of(CRITIC).sub("trunk"),
-                &spec.observation,
-                network,
-                &settings.iwol,
-            );
-            (Eyes::Messages(Box::new(trunk)), hidden + settings.iwol.message)
-        } else {
-            let features = spec.observation.join(&spec.state);
-            (
-                Eyes::Privileged(Encoder::new(
-                    builder.of(CRITIC).sub("encoder"),
-                    &features,
-                    network,
-                )),
-                hidden,
-            )
-        };
-        Self {
-            eyes,
-            join: root(builder, "join", seen + spec.actions.len() as i64),
-            join_norm: LayerNorm::new(builder.of(CRITIC).sub("join_norm"), hidden),
-            attention: Attention::new(
-                builder.of(CRITIC).sub("others"),
-                hidden,
-                1,
-                Init::Orthogonal(1.0),
-                false,
-            ),
-            deep: root(builder, "deep", 2 * hidden),
-            deep_norm: LayerNorm::new(builder.of(CRITIC).sub("deep_norm"), hidden),
-            value: Linear::new(builder.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
-        }
-    }
-
-    /// Returns the features of all agents, `[R, N, W]`, and the messages among them, `[R, N, D]`,
-    /// if there are any. `noise` is that of the graph, `[R, N, N]`; without it, the graph is the
-    /// most likely one.
-    fn look(&self, view: &View, noise: Option<Tensor>) -> (Tensor, Option<Tensor>) {
-        let nothing = Tensor::zeros([0], (Kind::Float, view.comm.device()));
-        match &self.eyes {
-            Eyes::Privileged(encoder) => {
-                let x = Tensor::cat(&[&view.observation, &view.state], -1);
-                (encoder.forward(&x, &nothing, &nothing).0, None)
-            }
-            Eyes::Messages(trunk) => {
-                let scene = Scene {
-                    observation: view.observation.shallow_clone(),
-                    keep: view.comm.diagonal(0, 1, 2).ones_like(),
-                    memory: nothing,
-                    comm: view.comm.shallow_clone(),
-                    noise,
-                    length: 1,
-                    pack: true,
-                };
-                let heard = trunk.forward(&scene);
-                let message = heard.packing.unpack(&heard.message);
-                (
-                    Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1),
-                    Some(message),
-                )
-            }
-        }
-    }
-
-    /// Returns the values (normalised) `[R, N]` of each agent's own `action`, while the other
-    /// agents do what was `done`, both `[R, N, A]`. The diagonal of `comm` is 1 where an agent is
-    /// present.
-    fn value(&self, seen: &Tensor, action: &Tensor, done: &Tensor, comm: &Tensor) -> Tensor {
-        let agents = comm.size()[1];
-        let together = |act: &Tensor| {
-            self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu())
-        };
-        let (own, others) = (together(action), together(done));
-        // The first key belongs to no agent, so that an agent alone has something to attend to.
-        let others = others.constant_pad_nd([0, 0, 1, 0]);
-        let there = comm.diagonal(0, 1, 2).unsqueeze(1).expand([-1, agents, -1], false);
-        let reached =
-            (&there - with_self_loops(&there.zeros_like())).clamp_min(0.0).constant_pad_nd([1, 0]);
-        let _ = reached.narrow(2, 0, 1).fill_(1.0);
-        let told = self.attention.forward(
-            &own,
-            &self.attention.keys_values(&others),
-            &Reach::of(&reached),
-            None,
-        );
-        let x = self.deep.forward(&Tensor::cat(&[own, told], -1)).relu();
-        self.value.forward(&self.deep_norm.forward(&x)).squeeze_dim(-1)
-    }
-}
-
-/// Policy and critic.
-struct MaddpgNetworks {
-    actor: Actor,
-    critic: Critic,
-}
-
-impl MaddpgNetworks {
-    fn new(
-        spec: &EnvSpec,
-        settings: &Settings,
-        builder: &mut ParameterBuilder,
-        iwol: bool,
-    ) -> Self {
-        let actor = Actor::new(spec, settings, builder, iwol);
-        Self { actor, critic: Critic::new(spec, settings, builder, iwol) }
-    }
-}
-
 struct Maddpg {
     name: &'static str,
     settings: Settings,
@@ -297,7 +96,7 @@ struct Maddpg {
     targets: MaddpgNetworks,
     target_weights: Weights,
     value_norm: ValueNorm,
-    replay: Replay,
+    replay: ReplayBuffer,
 }
 
 impl Maddpg {
@@ -316,7 +115,7 @@ impl Maddpg {
             targets,
             target_weights: Weights::new(following, false),
             value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
-            replay: Replay::new(settings.maddpg.replay, device),
+            replay: ReplayBuffer::new(settings.maddpg.replay, device),
         }
     }
 
@@ -335,11 +134,14 @@ impl Maddpg {
         // The noise of the graphs falls with the schedule, as the noise of the policies' graphs
         // does.
         let imposed = self.settings.exploration.mode == NoiseMode::Schedule;
-        let quiet = if imposed { parameters.log_std.exp() } else { 1.0 };
+        let noise_scale = if imposed { parameters.log_std.exp() } else { 1.0 };
         let noise = |of: &str| {
             let mut noise = vec![0.0; before.comm.numel()];
             rng::fill_logistic(&mut seed.child(of).rng(), &mut noise);
-            Some((Tensor::from_slice(&noise).view_as(&before.comm) * quiet).to_device(self.device))
+            Some(
+                (Tensor::from_slice(&noise).view_as(&before.comm) * noise_scale)
+                    .to_device(self.device),
+            )
         };
         let target = no_grad(|| {
             let next = self.targets.actor.mean(&after.observation);
@@ -364,7 +166,7 @@ impl Maddpg {
         let target = self.value_norm.normalize(&target);
         let (seen, message) = self.networks.critic.look(before, noise("before"));
         let value = self.networks.critic.value(&seen, action, action, &before.comm);
-        let value_loss = ppo::masked_mean(&(value - target).square(), active);
+        let value_loss = masked_mean(&(value - target).square(), active);
         value_loss.backward();
         let mut report =
             self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, parameters.learning_rate)?;
@@ -374,11 +176,11 @@ impl Maddpg {
         let mean = unbounded.tanh();
         // Features from before the critic's step are reused, which saves another forward pass.
         let value = self.networks.critic.value(&seen.detach(), &mean, action, &before.comm);
-        let policy_loss = -ppo::masked_mean(&value, active);
+        let policy_loss = -masked_mean(&value, active);
         report.extend([("loss/value", scalar(&value_loss)), ("loss/policy", scalar(&policy_loss))]);
         // Without a penalty, means that a wrong value has driven far beyond the bounds would stay
         // there, because the tanh passes no gradient.
-        let far = ppo::masked_mean(&unbounded.square().mean_dim(-1, false, Kind::Float), active);
+        let far = masked_mean(&unbounded.square().mean_dim(-1, false, Kind::Float), active);
         let mut total = policy_loss + self.settings.maddpg.action_penalty * far;
         if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
             let iwol = &self.settings.iwol;
@@ -432,21 +234,13 @@ impl Algorithm for Maddpg {
         _noise: &ChannelNoise,
     ) -> Decision {
         // No messages are sent, so that the channel's part of the memory stays unchanged.
-        let own = Observation {
-            memory: input.memory.narrow(2, 0, 0),
-            ..input.map(Tensor::shallow_clone)
-        };
+        let own = input.with_memory(input.memory.narrow(2, 0, 0));
         Decision { memory: input.memory.shallow_clone(), ..self.act(&own, &ActMode::Deterministic) }
     }
 
     fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics {
+        let view = View::of(&input.to(self.device), &state.to_device(self.device));
         let value = no_grad(|| {
-            let there = |tensor: &Tensor| tensor.to_device(self.device);
-            let view = View {
-                observation: there(&input.observation),
-                state: there(state),
-                comm: there(&input.comm),
-            };
             let mean = self.networks.actor.mean(&view.observation);
             let (seen, _) = self.networks.critic.look(&view, None);
             self.value_norm
@@ -459,23 +253,13 @@ impl Algorithm for Maddpg {
         let Actor::Latent(policy) = &self.networks.actor else {
             return Vec::new();
         };
-        no_grad(|| {
-            let there = |tensor: &Tensor| tensor.to_device(self.device);
-            let (input, state) = (input.map(there), there(state));
+        let (input, state) = (input.to(self.device), state.to_device(self.device));
+        let all = no_grad(|| {
             let (z, _) = policy.read(&self.networks.actor.embed(&input.observation));
-            let view = View {
-                observation: input.observation.shallow_clone(),
-                state: state.shallow_clone(),
-                comm: input.comm.shallow_clone(),
-            };
-            let (_, messages) = self.networks.critic.look(&view, None);
-            let back = |r: Reconstruction| Reconstruction {
-                found: r.found.to_device(Device::Cpu),
-                truth: r.truth.to_device(Device::Cpu),
-                ..r
-            };
-            policy.reconstruct(&z, &input, &state, messages).into_iter().map(back).collect()
-        })
+            let (_, messages) = self.networks.critic.look(&View::of(&input, &state), None);
+            policy.reconstruct(&z, &input, &state, messages)
+        });
+        all.iter().map(|one| one.to(Device::Cpu)).collect()
     }
 
     fn update(

@@ -1,6 +1,5 @@
-//! The parts that all on-policy actor-critic learners share: parameters with their optimisers,
-//! value normalisation, averaged weights, and the passes over a rollout, on as many threads as
-//! minibatches have shards.
+//! Training by proximal policy optimisation, for all methods that implement [`Networks`]: passes
+//! over a rollout, on as many threads as minibatches have shards.
 //!
 //! Every shard has a copy of the networks. The copies share their weights and have gradients of
 //! their own, which are added up before a step. All cores are busy in forward and backward passes
@@ -11,142 +10,20 @@ use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard, graph_noise, minibatches};
-use super::head::{APPROX_KL, GaussianHead};
+use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
+use super::device::act_on;
+use super::head::APPROX_KL;
+use super::means::{Means, scalar};
+use super::networks::Networks;
 use super::parameters::{
     ParameterBuilder, ParameterGroup, Weights, load_value_norm, part, value_norm_entry,
 };
 use super::settings::{GraphNoise, NoiseMode, Settings};
-use super::{
-    ActMode, Algorithm, Channel, ChannelNoise, CommunicationScope, Decision, Diagnostics, Error,
-    Losses, Observation, Reconstruction, UpdateParameters, check_agents,
-};
+use super::{Algorithm, Channel, ChannelNoise, Error, Losses, UpdateParameters, check_agents};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
-
-/// Name of a diagnostic: the share of the physically possible edges of the learned graph that are
-/// open.
-pub(super) const EDGE_RATE: &str = "graph/edge_rate";
-
-/// The networks of one algorithm: their actions, their values, and their loss on a shard.
-pub(super) trait Networks: Sized + Send {
-    /// Name of the algorithm, as on the command line.
-    const NAME: &'static str;
-    /// The agents whose observations can change an agent's action.
-    const SCOPE: CommunicationScope = CommunicationScope::None;
-    /// Whether agents send messages that each receiver reads by itself, so that a channel can
-    /// disturb them.
-    const MESSAGES: bool = false;
-    /// What the latent is trained to predict by default; see
-    /// [`Capabilities::latent`](super::Capabilities::latent).
-    const LATENT: &'static [&'static str] = &[];
-    /// Groups of settings that the networks read, besides those common to all methods.
-    const SETTINGS: &'static [&'static str] = &[];
-    /// Number of communication graphs that the policy samples at each decision.
-    const GRAPHS: usize = 0;
-    /// Whether a world keeps the noise of its graph for a whole rollout, so that the graph is the
-    /// same at each decision.
-    const GRAPH_LASTS: bool = false;
-    /// Whether the value function samples a communication graph.
-    const VALUE_SAMPLES_GRAPH: bool = false;
-    /// Name prefixes of the actor's parameters that a deployed policy does not need.
-    const TRAINING_ONLY: &'static [&'static str] = &[];
-
-    /// Whether agents share the value and the return of their team.
-    const TEAM: bool = false;
-    /// A parameter with a row for each agent, as `<group>/<name>`, where there is one.
-    const PER_AGENT: Option<&'static str> = None;
-
-    /// Creates the networks and their parameters.
-    fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self;
-
-    /// Returns the learning rate of a parameter group in pass `epoch` over the rollout; `None`
-    /// where that pass does not train the group.
-    fn rate(
-        _set: ParameterGroup,
-        _epoch: usize,
-        learning_rate: f64,
-        _settings: &Settings,
-    ) -> Option<f64> {
-        Some(learning_rate)
-    }
-
-    /// Returns the policy's head.
-    fn head(&self) -> &GaussianHead;
-
-    /// Returns the width M of the policy's memory per agent.
-    fn memory(&self) -> i64;
-
-    /// Whether the memory is trained through time, on sequences.
-    fn is_recurrent(&self) -> bool {
-        self.memory() > 0
-    }
-
-    /// Returns the width of the value function's memory per agent; 0 where it has none of its own.
-    fn value_memory(&self) -> i64 {
-        0
-    }
-
-    /// Chooses actions.
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
-
-    /// Returns the width of the messages that agents send at run time; 0 for methods without
-    /// messages.
-    fn message_width(&self) -> i64 {
-        0
-    }
-
-    /// Chooses deterministic actions where messages pass through a channel. Methods without
-    /// messages leave the channel's part of the memory, which follows their own, unchanged.
-    fn act_through(
-        &self,
-        input: &Observation,
-        _channel: &Channel,
-        _noise: &ChannelNoise,
-    ) -> Decision {
-        let (own, total) = (self.memory(), input.memory.size()[2]);
-        let memory = input.memory.narrow(2, 0, own);
-        let decision = self.act(
-            &Observation { memory, ..input.map(Tensor::shallow_clone) },
-            &ActMode::Deterministic,
-        );
-        let rest = input.memory.narrow(2, own, total - own);
-        Decision { memory: Tensor::cat(&[&decision.memory, &rest], -1), ..decision }
-    }
-
-    /// Returns the values (normalised) at one decision, `[E, N]`; `None` where the value function
-    /// has a memory.
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor>;
-
-    /// Returns the communication graph at run time, `[E, N, N]`, row = listener; `None` for methods
-    /// without messages.
-    fn graph(&self, _input: &Observation) -> Option<Tensor> {
-        None
-    }
-
-    /// Returns the values (normalised) of all rows of C sequences of `length` steps, `[rows, N]`,
-    /// and the memory after each step, `[length, C · N, M]`, if there is one. `memory` is the
-    /// memory before the first step, `[C · N, M]`.
-    fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>);
-
-    /// Returns the loss on the active samples of a shard.
-    fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss;
-
-    /// Returns the decoders' predictions of the privileged state and of the messages from the
-    /// latent, with their targets; empty for methods without a latent.
-    fn reconstruct(&self, _input: &Observation, _state: &Tensor) -> Vec<Reconstruction> {
-        Vec::new()
-    }
-}
-
-/// A loss and its diagnostics, all means over samples.
-pub(super) struct Loss {
-    /// The loss that is differentiated.
-    pub(super) total: Tensor,
-    /// Named scalars to report.
-    pub(super) report: Vec<(&'static str, Tensor)>,
-}
 
 /// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
@@ -218,7 +95,7 @@ impl<N: Networks> ActorCritic<N> {
     /// function's memory before each row into `batch`.
     fn values(&mut self, batch: &mut Batch, rollout: &Rollout) -> Tensor {
         let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
-        let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].value_memory());
+        let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].critic().memory());
         let carried = self.critic_memory.take();
         let carried = carried
             .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
@@ -236,7 +113,7 @@ impl<N: Networks> ActorCritic<N> {
             .collect();
         let parts = self.parallel(parts, |networks, (count, part, memory)| {
             no_grad(|| {
-                let (values, after) = networks.values(&part, steps + 1, &memory);
+                let (values, after) = networks.critic().values(&part, steps + 1, &memory);
                 let values = values.view([steps + 1, count, agents]);
                 let memory = after.map(|after| {
                     let before =
@@ -324,21 +201,15 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         channel: &Channel,
         noise: &ChannelNoise,
     ) -> Decision {
-        let there = |tensor: &Tensor| tensor.to_device(self.device);
-        let noise = ChannelNoise {
-            lost: there(&noise.lost),
-            falsified: there(&noise.falsified),
-            content: there(&noise.content),
-        };
-        let decision = no_grad(|| self.copies[0].act_through(&input.map(there), channel, &noise));
-        decision.map(|tensor| tensor.to_device(Device::Cpu))
+        let (input, noise) = (input.to(self.device), noise.to(self.device));
+        no_grad(|| self.copies[0].act_through(&input, channel, &noise)).to(Device::Cpu)
     }
 
     fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics {
-        let (input, state) =
-            (input.map(|t| t.to_device(self.device)), state.to_device(self.device));
+        let (input, state) = (input.to(self.device), state.to_device(self.device));
+        let networks = &self.copies[0];
         let (value, graph) =
-            no_grad(|| (self.copies[0].value(&input, &state), self.copies[0].graph(&input)));
+            no_grad(|| (networks.critic().value(&input, &state), networks.graph(&input)));
         Diagnostics {
             value: value.map(|value| self.value_norm.denormalize(&value).to_device(Device::Cpu)),
             graph: graph.map(|graph| graph.to_device(Device::Cpu)),
@@ -346,13 +217,9 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
-        let there = |tensor: &Tensor| tensor.to_device(self.device);
-        let back = |tensor: &Tensor| tensor.to_device(Device::Cpu);
-        let found = no_grad(|| self.copies[0].reconstruct(&input.map(there), &there(state)));
-        found
-            .into_iter()
-            .map(|r| Reconstruction { found: back(&r.found), truth: back(&r.truth), ..r })
-            .collect()
+        let (input, state) = (input.to(self.device), state.to_device(self.device));
+        let all = no_grad(|| self.copies[0].reconstruct(&input, &state));
+        all.iter().map(|one| one.to(Device::Cpu)).collect()
     }
 
     fn update(
@@ -406,7 +273,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             let mut pass = Means::default();
             for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order)
             {
-                let rate = |set| N::rate(set, epoch, parameters.learning_rate, &settings);
+                let rate = |group| N::rate(group, epoch, parameters.learning_rate, &settings);
                 pass.add(&self.step(&batch, shards, rate)?);
             }
             passes += 1;
@@ -462,85 +329,4 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn parameters(&self) -> (i64, i64) {
         self.weights.parameters(N::TRAINING_ONLY)
     }
-}
-
-/// Makes one decision without gradients, on the device that holds the networks.
-pub(super) fn act_on(
-    device: Device,
-    input: &Observation,
-    mode: &ActMode<'_>,
-    act: impl Fn(&Observation, &ActMode<'_>) -> Decision,
-) -> Decision {
-    no_grad(|| {
-        if device == Device::Cpu {
-            return act(input, mode);
-        }
-        let there = |tensor: &Tensor| tensor.to_device(device);
-        let input = input.map(there);
-        let decision = match mode {
-            ActMode::Deterministic => act(&input, mode),
-            ActMode::Sample { action, carried, graph, log_fresh } => {
-                let [action, carried, graph] = [action, carried, graph].map(|t| there(t));
-                let (action, carried, graph) = (&action, &carried, &graph);
-                act(&input, &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh })
-            }
-        };
-        decision.map(|tensor| tensor.to_device(Device::Cpu))
-    })
-}
-
-/// Running means of diagnostics over the gradient steps of an update.
-#[derive(Default)]
-pub(super) struct Means {
-    sums: Losses,
-    count: f64,
-}
-
-impl Means {
-    pub(super) fn add(&mut self, values: &[(&'static str, f64)]) {
-        if self.sums.is_empty() {
-            self.sums = values.iter().map(|(name, _)| (*name, 0.0)).collect();
-        }
-        for (sum, value) in self.sums.iter_mut().zip(values) {
-            sum.1 += value.1;
-        }
-        self.count += 1.0;
-    }
-
-    /// Adds the sums of other gradient steps, which have the same diagnostics.
-    fn merge(&mut self, other: Self) {
-        if self.sums.is_empty() {
-            *self = other;
-            return;
-        }
-        for (sum, other) in self.sums.iter_mut().zip(&other.sums) {
-            sum.1 += other.1;
-        }
-        self.count += other.count;
-    }
-
-    /// Returns the mean of one diagnostic so far; 0 where there is none of this name.
-    fn mean(&self, name: &str) -> f64 {
-        let sum = self.sums.iter().find(|(found, _)| *found == name).map_or(0.0, |(_, sum)| *sum);
-        sum / self.count.max(1.0)
-    }
-
-    /// Returns the means and the `extra` diagnostics.
-    ///
-    /// # Errors
-    /// [`Error::NonFinite`] when a diagnostic is not finite.
-    pub(super) fn finish(self, extra: &[(&'static str, f64)]) -> Result<Losses, Error> {
-        let mut losses: Losses =
-            self.sums.into_iter().map(|(name, sum)| (name, sum / self.count.max(1.0))).collect();
-        losses.extend_from_slice(extra);
-        match losses.iter().find(|(_, value)| !value.is_finite()) {
-            Some((what, _)) => Err(Error::NonFinite { what }),
-            None => Ok(losses),
-        }
-    }
-}
-
-/// Returns the value of a tensor with one element.
-pub(super) fn scalar(tensor: &Tensor) -> f64 {
-    tensor.double_value(&[])
 }

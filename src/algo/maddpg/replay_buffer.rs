@@ -2,12 +2,13 @@
 
 use tch::{Device, Kind, Tensor, no_grad};
 
+use crate::algo::Observation;
 use crate::nn;
 use crate::rng::{self, Rng};
 use crate::rollout::{Rollout, Sizes};
 
 /// A buffer of the last rollouts.
-pub(super) struct Replay {
+pub(super) struct ReplayBuffer {
     device: Device,
     /// Largest number of rollouts that are kept.
     capacity: i64,
@@ -48,7 +49,18 @@ pub(super) struct View {
     pub(super) comm: Tensor,
 }
 
-impl Replay {
+impl View {
+    /// Returns the view of one decision, with the privileged `state`.
+    pub(super) fn of(input: &Observation, state: &Tensor) -> Self {
+        Self {
+            observation: input.observation.shallow_clone(),
+            state: state.shallow_clone(),
+            comm: input.comm.shallow_clone(),
+        }
+    }
+}
+
+impl ReplayBuffer {
     /// Creates a buffer that keeps up to `capacity` rollouts.
     pub(super) fn new(capacity: usize, device: Device) -> Self {
         Self { device, capacity: capacity as i64, stored: 0, sizes: None, arrays: Vec::new() }
@@ -161,7 +173,7 @@ impl Replay {
         arrays.chain([("counts".to_owned(), Tensor::from_slice(&counts))]).collect()
     }
 
-    /// Loads a state that [`Replay::state`] returned. If it holds more rollouts than have room, the
+    /// Loads a state that [`ReplayBuffer::state`] returned. If it holds more rollouts than have room, the
     /// newest are kept.
     ///
     /// # Errors
@@ -276,7 +288,7 @@ mod tests {
     }
 
     /// Returns the first reward of each rollout that is kept, sorted.
-    fn kept(replay: &Replay) -> Vec<f64> {
+    fn kept(replay: &ReplayBuffer) -> Vec<f64> {
         let count = replay.stored.min(replay.capacity);
         let mut rewards =
             Vec::<f64>::try_from(replay.arrays[4].narrow(0, 0, count).amax([1, 2, 3], false))
@@ -297,7 +309,7 @@ mod tests {
                 rollout.reward.fill(k as f32);
                 rollout
             };
-            let (mut one, mut other) = (Replay::new(before, Device::Cpu), Replay::new(after, Device::Cpu));
+            let (mut one, mut other) = (ReplayBuffer::new(before, Device::Cpu), ReplayBuffer::new(after, Device::Cpu));
             (0..had).for_each(|k| one.add(&numbered(k)));
             other.load(&one.state()).unwrap();
             (had..had + more).for_each(|k| other.add(&numbered(k)));
@@ -314,7 +326,7 @@ mod tests {
         fn rewards_count_until_the_end_or_the_cut(events in prop::collection::vec(0u8..24, 72..100), n in 1usize..6, draw in 0u64..1000) {
             const GAMMA: f64 = 0.9;
             let rollout = rollout(&events);
-            let mut replay = Replay::new(2, Device::Cpu);
+            let mut replay = ReplayBuffer::new(2, Device::Cpu);
             replay.add(&rollout);
             let steps = replay.draw(40, n, GAMMA, &mut Seed::new(draw).rng());
             let numbers = |x: &Tensor| Vec::<f32>::try_from(x.flatten(0, -1)).expect("numbers");

@@ -1,0 +1,149 @@
+//! What goes into a policy and comes out of it at one decision of E worlds with N agent slots each.
+
+use tch::{Device, Tensor};
+
+use crate::rollout::Rollout;
+
+/// The input of a policy at one decision.
+#[derive(Debug)]
+pub struct Observation {
+    /// Observation features, `[E, N, O]`.
+    pub observation: Tensor,
+    /// Physical mask, `[E, N, N]`; the diagonal is 1 where an agent is present.
+    pub comm: Tensor,
+    /// 1 where a trajectory starts, else 0, `[E]`.
+    pub start: Tensor,
+    /// Memory of the policy after the last decision, `[E, N, M]`.
+    pub memory: Tensor,
+}
+
+impl Observation {
+    /// Returns the input of decision `t` of a rollout, for a policy with `memory [E, N, M]`.
+    pub fn at(rollout: &Rollout, t: usize, memory: &Tensor) -> Self {
+        let s = rollout.sizes;
+        let part = |array: &[f32], width: usize| {
+            let row = Tensor::from_slice(&array[rollout.at(t, width)]);
+            row.view([s.envs as i64, s.agents as i64, width as i64])
+        };
+        Self {
+            observation: part(&rollout.observation, s.observation),
+            comm: part(&rollout.comm, s.agents),
+            start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+            memory: memory.shallow_clone(),
+        }
+    }
+
+    /// Returns 0 where memories are cleared before the decision and 1 elsewhere, `[E, N]`.
+    pub(super) fn keep(&self) -> Tensor {
+        let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
+        (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
+    }
+
+    /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the old
+    /// memory where the encoder has none.
+    pub(super) fn memory_after(&self, encoder: Option<Tensor>) -> Tensor {
+        encoder.map_or_else(|| self.memory.shallow_clone(), |memory| memory.view_as(&self.memory))
+    }
+
+    /// Returns this input with the memory `memory`.
+    pub(super) fn with_memory(&self, memory: Tensor) -> Self {
+        Self { memory, ..self.map(Tensor::shallow_clone) }
+    }
+
+    pub(super) fn to(&self, device: Device) -> Self {
+        self.map(|tensor| tensor.to_device(device))
+    }
+
+    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self {
+            observation: change(&self.observation),
+            comm: change(&self.comm),
+            start: change(&self.start),
+            memory: change(&self.memory),
+        }
+    }
+}
+
+/// How actions are chosen.
+#[derive(Debug)]
+pub enum ActMode<'a> {
+    /// The mean action, with the most likely communication graph.
+    Deterministic,
+    /// A sample from noise that the caller provides, so that the caller owns all randomness.
+    Sample {
+        /// Standard normal noise, `[E, N, A]`.
+        action: &'a Tensor,
+        /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
+        /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
+        carried: &'a Tensor,
+        /// Noise of G graphs side by side, standard logistic times the noise scale,
+        /// `[E, N, G · N]`; empty for policies without a graph.
+        graph: &'a Tensor,
+        /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
+        /// independent from step to step.
+        log_fresh: f64,
+    },
+}
+
+impl ActMode<'_> {
+    /// Returns the noise of the graphs; `None` for the most likely graphs.
+    pub(super) fn graph_noise(&self) -> Option<&Tensor> {
+        match self {
+            Self::Deterministic => None,
+            Self::Sample { graph, .. } => Some(*graph),
+        }
+    }
+}
+
+/// The output of a policy at one decision.
+#[derive(Debug)]
+pub struct Decision {
+    /// Action, not clipped, `[E, N, A]`.
+    pub action: Tensor,
+    /// Log-probability of each dimension of the action, `[E, N, A]`.
+    pub log_prob: Tensor,
+    /// Memory of the policy after the decision, `[E, N, M]`.
+    pub memory: Tensor,
+}
+
+impl Decision {
+    pub(super) fn to(&self, device: Device) -> Self {
+        Self {
+            action: self.action.to_device(device),
+            log_prob: self.log_prob.to_device(device),
+            memory: self.memory.to_device(device),
+        }
+    }
+}
+
+/// A decoder's prediction from a latent, and its target.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// Name of the target: `world` or `interaction`.
+    pub name: &'static str,
+    /// The decoder's prediction, `[E, N, K]`.
+    pub prediction: Tensor,
+    /// The target of the prediction, `[E, N, K]`.
+    pub target: Tensor,
+}
+
+impl Reconstruction {
+    pub(super) fn to(&self, device: Device) -> Self {
+        Self {
+            prediction: self.prediction.to_device(device),
+            target: self.target.to_device(device),
+            ..*self
+        }
+    }
+}
+
+/// Diagnostics of a policy at one decision.
+#[derive(Debug, Default)]
+pub struct Diagnostics {
+    /// Value of each agent, in units of the reward, `[E, N]`; `None` where the value function needs
+    /// a memory of its own.
+    pub value: Option<Tensor>,
+    /// Communication graph at run time, `[E, N, N]`, row = listener; `None` for methods without
+    /// messages.
+    pub graph: Option<Tensor>,
+}

@@ -1,0 +1,27 @@
+//! From the worlds' frames to the rows of a rollout. All policies, in training and in evaluation, get
+//! their tensors from such rows ([`Observation::at`](super::Observation::at), `Batch`).
+
+use crate::env::VecEnv;
+use crate::rollout::Rollout;
+
+/// Stores the worlds' frames before decision `t` as row `t` of a rollout: observations, privileged
+/// states, masks, and which agents act. Rows of worlds that `env` lacks stay as they are.
+pub fn store_frames(env: &VecEnv, rollout: &mut Rollout, t: usize) {
+    let s = rollout.sizes;
+    for (e, world) in env.worlds().enumerate() {
+        let frame = world.frame();
+        let cell = |width| rollout.cell(t, e, width);
+        let (observation, state, comm, active) =
+            (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
+        rollout.observation[observation].copy_from_slice(&frame.observation);
+        rollout.state[state].copy_from_slice(&frame.state);
+        rollout.comm[comm].copy_from_slice(&frame.comm);
+        rollout.active[active].copy_from_slice(&frame.active);
+        if !frame.sharing.is_empty() && t < s.steps {
+            rollout.sharing.resize(s.steps * s.envs * s.agents * s.agents, 0.0);
+            let cell = rollout.cell(t, e, s.agents);
+            rollout.sharing[cell].copy_from_slice(&frame.sharing);
+        }
+        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
+    }
+}

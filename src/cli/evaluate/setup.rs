@@ -1,0 +1,125 @@
+//! The task and the trained policy that the command line of `iwol evaluate` names.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::bail;
+use iwol_sumo::algo::{self, Algorithm, Channel};
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{self, Config, Document, Layers};
+use iwol_sumo::env::Task;
+use iwol_sumo::evaluate::{Controller, LearnedPolicy};
+use iwol_sumo::provenance::Training;
+use iwol_sumo::rng::Seed;
+use iwol_sumo::sumo::Hosting;
+use iwol_sumo::train::RunDir;
+use toml::Value;
+
+use super::Args;
+
+/// The task of an evaluation, and the trained policy if there is one.
+pub(super) struct Setup {
+    pub(super) task: Arc<Task>,
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Number of vehicles at spawn places.
+    pub(super) agents: u32,
+    pub(super) hosting: Hosting,
+    /// File name of the trained policy's checkpoint.
+    pub(super) checkpoint: Option<String>,
+    /// Provenance of the trained policy.
+    pub(super) training: Option<Training>,
+    learned: Option<(Box<dyn Algorithm>, Channel)>,
+}
+
+impl Setup {
+    pub(super) fn new(args: &Args) -> anyhow::Result<Self> {
+        if let Some(why) = args.set.iter().find_map(|set| config::no_matter_of_evaluation(set)) {
+            bail!("--set {why}");
+        }
+        let checkpoint = args.run.as_deref().map(checkpoint_of).transpose()?;
+        let mut layers = Layers { sets: args.set.clone(), ..Layers::default() };
+        if let (Some(checkpoint), Some(run)) = (&checkpoint, &args.run) {
+            layers.document = Document::of_run(
+                format!("{} (stored settings)", run.display()),
+                checkpoint.config.clone(),
+            );
+        }
+        if let Some(path) = &args.scenario {
+            layers.flags.push(("scenario", Value::String(path.display().to_string())));
+        }
+        if let Some(agents) = args.agents {
+            layers.flags.push(("agents", Value::Integer(agents.into())));
+        }
+        layers.flags.push(("device", Value::String(args.device.clone())));
+        if let Some(backend) = &args.backend {
+            layers.flags.push(("simulation.backend", Value::String(backend.clone())));
+        }
+        let (config, scenario) = Config::resolve(&layers)?;
+        let task = Arc::new(Task::new(&scenario, config.agents)?);
+        let learned = match &checkpoint {
+            Some(checkpoint) => Some((build(checkpoint, &config, &task)?, config.channel)),
+            None => None,
+        };
+        Ok(Self {
+            task,
+            scenario: scenario.name,
+            agents: config.agents,
+            hosting: config.hosting(),
+            checkpoint: args
+                .run
+                .as_deref()
+                .map(RunDir::checkpoint)
+                .and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned())),
+            training: args
+                .run
+                .as_deref()
+                .map(|path| RunDir::of(path).and_then(|run| run.training()).unwrap_or_default()),
+            learned,
+        })
+    }
+
+    /// Returns the trained policy and its name.
+    pub(super) fn controller(&self) -> Option<(&'static str, Box<dyn Controller + '_>)> {
+        let (learner, channel) = self.learned.as_ref()?;
+        Some((learner.name(), Box::new(LearnedPolicy { learner: &**learner, channel: *channel })))
+    }
+}
+
+/// Builds the networks of a checkpoint for a task, with the checkpoint's weights.
+fn build(
+    checkpoint: &Checkpoint,
+    config: &Config,
+    task: &Task,
+) -> anyhow::Result<Box<dyn Algorithm>> {
+    let (settings, device) = (config.settings(), config.device.find()?);
+    let mut learner =
+        algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
+    learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
+        algo::Error::State(_) => anyhow::Error::new(unfit).context(
+            "the checkpoint does not fit the observations and networks that the scenario and the settings define",
+        ),
+        other => other.into(),
+    })?;
+    algo::check_channel(learner.name(), &config.channel)?;
+    Ok(learner)
+}
+
+fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
+    let path = RunDir::checkpoint(run);
+    if run.is_dir() && !path.exists() {
+        bail!(
+            "`{}` contains no checkpoint; a run folder contains checkpoints/best.safetensors",
+            run.display()
+        );
+    }
+    let checkpoint = Checkpoint::load(&path)?;
+    if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
+        bail!(
+            "`{}` is a checkpoint of the algorithm `{}`, which this program does not support",
+            path.display(),
+            checkpoint.algorithm
+        );
+    }
+    Ok(checkpoint)
+}

@@ -1,0 +1,68 @@
+//! The task that the command line of `iwol evaluate` names, in builds without the feature `learn`.
+
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use iwol_sumo::env::Task;
+use iwol_sumo::evaluate::Controller;
+use iwol_sumo::provenance::Training;
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::sumo::{Choice, Hosting};
+use serde::Deserialize as _;
+use serde::de::IntoDeserializer as _;
+use serde::de::value::Error;
+
+use super::Args;
+
+/// The task of an evaluation.
+pub(super) struct Setup {
+    pub(super) task: Arc<Task>,
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Number of vehicles at spawn places.
+    pub(super) agents: u32,
+    pub(super) hosting: Hosting,
+    /// File name of the trained policy's checkpoint: none.
+    pub(super) checkpoint: Option<String>,
+    /// Provenance of the trained policy: none.
+    pub(super) training: Option<Training>,
+}
+
+impl Setup {
+    pub(super) fn new(args: &Args) -> anyhow::Result<Self> {
+        if args.run.is_some() {
+            bail!(crate::cli::absent::needs_learn("a trained policy"));
+        }
+        if !args.set.is_empty() {
+            bail!(crate::cli::absent::needs_learn("`--set`"));
+        }
+        if args.device != "cpu" {
+            bail!(crate::cli::absent::needs_learn("`--device`"));
+        }
+        if args.agents == Some(0) {
+            bail!("--agents 0: allowed: at least 1");
+        }
+        let path = args.scenario.as_ref().context("no scenario given; name one with --scenario")?;
+        let scenario = Scenario::load(path)?;
+        let agents = args.agents.unwrap_or(scenario.agents.default);
+        let mut hosting = Hosting::default();
+        let backend = args.backend.as_deref().unwrap_or("auto");
+        let choice = Choice::deserialize(backend.into_deserializer())
+            .map_err(|error: Error| anyhow::anyhow!("--backend: {error}"))?;
+        hosting.backend = choice.backend();
+        Ok(Self {
+            task: Arc::new(Task::new(&scenario, agents)?),
+            scenario: scenario.name,
+            agents,
+            hosting,
+            checkpoint: None,
+            training: None,
+        })
+    }
+
+    /// Returns the trained policy and its name: none.
+    #[allow(clippy::unused_self, reason = "builds with the feature `learn` may have one")]
+    pub(super) fn controller(&self) -> Option<(&'static str, Box<dyn Controller + '_>)> {
+        None
+    }
+}

@@ -1,0 +1,176 @@
+//! Learned policies in an evaluation: they act deterministically, and messages pass through a
+//! channel.
+
+use rand::RngExt as _;
+use tch::{Device, Kind, Tensor};
+
+use super::knowledge::Sums;
+use super::{Actor, Controller, Knowledge, WORLDS};
+use crate::algo::{
+    ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation, store_frames,
+};
+use crate::env::{Task, VecEnv};
+use crate::replay::RecordedDiagnostics;
+use crate::rng::{self, Seed};
+use crate::rollout::{Rollout, Sizes};
+
+/// Number of decisions between two samples of the latent.
+const LOOK: u64 = 8;
+
+/// The mean actions of a trained policy.
+pub struct LearnedPolicy<'a> {
+    /// The policy.
+    pub learner: &'a dyn Algorithm,
+    /// The radio through which its messages pass.
+    pub channel: Channel,
+}
+
+impl Controller for LearnedPolicy<'_> {
+    fn actor<'a>(&'a self, task: &'a Task, seed: Seed) -> Box<dyn Actor + 'a> {
+        let mut actor = LearnedActor {
+            policy: self,
+            task,
+            seed,
+            sums: Sums::default(),
+            decisions: 0,
+            frames: Rollout::new(Sizes {
+                steps: 0,
+                envs: WORLDS,
+                agents: task.agents,
+                observation: task.spec.observation.len(),
+                state: task.spec.state.len(),
+                actions: 0,
+                memory: 0,
+                graphs: 0,
+            }),
+            memory: Tensor::new(),
+        };
+        actor.begin();
+        Box::new(actor)
+    }
+}
+
+struct LearnedActor<'a> {
+    policy: &'a LearnedPolicy<'a>,
+    task: &'a Task,
+    seed: Seed,
+    sums: Sums,
+    decisions: u64,
+    /// The present frames of [`WORLDS`] worlds, in its only row.
+    frames: Rollout,
+    memory: Tensor,
+}
+
+impl Actor for LearnedActor<'_> {
+    fn begin(&mut self) {
+        let LearnedPolicy { learner, channel } = self.policy;
+        self.frames = Rollout::new(self.frames.sizes);
+        let memory = learner.memory() + channel.memory(learner.message_width());
+        self.memory = Tensor::zeros(
+            [WORLDS as i64, self.task.agents as i64, memory as i64],
+            (Kind::Float, Device::Cpu),
+        );
+        self.decisions = 0;
+    }
+
+    fn act(
+        &mut self,
+        env: &VecEnv,
+        actions: &mut [f32],
+        watched: Option<usize>,
+    ) -> RecordedDiagnostics {
+        let LearnedPolicy { learner, channel } = self.policy;
+        let mut sources = [Seed::new(0); WORLDS];
+        let mut episodes = [0; WORLDS];
+        for (e, world) in env.worlds().enumerate() {
+            episodes[e] = world.episode();
+            sources[e] = self.seed.index(world.episode()).index(u64::from(world.step_count()));
+        }
+        store_frames(env, &mut self.frames, 0);
+        let observation = Observation::at(&self.frames, 0, &self.memory);
+        let per_agent = |array: &[f32], shape: &[i64]| {
+            let shape = [&[WORLDS as i64, self.task.agents as i64][..], shape].concat();
+            Tensor::from_slice(array).view(&shape[..])
+        };
+        let decision = if channel.is_perfect() {
+            learner.act(&observation, &ActMode::Deterministic)
+        } else {
+            let noise = channel_noise(
+                channel,
+                &sources,
+                &self.frames.comm,
+                self.task.agents,
+                learner.message_width(),
+            );
+            learner.act_through(&observation, channel, &noise)
+        };
+        // Latents are evaluated only with undisturbed messages.
+        let mut diagnostics = RecordedDiagnostics::default();
+        if channel.is_perfect() {
+            let state = || per_agent(&self.frames.state, &[self.frames.sizes.state as i64]);
+            if self.decisions.is_multiple_of(LOOK) {
+                let active = per_agent(&self.frames.active, &[]);
+                let all = learner.reconstruct(&observation, &state());
+                self.sums.add(&all, &observation.observation, &active, &episodes);
+            }
+            if let Some(world) = watched {
+                diagnostics = recorded(&learner.inspect(&observation, &state()), world as i64);
+            }
+        }
+        self.decisions += 1;
+        self.memory = decision.memory;
+        decision.action.reshape([-1]).copy_data(actions, actions.len());
+        diagnostics
+    }
+
+    fn knowledge(&self) -> Vec<Knowledge> {
+        self.sums.finish()
+    }
+}
+
+/// Returns the diagnostics of one world.
+fn recorded(diagnostics: &Diagnostics, world: i64) -> RecordedDiagnostics {
+    let numbers = |tensor: &Option<Tensor>| {
+        let tensor = tensor.as_ref().map(|t| t.get(world).reshape([-1]));
+        tensor.and_then(|t| Vec::try_from(t).ok()).unwrap_or_default()
+    };
+    RecordedDiagnostics { value: numbers(&diagnostics.value), graph: numbers(&diagnostics.graph) }
+}
+
+/// Returns the randomness of a channel, which depends only on each world's episode and step.
+/// Falsified messages get a content where a receiver is in range according to `comm [E, N, N]`;
+/// elsewhere the content is zero.
+fn channel_noise(
+    channel: &Channel,
+    sources: &[Seed],
+    comm: &[f32],
+    agents: usize,
+    width: usize,
+) -> ChannelNoise {
+    let (e, n) = (sources.len() as i64, agents as i64);
+    let uniform = |what: &str| -> Vec<f32> {
+        let draws = sources.iter().flat_map(|seed| {
+            let mut rng = seed.child(what).rng();
+            std::iter::repeat_with(move || rng.random::<f32>()).take(agents * agents)
+        });
+        draws.collect()
+    };
+    let (lost, falsified) = (uniform("lost"), uniform("falsified"));
+    // Without falsified messages, or for algorithms without messages, a content of width 1
+    // suffices.
+    let width = if channel.falsified > 0.0 { width.max(1) } else { 1 };
+    let mut content = vec![0.0; falsified.len() * width];
+    for (k, content) in content.chunks_mut(width).enumerate() {
+        let (world, pair) = (k / (agents * agents), k % (agents * agents));
+        let arrives = pair / agents != pair % agents && comm[k] > 0.0;
+        if arrives && f64::from(falsified[k]) < channel.falsified {
+            rng::fill_normal(
+                &mut sources[world].child("content").index(pair as u64).rng(),
+                content,
+            );
+        }
+    }
+    let view = |values: &[f32]| Tensor::from_slice(values).view([e, n, n, -1]);
+    let flat = |values: &[f32]| view(values).squeeze_dim(-1);
+    ChannelNoise { lost: flat(&lost), falsified: flat(&falsified), content: view(&content) }
+}

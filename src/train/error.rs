@@ -1,0 +1,79 @@
+//! Errors in training.
+
+use std::path::PathBuf;
+
+use crate::{algo, checkpoint, env, record};
+
+/// An error in training.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A world failed.
+    #[error(transparent)]
+    Env(#[from] env::Error),
+    /// The learner failed.
+    #[error(transparent)]
+    Algorithm(#[from] algo::Error),
+    /// A file of the run cannot be written.
+    #[error(transparent)]
+    Record(#[from] record::Error),
+    /// A checkpoint cannot be read or written.
+    #[error(transparent)]
+    Checkpoint(#[from] checkpoint::Error),
+    /// The requested device is not available.
+    #[error(transparent)]
+    Device(#[from] algo::NoDevice),
+    /// The initial weights do not fit this run's networks.
+    #[error("the weights in `{}` do not fit this run's networks and observations", path.display())]
+    InitFrom {
+        /// The checkpoint.
+        path: PathBuf,
+        /// The mismatch.
+        source: algo::Error,
+    },
+    /// The initial weights belong to another method.
+    #[error(
+        "`{}` contains a policy of {of}, but this run trains {trained}, which has other networks",
+        path.display()
+    )]
+    OtherMethod {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Method of the checkpoint.
+        of: String,
+        /// Method of this run.
+        trained: String,
+    },
+    /// The run folder cannot be created.
+    #[error("cannot create the run folder `{}`", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// Another process trains in the folder.
+    #[error("another process is training in `{}`; wait for it, or choose another folder", path.display())]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The least number of agents in an episode exceeds the number of agents.
+    #[error(
+        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents"
+    )]
+    TooFew {
+        /// The setting `train.fewest_agents`.
+        fewest: u32,
+        /// The setting `agents`.
+        agents: u32,
+    },
+    /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
+    #[error(
+        "the checkpoint was written with another `{key}`; resume with the settings in the config.toml of its run folder"
+    )]
+    OtherRun {
+        /// The first setting that differs.
+        key: String,
+    },
+}

@@ -1,0 +1,142 @@
+//! Sets up a run: learner, worlds and rollout, new or from a checkpoint.
+
+use std::sync::Arc;
+
+use tch::Tensor;
+
+use super::{Error, RunDir, Timers, Trainer, schedule};
+use crate::algo;
+use crate::checkpoint::{Checkpoint, Progress};
+use crate::config::{self, Config};
+use crate::env::{Driver, Task, VecEnv, VecOptions};
+use crate::rng::Seed;
+use crate::rollout::{Rollout, Sizes};
+use crate::scenario::Scenario;
+
+impl Trainer {
+    pub(super) fn build(
+        config: Config,
+        scenario: Scenario,
+        checkpoint: Option<&Checkpoint>,
+    ) -> Result<Self, Error> {
+        let seed = Seed::new(config.seed);
+        let mut task = Task::new(&scenario, config.agents)?;
+        let fewest = config.train.fewest_agents;
+        if fewest > config.agents {
+            return Err(Error::TooFew { fewest, agents: config.agents });
+        }
+        if fewest > 0 {
+            task = task.with_fewest(fewest as usize);
+        }
+        let task = Arc::new(task);
+        let device = config.device.find()?;
+        let mut learner = algo::build(
+            &config.algorithm,
+            &task.spec,
+            &config.settings(),
+            seed.child("weights"),
+            device,
+        )?;
+        let worlds = config.train.envs;
+        let options = VecOptions {
+            worlds,
+            driver: Driver::Agents,
+            seed: seed.child("episodes"),
+            episodes: 0..u64::MAX,
+            replay: config.train.repeat_failed,
+            hosting: config.hosting(),
+        };
+        let sizes = Sizes {
+            steps: config.train.rollout_steps,
+            envs: worlds,
+            agents: task.agents,
+            observation: task.spec.observation.len(),
+            state: task.spec.state.len(),
+            actions: task.spec.actions.len(),
+            memory: learner.memory(),
+            graphs: learner.graphs(),
+        };
+        let shape = [worlds as i64, task.agents as i64, learner.memory() as i64];
+        let count = worlds * task.agents * learner.memory();
+        let (env, memory, progress) = match checkpoint {
+            None => {
+                let path = &config.init_from;
+                if !path.as_os_str().is_empty() {
+                    let stored = Checkpoint::load(&RunDir::checkpoint(path))?;
+                    if stored.algorithm != config.algorithm {
+                        let (of, trained) = (stored.algorithm, config.algorithm);
+                        return Err(Error::OtherMethod { path: path.clone(), of, trained });
+                    }
+                    let unfit = |source| Error::InitFrom { path: path.clone(), source };
+                    learner.load_weights(&stored.learner).map_err(unfit)?;
+                }
+                let first = Progress {
+                    next_validation: config.train.validate_every,
+                    ..Progress::default()
+                };
+                (VecEnv::new(&task, &options)?, vec![0.0; count], first)
+            }
+            Some(stored) => {
+                same_run(&config, stored)?;
+                let width = task.agents * task.spec.actions.len();
+                let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
+                let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
+                let fits = carried.is_none_or(|(_, t)| {
+                    t.size() == [(worlds * task.agents) as i64, config.network.hidden]
+                });
+                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits
+                {
+                    return Err(Error::OtherRun { key: other_shape(&config, stored) });
+                }
+                learner.load(&stored.learner)?;
+                let before = toml::from_str::<toml::Table>(&stored.config)
+                    .ok()
+                    .and_then(|t| t.get("steps")?.as_integer());
+                let mut progress = stored.progress.clone();
+                schedule::extended(&config, &mut progress, before.map_or(0, i64::cast_unsigned));
+                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
+            }
+        };
+        let mut rollout = Rollout::new(sizes);
+        rollout.cooperation = task.scenario.reward.cooperation;
+        rollout.bootstrap_horizon = config.train.bootstrap_horizon;
+        Ok(Self {
+            rollout,
+            memory: Tensor::from_slice(&memory).view(shape),
+            config,
+            scenario,
+            task,
+            env,
+            learner,
+            progress,
+            seed,
+            finished: Vec::new(),
+            timers: Timers::default(),
+        })
+    }
+}
+
+/// Refuses to resume a run with settings under which its worlds cannot be restored.
+fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
+    const ONCE: [&str; 6] =
+        ["algorithm", "agents", "seed", "train.envs", "train.rollout_steps", "train.fewest_agents"];
+    let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
+    let changed = config::changes(&stored.config, &config.to_toml());
+    changed
+        .into_iter()
+        .find(|c| other(&c.key))
+        .map_or(Ok(()), |c| Err(Error::OtherRun { key: c.key }))
+}
+
+/// Returns the setting that gives a run memories or worlds of another shape than the checkpoint's.
+fn other_shape(config: &Config, stored: &Checkpoint) -> String {
+    let changed =
+        config::changes(&stored.config, &config.to_toml()).into_iter().map(|change| change.key);
+    let of_networks = |key: &String| {
+        !["train.", "ppo.", "simulation."].iter().any(|group| key.starts_with(group))
+    };
+    changed
+        .filter(|key| key.contains('.'))
+        .find(of_networks)
+        .unwrap_or_else(|| "train.envs".to_owned())
+}
