@@ -24,6 +24,9 @@
 
 use std::marker::PhantomData;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
@@ -37,6 +40,21 @@ use super::{ActMode, CommunicationScope, Decision, Observation, Settings, ppo};
 use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
 use crate::nn::{Init, Linear, Mixer, ValueNorm};
+
+/// Settings of ICP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct IcpSettings {
+    /// Number K of symbols that an action can show.
+    #[default = 16]
+    #[schemars(range(min = 2, max = 4096))]
+    pub symbols: i64,
+    /// Weight of the loss of the decoder, which predicts from a symbol what its sender saw and did.
+    #[default = 0.05]
+    #[schemars(range(min = 0))]
+    pub lambda_message: f64,
+}
 
 /// The way in which the agents' values form the value that is trained.
 pub(super) trait Decomposition: Send + 'static {

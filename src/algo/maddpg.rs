@@ -28,11 +28,14 @@
 
 use std::f64::consts::SQRT_2;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Device, Kind, Tensor, no_grad};
 
 use super::core::{Means, act_on, scalar};
 use super::encoder::{Encoder, encode_locally};
-use super::head::GaussianHead;
+use super::head::{GaussianHead, NoiseMode};
 use super::im_iwol::LatentPolicy;
 use super::message::MessageTrunk;
 use super::parameters::{
@@ -40,7 +43,6 @@ use super::parameters::{
 };
 use super::replay::{Replay, Transitions, View};
 use super::scene::Scene;
-use super::settings::NoiseMode;
 use super::{
     ActMode, Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Decision,
     Diagnostics, Error, Losses, Method, Observation, Reconstruction, Settings, UpdateParameters,
@@ -51,6 +53,40 @@ use crate::nn::graph::with_self_loops;
 use crate::nn::{Attention, Init, LayerNorm, Linear, Reach, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
+
+/// Settings of MADDPG. Of the common settings, MADDPG reads learning rates, minibatch, discounts,
+/// value normalisation, largest gradient norm and averaging.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct MaddpgSettings {
+    /// Number of rollouts in the replay buffer. Checkpoints contain the buffer, so that their size
+    /// grows with this number.
+    #[default = 16]
+    #[schemars(range(min = 1, max = 10_000))]
+    pub replay: usize,
+    /// Number of minibatches drawn from the replay buffer after each rollout.
+    #[default = 64]
+    #[schemars(range(min = 1, max = 100_000))]
+    pub updates: usize,
+    /// Number of steps whose rewards are added before the critic's value of the last one:
+    /// multi-step returns (Lowe et al., 2017: 1), without a correction for changes of the policy
+    /// since. With one step, vehicles learned to stop before the crossing permanently
+    /// (docs/lab/0.1.0.md#maddpg).
+    #[default = 10]
+    #[schemars(range(min = 1, max = 1000))]
+    pub n_step: usize,
+    /// Share τ of the distance to the trained networks by which target networks move after each
+    /// minibatch.
+    #[default = 0.005]
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub target_rate: f64,
+    /// Weight in the policy's loss of the squared mean actions before the tanh (Lowe et al., 2017:
+    /// 1e-3).
+    #[default = 1e-3]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub action_penalty: f64,
+}
 
 /// Multi-agent deep deterministic policy gradient.
 pub(super) const MADDPG: Method =

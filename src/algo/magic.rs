@@ -25,6 +25,8 @@
 //!   new noise).
 //! - `magic.lambda_world` adds IWoL's world decoder.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor};
 
 use super::batch::{Batch, Shard};
@@ -43,6 +45,17 @@ use super::{
 use crate::env::EnvSpec;
 use crate::nn::graph::edge_rate;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
+
+/// Settings of MAGIC.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct MagicSettings {
+    /// Weight of the loss of a world decoder on the messages, as in Ex-IWoL (paper, RQ3: 0.05); 0:
+    /// no decoder.
+    #[schemars(range(min = 0))]
+    pub lambda_world: f64,
+}
 
 /// Attention heads of the first round.
 const HEADS: i64 = 4;

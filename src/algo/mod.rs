@@ -17,6 +17,7 @@ mod ex_iwol;
 mod head;
 mod icp;
 mod im_iwol;
+mod iwol;
 mod maddpg;
 mod magic;
 mod mappo;

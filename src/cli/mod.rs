@@ -18,6 +18,7 @@ macro_rules! tell {
 }
 
 mod bench;
+mod config;
 mod doctor;
 mod evaluate;
 mod export;
@@ -34,7 +35,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
-use iwol_sumo::{config, env, scenario as scenarios, sumo};
+use iwol_sumo::{config as settings, env, scenario as scenarios, sumo};
 
 /// Multi-vehicle coordination in SUMO: train, evaluate and plot.
 #[derive(Debug, Parser)]
@@ -66,6 +67,8 @@ enum Verb {
     Replay(replay::Args),
     /// Draw learning curves as PNG
     Plot(plot::Args),
+    /// Print the settings that a run would use, and where each comes from
+    Config(config::Args),
     /// Create, import, build, check and draw scenarios
     Scenario(scenario::Args),
     /// Measure the speed of simulation, decisions and updates
@@ -120,6 +123,7 @@ pub fn main() -> ExitCode {
         Verb::Report(args) => report::run(args),
         Verb::Replay(args) => replay::run(args),
         Verb::Plot(args) => plot::run(args),
+        Verb::Config(args) => config::run(args),
         Verb::Scenario(args) => scenario::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),
@@ -149,7 +153,7 @@ fn hint(error: &anyhow::Error) -> Option<String> {
             e.hint()
         } else if let Some(e) = cause.downcast_ref::<scenarios::author::Error>() {
             e.hint()
-        } else if let Some(config::Error::Scenario(e)) = cause.downcast_ref::<config::Error>() {
+        } else if let Some(settings::Error::Scenario(e)) = cause.downcast_ref::<settings::Error>() {
             e.hint()
         } else if let Some(iwol_sumo::train::Error::Env(e)) =
             cause.downcast_ref::<iwol_sumo::train::Error>()

@@ -23,6 +23,7 @@ pub use schema::{Attribute, Element, SCHEMA, describe, markdown};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
@@ -214,7 +215,7 @@ impl Steering {
 }
 
 /// How an agent observes other vehicles.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ObservationGroups {
     /// The nearest vehicles, in any direction (paper).
@@ -248,7 +249,7 @@ impl ObservationGroups {
 }
 
 /// Order of the nearest vehicles in the observation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum NeighbourOrder {
     /// Nearest first (paper).
@@ -272,7 +273,7 @@ impl NeighbourOrder {
 
 /// What an agent knows of another vehicle's intention: the part of that vehicle's route that the
 /// vehicle has not yet begun.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Intention {
     /// The whole route.

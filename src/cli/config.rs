@@ -1,0 +1,117 @@
+//! `iwol config`, and the arguments that give settings.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use iwol_sumo::algo;
+use iwol_sumo::config::{Config, Document, Layers, PRESETS};
+use toml::Value;
+
+use super::Verdict;
+
+/// Prints the settings that `iwol train` would use with the same arguments, as TOML, and where each
+/// value comes from. Settings that the method does not read are left out.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Print the JSON schema of files with settings, for editors
+    #[arg(long, exclusive = true)]
+    schema: bool,
+    /// Print the documentation of all settings, as Markdown
+    #[arg(long, exclusive = true)]
+    reference: bool,
+}
+
+/// Arguments that give settings.
+#[derive(Debug, clap::Args)]
+pub(super) struct SettingsArgs {
+    /// Scenario file, e.g. scenarios/intersection.xml
+    #[arg(long)]
+    scenario: Option<PathBuf>,
+    #[arg(long, value_name = "NAME", help = format!("Algorithm: {}", algo::NAMES.join(", ")))]
+    algorithm: Option<String>,
+    /// Number of vehicles at spawn places; all are agents unless env.penetration is below 1
+    #[arg(long)]
+    agents: Option<u32>,
+    /// Seed of all random numbers
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Maximum number of environment steps, summed over all worlds, rounded up to whole rollouts
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Start from the weights in a run folder or checkpoint of the same algorithm; the number of
+    /// agents may differ (CommFormer: must be the same)
+    #[arg(long, value_name = "CHECKPOINT")]
+    pub(super) init_from: Option<PathBuf>,
+    /// Device on which the networks are computed
+    #[arg(long, value_name = "cpu|cuda")]
+    device: Option<String>,
+    /// Interface to SUMO; results do not depend on it
+    #[arg(long, value_name = "auto|traci|libsumo")]
+    backend: Option<String>,
+    #[arg(long, value_name = "NAME", help = format!("Preset, which replaces defaults: {}", PRESETS.map(|preset| preset.name).join(", ")))]
+    preset: Option<String>,
+    /// TOML file with settings, e.g. the config.toml of a run folder
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// One setting, e.g. --set ppo.gamma=0.995; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+}
+
+impl SettingsArgs {
+    /// Returns the layers of settings that the arguments give.
+    pub(super) fn layers(&self) -> anyhow::Result<Layers> {
+        let document = self.config.as_deref().map(Document::read).transpose()?.unwrap_or_default();
+        Ok(Layers { document, sets: self.set.clone(), flags: self.flags()? })
+    }
+
+    fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
+        let integer = |v: u64| {
+            i64::try_from(v)
+                .map(Value::Integer)
+                .with_context(|| format!("{v} is too large: numbers must be below 2^63"))
+        };
+        let mut flags = Vec::new();
+        if let Some(name) = &self.preset {
+            flags.push(("preset", Value::String(name.clone())));
+        }
+        if let Some(path) = &self.scenario {
+            flags.push(("scenario", Value::String(path.display().to_string())));
+        }
+        if let Some(name) = &self.algorithm {
+            flags.push(("algorithm", Value::String(name.clone())));
+        }
+        if let Some(agents) = self.agents {
+            flags.push(("agents", integer(agents.into())?));
+        }
+        if let Some(seed) = self.seed {
+            flags.push(("seed", integer(seed)?));
+        }
+        if let Some(path) = &self.init_from {
+            flags.push(("init_from", Value::String(path.display().to_string())));
+        }
+        if let Some(device) = &self.device {
+            flags.push(("device", Value::String(device.clone())));
+        }
+        if let Some(backend) = &self.backend {
+            flags.push(("simulation.backend", Value::String(backend.clone())));
+        }
+        if let Some(steps) = self.steps {
+            flags.push(("steps", integer(steps)?));
+        }
+        Ok(flags)
+    }
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    if args.schema {
+        tell!("{:#}", Config::schema());
+    } else if args.reference {
+        super::print(format_args!("{}", Config::reference()));
+    } else {
+        super::print(format_args!("{}", args.settings.layers()?.resolve()?.explained()));
+    }
+    Ok(Verdict::Good)
+}
