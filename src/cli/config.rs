@@ -73,35 +73,20 @@ impl SettingsArgs {
                 .map(Value::Integer)
                 .with_context(|| format!("{v} is too large: numbers must be below 2^63"))
         };
-        let mut flags = Vec::new();
-        if let Some(name) = &self.preset {
-            flags.push(("preset", Value::String(name.clone())));
-        }
-        if let Some(path) = &self.scenario {
-            flags.push(("scenario", Value::String(path.display().to_string())));
-        }
-        if let Some(name) = &self.algorithm {
-            flags.push(("algorithm", Value::String(name.clone())));
-        }
-        if let Some(agents) = self.agents {
-            flags.push(("agents", integer(agents.into())?));
-        }
-        if let Some(seed) = self.seed {
-            flags.push(("seed", integer(seed)?));
-        }
-        if let Some(path) = &self.init_from {
-            flags.push(("init_from", Value::String(path.display().to_string())));
-        }
-        if let Some(device) = &self.device {
-            flags.push(("device", Value::String(device.clone())));
-        }
-        if let Some(backend) = &self.backend {
-            flags.push(("simulation.backend", Value::String(backend.clone())));
-        }
-        if let Some(steps) = self.steps {
-            flags.push(("steps", integer(steps)?));
-        }
-        Ok(flags)
+        let text = |text: &Option<String>| text.clone().map(Value::String);
+        let path = |path: &Option<PathBuf>| text(&path.as_ref().map(|p| p.display().to_string()));
+        let flags = [
+            ("preset", text(&self.preset)),
+            ("scenario", path(&self.scenario)),
+            ("algorithm", text(&self.algorithm)),
+            ("agents", self.agents.map(|agents| integer(agents.into())).transpose()?),
+            ("seed", self.seed.map(integer).transpose()?),
+            ("init_from", path(&self.init_from)),
+            ("device", text(&self.device)),
+            ("simulation.backend", text(&self.backend)),
+            ("steps", self.steps.map(integer).transpose()?),
+        ];
+        Ok(flags.into_iter().filter_map(|(key, value)| Some((key, value?))).collect())
     }
 }
 
