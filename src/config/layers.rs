@@ -1,5 +1,6 @@
 //! The layers of settings and their priority.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use toml::Value;
@@ -149,9 +150,10 @@ impl Resolution {
                 .split_once(" = ")
                 .and_then(|(key, _)| self.origins.get(&format!("{group}{key}")));
             match origin {
-                Some(origin) => lines += &format!("{line:<44} # {origin}\n"),
-                None => lines += &format!("{line}\n"),
+                Some(origin) => writeln!(lines, "{line:<44} # {origin}"),
+                None => writeln!(lines, "{line}"),
             }
+            .expect("a string takes any text");
         }
         lines
     }

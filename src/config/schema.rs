@@ -39,7 +39,7 @@ impl Config {
         // Writing to a string cannot fail.
         let _ = table(&mut page, "", &run, &steering);
         for group in settings(&SCHEMA).filter(Setting::is_group) {
-            let text = linked(group.described.get("description"));
+            let text = linked(group.described["description"].as_str().unwrap_or_default());
             let _ = writeln!(page, "\n## `{}`\n\n{text}", group.key);
             let inner: Vec<Setting> = settings(group.described).collect();
             let _ = table(&mut page, &format!("{}.", group.key), &inner, &steering);
@@ -95,10 +95,12 @@ impl Setting<'_> {
             let (unit, after) = rest.split_once("\\]")?;
             Some((format!("{before}{after}"), unit))
         });
-        let (text, unit) = found.unwrap_or((text.to_owned(), ""));
-        let words = self.words().into_iter().filter(|(_, text)| !text.is_empty());
-        let words = words.map(|(word, text)| format!(" `{word}`: {text}")).collect::<String>();
-        (linked(Some(&Value::String(format!("{text}{words}")))), unit)
+        let (mut text, unit) = found.unwrap_or((text.to_owned(), ""));
+        for (word, meaning) in self.words().into_iter().filter(|(_, text)| !text.is_empty()) {
+            // Writing to a string cannot fail.
+            let _ = write!(text, " `{word}`: {meaning}");
+        }
+        (linked(&text), unit)
     }
 
     /// Returns the words that a setting with a list of words allows, each with its explanation.
@@ -151,14 +153,13 @@ fn table(
 }
 
 /// Returns a doc comment as Markdown in one line: with links to the pages that it names.
-fn linked(text: Option<&Value>) -> String {
-    let text = text.and_then(Value::as_str).unwrap_or_default();
+fn linked(text: &str) -> String {
     let text = text.replace('\n', " ").replace("[`", "`").replace("`]", "`").replace('|', "\\|");
     let mut parts = text.split("(docs/");
     let mut line = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         let (page, rest) = part.split_once(')').unwrap_or((part, ""));
-        line += &format!("([more](../{page})){rest}");
+        let _ = write!(line, "([more](../{page})){rest}");
     }
     line
 }
