@@ -48,9 +48,7 @@ impl Settings {
     #[must_use]
     pub fn only(&self, groups: &[&str]) -> Self {
         let mut table = Table::try_from(self).expect("settings are plain data");
-        table.retain(|group, _| {
-            !Self::OWN.contains(&group.as_str()) || groups.contains(&group.as_str())
-        });
+        table.retain(|group, _| !Self::OWN.contains(&group) || groups.contains(&group));
         table.try_into().expect("groups that are missing have defaults")
     }
 }
