@@ -420,3 +420,23 @@ fn usage_errors_end_with_two() {
     // Help goes to stdout and is not an error.
     iwol(&["train", "--help"]).assert().success();
 }
+
+#[test]
+fn config_prints_settings_with_their_origins() {
+    let output = |args: &[&str]| {
+        let output = iwol(args).output().expect("it ran");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).expect("text")
+    };
+    let text = output(&["config", "--scenario", SCENARIO, "--agents", "16", "--preset", "paper"]);
+    for (line, origin) in [
+        ("agents = 16", "--agents"),
+        ("anneal_steps = 1", "preset paper"),
+        ("validation_episodes = 32", "default for this number of agents"),
+    ] {
+        assert!(text.contains(&format!("{line:<44} # {origin}\n")), "{line} in {text}");
+    }
+    let schema = output(&["config", "--schema"]);
+    assert!(serde_json::from_str::<serde_json::Value>(&schema).is_ok(), "{schema}");
+    assert!(failure(&mut iwol(&["config"])).contains("no scenario given"));
+}

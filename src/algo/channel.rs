@@ -5,32 +5,34 @@
 //! the embeddings that arrived at it, with its own embedding intact. With several rounds it does so
 //! for all rounds, because agents send only once per decision.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Device, Kind, Tensor};
 
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
 
-/// Disturbances of messages.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// Disturbances of messages between agents, in evaluation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
+#[schemars(default)]
 pub struct Channel {
-    /// Bits per element, 2 to 32. Elements are rounded to 2^bits − 1 evenly spaced levels between ±
+    /// Bits per element. Elements are rounded to 2^bits − 1 evenly spaced levels between ±
     /// the largest magnitude in the message, which is sent along; at 32 they are sent unchanged.
+    #[default = 32]
+    #[schemars(range(min = 2, max = 32))]
     pub bits: u32,
     /// Probability that a message is lost, independent for each receiver and step.
+    #[schemars(range(min = 0, max = 1))]
     pub loss: f64,
     /// Delay of messages in steps. No message arrives in the first `delay` steps of an episode.
+    #[schemars(range(max = 100))]
     pub delay: u32,
     /// Probability that a message is replaced by normal noise of the same mean and standard
     /// deviation, independent for each receiver and step.
+    #[schemars(range(min = 0, max = 1))]
     pub falsified: f64,
-}
-
-impl Default for Channel {
-    fn default() -> Self {
-        Self { bits: 32, loss: 0.0, delay: 0, falsified: 0.0 }
-    }
 }
 
 impl Channel {

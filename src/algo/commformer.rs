@@ -42,6 +42,9 @@
 //! though some may be absent. Where slots are assigned anew in each episode, as on the
 //! intersection, no link is better than another, and the graph has nothing to learn.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
 use super::CommunicationScope;
@@ -58,6 +61,34 @@ use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::{sample_best, with_self_loops};
 use crate::nn::{AdamConfig, Dropout, Init, Reach, RelationBlock, TransformerDecoder, ValueNorm};
+
+/// Settings of CommFormer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct CommFormerSettings {
+    /// Share of the agents that each agent listens to.
+    #[default = 0.4]
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub sparsity: f64,
+    /// Period of graph training in passes over a rollout, 2 to `ppo.epochs`: the last pass of each
+    /// period trains the graph alone, the others train everything else.
+    #[default = 5]
+    pub graph_every: usize,
+    /// Learning rate of the graph, as a share of that of the other parameters (reference: 1e-4 and
+    /// 5e-4, a share of 0.2).
+    #[default = 0.2]
+    #[schemars(range(min = 0))]
+    pub graph_rate: f64,
+    /// Weight of the loss of a world decoder on the representations, as in Ex-IWoL (paper, RQ3:
+    /// 0.05); 0: no decoder.
+    #[schemars(range(min = 0))]
+    pub lambda_world: f64,
+    /// Dropout rate of the encoder blocks in updates (reference: 0.1). Acting has no dropout, so
+    /// that with a rate above 0 ratios compare different networks.
+    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
+    pub dropout: f64,
+}
 
 /// The group of the graph's scores.
 const GRAPH: ParameterGroup = ParameterGroup {

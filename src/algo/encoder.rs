@@ -1,12 +1,57 @@
 //! The observation encoder that every method shares: features to embedding f.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::Tensor;
 
 use super::batch::Shard;
 use super::decision::Observation;
-use super::settings::{EncoderKind, Network};
 use crate::env::Features;
 use crate::nn::{Entity, Gru, LayerNorm, Mlp, Path, TokenGroup};
+
+/// Networks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct Network {
+    /// Observation encoder. An `mlp` is sufficient where observations come in a fixed order.
+    #[default(EncoderKind::Mlp)]
+    pub encoder: EncoderKind,
+    /// Width H of embeddings and of policy and value layers.
+    #[default = 128]
+    #[schemars(range(min = 2, max = 4096), extend("multipleOf" = 2))]
+    pub hidden: i64,
+    /// Number of layers after the first one in the encoder's perceptron.
+    #[default = 1]
+    #[schemars(range(max = 16))]
+    pub extra_layers: usize,
+    /// Width of an entity token (encoder `attention`).
+    #[default = 32]
+    #[schemars(range(min = 1, max = 1024))]
+    pub token_width: i64,
+    /// Number of heads of the entity attention (encoder `attention`); a divisor of
+    /// `network.token_width`.
+    #[default = 1]
+    #[schemars(range(min = 1))]
+    pub token_heads: i64,
+    /// Steps per sequence in the update of a recurrent encoder (`gru`), at most
+    /// `train.rollout_steps`.
+    #[default = 8]
+    pub chunk_length: usize,
+}
+
+/// The kind of observation encoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum EncoderKind {
+    /// Self-attention over entity tokens (paper).
+    Attention,
+    /// Perceptron followed by a gated recurrent unit, which has a memory (released code).
+    Gru,
+    /// Perceptron, which is fastest.
+    Mlp,
+}
 
 /// An encoder from a feature vector to an embedding of width H.
 #[derive(Debug)]

@@ -1,14 +1,65 @@
 //! The Gaussian policy head and its loss.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor, no_grad};
 
 use super::batch::{Batch, Shard};
 use super::decision::ActMode;
 use super::parameters::{ACTOR, ParameterBuilder};
-use super::ppo;
-use super::settings::{Exploration, NoiseMode, Ppo, Settings};
+use super::ppo::{self, Ppo};
+use super::settings::Settings;
 use crate::env::{ActionDimension, EnvSpec};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
+
+/// Exploration noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct Exploration {
+    /// Source of the actions' standard deviation.
+    #[default(NoiseMode::Schedule)]
+    pub mode: NoiseMode,
+    /// Logarithm of the standard deviation at the beginning (initial value of the parameter where
+    /// it is learned); by default that of `exploration.log_std_explore` with `init_from`. An
+    /// imposed standard deviation also scales the noise of sampled communication graphs, except
+    /// that of Im-IWoL, whose graph only the value function has.
+    #[schemars(range(min = -20, max = 5))]
+    pub log_std_start: f64,
+    /// Logarithm of the standard deviation after `exploration.explore_steps`, kept until annealing
+    /// begins. A value that is too low freezes a run that has not succeeded by then.
+    #[default(-1.0)]
+    #[schemars(range(min = -20, max = 5))]
+    pub log_std_explore: f64,
+    /// Logarithm of the standard deviation when annealing is over.
+    #[default(-2.0)]
+    #[schemars(range(min = -20, max = 5))]
+    pub log_std_end: f64,
+    /// Environment steps over which the logarithm of the standard deviation falls linearly from
+    /// `exploration.log_std_start` to `exploration.log_std_explore`; by default × 8/N below 8
+    /// agents.
+    #[default = 250_000]
+    #[schemars(range(max = 1_u64 << 50))]
+    pub explore_steps: u64,
+    /// Correlation of the noise of actions from step to step (first-order autoregressive, of
+    /// constant variance) until annealing begins; then there is none. Correlated noise moves a
+    /// vehicle further from its mean trajectory and so finds other orders of passing; but vehicles
+    /// that must allow for it drive slowly (Hollenstein et al., AAAI 2024). Probabilities of
+    /// actions are conditional on the noise of the step before.
+    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
+    pub correlation: f64,
+}
+
+/// The source of the actions' standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum NoiseMode {
+    /// A schedule imposes it.
+    Schedule,
+    /// It is a parameter and is learned (released code).
+    Learned,
+}
 
 /// Name of a diagnostic: the distance of the policy from the policy that acted, as the mean of
 /// `(ρ - 1) - ln ρ`.

@@ -27,6 +27,9 @@
 
 use std::marker::PhantomData;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
 use super::CommunicationScope;
@@ -42,6 +45,21 @@ use super::settings::Settings;
 use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
 use crate::nn::{Init, Linear, Mixer, ValueNorm};
+
+/// Settings of ICP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct IcpSettings {
+    /// Number K of symbols that an action can show.
+    #[default = 16]
+    #[schemars(range(min = 2, max = 4096))]
+    pub symbols: i64,
+    /// Weight of the loss of the decoder, which predicts from a symbol what its sender saw and did.
+    #[default = 0.05]
+    #[schemars(range(min = 0))]
+    pub lambda_message: f64,
+}
 
 /// How the agents' values form the value that is trained.
 pub(super) trait Decomposition: Send + 'static {

@@ -20,10 +20,11 @@ use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::{LatentDecoder, WorldDecoder};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::iwol::PolicyInput;
 use super::message::MessageCritic;
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
-use super::settings::{PolicyInput, Settings};
+use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::{Linear, ValueNorm};
 

@@ -28,6 +28,8 @@
 //!   new noise).
 //! - `magic.lambda_world` adds IWoL's world decoder.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
 use super::CommunicationScope;
@@ -44,6 +46,17 @@ use super::scene::{Messages, Scene};
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
+
+/// Settings of MAGIC.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct MagicSettings {
+    /// Weight of the loss of a world decoder on the messages, as in Ex-IWoL (paper, RQ3: 0.05); 0:
+    /// no decoder.
+    #[schemars(range(min = 0))]
+    pub lambda_world: f64,
+}
 
 /// Attention heads of the first round.
 const HEADS: i64 = 4;

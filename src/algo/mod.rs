@@ -19,6 +19,7 @@ mod frames;
 mod head;
 mod icp;
 mod im_iwol;
+mod iwol;
 mod maddpg;
 mod magic;
 mod mappo;

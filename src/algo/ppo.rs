@@ -1,7 +1,99 @@
 //! Proximal policy optimisation as pure functions, which MAPPO and IWoL share
 //! (marlbenchmark/on-policy, `r_mappo.py`).
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
+
+/// Proximal policy optimisation. MADDPG, which learns from a replay buffer, reads neither
+/// `bounds`, `clip_range`, `entropy_coefficient`, `epochs`, `gae_lambda`, `huber_delta`, `shards`
+/// nor `target_kl`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct Ppo {
+    /// Adam's learning rate for policy and value function.
+    #[default = 7e-4]
+    #[schemars(range(min = 0))]
+    pub learning_rate: f64,
+    /// Whether the learning rate is proportional to the imposed standard deviation of the actions,
+    /// and `ppo.learning_rate` is that for a standard deviation of 1. A step of the same size
+    /// changes a policy more if the policy has less noise.
+    #[default = true]
+    pub learning_rate_follows_noise: bool,
+    /// Share of the learning rate that is left when annealing is over.
+    #[default = 0.02]
+    #[schemars(range(min = 0, max = 1))]
+    pub learning_rate_end: f64,
+    /// Largest number of passes over a rollout
+    /// (docs/lab/0.1.0.md#five-passes-over-a-rollout).
+    #[default = 5]
+    #[schemars(range(min = 1, max = 1000))]
+    pub epochs: usize,
+    /// Limit of a pass's mean approximate KL divergence from the policy that acted: a pass above
+    /// the limit is the last one over its rollout; 0: no limit. It serves policies whose steps are
+    /// too large at the common learning rate. CommFormer: 0.
+    #[schemars(range(min = 0))]
+    pub target_kl: f64,
+    /// Samples (agent × step) per minibatch; by default half as many for off-policy methods.
+    /// Smaller minibatches give more gradient steps.
+    #[default = 2048]
+    #[schemars(range(min = 1))]
+    pub minibatch: usize,
+    /// Number of parts of a minibatch that are processed in parallel, each on its own thread with
+    /// its own copy of the networks. One per core is fastest; 1 where each core has a run of its
+    /// own. Another number changes rounding and the samples from which decoders learn; therefore it
+    /// is a setting and not read from the machine. On a GPU there is one part.
+    #[default = 2]
+    #[schemars(range(min = 1, max = 64))]
+    pub shards: usize,
+    /// Decay per update of the averaged policy weights, which validation, evaluation and a finished
+    /// run use (but not of CommFormer's scores, of which the latest are used); 0: the latest
+    /// weights are used.
+    #[default = 0.9]
+    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
+    pub average: f64,
+    /// Discount per step.
+    #[default = 0.99]
+    #[schemars(range(min = 0, max = 1))]
+    pub gamma: f64,
+    /// Discount after `exploration.explore_steps`; 0: `ppo.gamma` throughout. A low discount keeps
+    /// vehicles moving early in training; a high one afterwards makes driving safe. At 0.99,
+    /// arriving ten steps earlier outweighs a crash risk of one in ten
+    /// (docs/lab/0.1.0.md#vehicles-that-steer).
+    #[schemars(range(min = 0, max = 1))]
+    pub gamma_explored: f64,
+    /// λ of generalised advantage estimation.
+    #[default = 0.95]
+    #[schemars(range(min = 0, max = 1))]
+    pub gae_lambda: f64,
+    /// Clip range ε of the ratio and of the value.
+    #[default = 0.2]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub clip_range: f64,
+    /// Weight of the penalty on mean actions beyond -1 to 1, where actions are clipped: half the
+    /// squared excess, in units of the noise's standard deviation; 0: no penalty. Beyond the bounds
+    /// noise changes no action, so that the policy learns nothing from it
+    /// (docs/lab/0.1.0.md#few-vehicles).
+    #[default = 0.1]
+    #[schemars(range(min = 0))]
+    pub bounds: f64,
+    /// Error of the normalised value at which the Huber loss becomes linear.
+    #[default = 10.0]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub huber_delta: f64,
+    /// Weight of the entropy bonus; of use where the noise is learned.
+    pub entropy_coefficient: f64,
+    /// Largest gradient norm, of policy and value function separately.
+    #[default = 10.0]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub max_grad_norm: f64,
+    /// Decay of the running statistics that normalise values.
+    #[default = 0.99999]
+    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
+    pub value_norm_beta: f64,
+}
 
 /// Returns the clipped surrogate loss −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active.
 /// Log-probabilities are `[B, K]`, and the surrogates of a sample's K ratios are added. The other

@@ -8,6 +8,9 @@
 
 use std::f64::consts::SQRT_2;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
 use super::decision::ActMode;
@@ -17,6 +20,22 @@ use super::scene::Scene;
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::{Decoded, Init, LayerNorm, Linear, Path, Reach, TransformerDecoder};
+
+/// The transformer of MAT and CommFormer, as wide as the network's layers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct TransformerSettings {
+    /// Number of blocks of the encoder, and of the decoder.
+    #[default = 1]
+    #[schemars(range(min = 1, max = 64))]
+    pub blocks: usize,
+    /// Number of attention heads (scripts of MAT and CommFormer: 1; the paper has 4 for every
+    /// method); a divisor of `network.hidden`.
+    #[default = 4]
+    #[schemars(range(min = 1))]
+    pub heads: i64,
+}
 
 /// The observation encoder and the transformer's input layer: normalisation, linear, GELU,
 /// normalisation.

@@ -23,4 +23,4 @@ macro_rules! absent {
         }
     )*};
 }
-absent!(bench export plot report sweep train);
+absent!(bench config export plot report sweep train);

@@ -20,10 +20,11 @@ macro_rules! tell {
 #[cfg(not(feature = "learn"))]
 mod absent;
 #[cfg(not(feature = "learn"))]
-use absent::{bench, export, plot, report, sweep, train};
+use absent::{bench, config, export, plot, report, sweep, train};
 
 #[cfg(feature = "learn")]
 mod bench;
+mod config;
 mod doctor;
 mod evaluate;
 #[cfg(feature = "learn")]
@@ -77,6 +78,8 @@ enum Verb {
     Replay(replay::Args),
     /// Draw learning curves as PNG.
     Plot(plot::Args),
+    /// Print the settings that a run would use, and where each comes from.
+    Config(config::Args),
     /// Create, import, build, check and draw scenarios.
     Scenario(scenario::Args),
     /// Measure the speed of simulation, decisions and updates.
@@ -132,6 +135,7 @@ pub fn main() -> ExitCode {
         Verb::Report(args) => report::run(args),
         Verb::Replay(args) => replay::run(args),
         Verb::Plot(args) => plot::run(args),
+        Verb::Config(args) => config::run(args),
         Verb::Scenario(args) => scenario::run(args),
         Verb::Bench(args) => bench::run(args),
         Verb::Doctor => Ok(if doctor::run() { Verdict::Good } else { Verdict::Bad }),

@@ -7,82 +7,25 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document, Layers};
+use iwol_sumo::config::{self, Config, Document};
 use iwol_sumo::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
-use toml::Value;
 
 use super::Verdict;
+use super::config::SettingsArgs;
 
-/// Settings have rising priority in this order: defaults, `--config`, `--set`, other options. The
-/// resolved settings are stored in the run folder.
+/// Settings in rising priority: defaults, `--preset`, `--config`, `--set`, other flags. The resolved
+/// settings are stored in the run folder; `iwol config` prints them without training.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Scenario file, e.g. scenarios/intersection.xml.
-    #[arg(long)]
-    scenario: Option<PathBuf>,
-    /// Learning algorithm.
-    #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
-    algorithm: Option<String>,
-    /// Number of vehicles at spawn places, which are all agents unless env.penetration is below 1
-    /// [default: the scenario's].
-    #[arg(long)]
-    agents: Option<u32>,
-    /// Seed of all random numbers [default: 0].
-    #[arg(long)]
-    seed: Option<u64>,
-    /// Maximum number of environment steps of all worlds together, rounded up to whole rollouts.
-    #[arg(long)]
-    steps: Option<u64>,
-    /// Start from the weights in a run folder or checkpoint of the same algorithm. The number of
-    /// agents may differ, except with CommFormer.
-    #[arg(long, value_name = "CHECKPOINT")]
-    init_from: Option<PathBuf>,
-    /// Device on which the networks are computed [default: cpu].
-    #[arg(long, value_name = "cpu|cuda")]
-    device: Option<String>,
-    /// Interface to SUMO, on which results do not depend [default: auto].
-    #[arg(long, value_name = "auto|traci|libsumo")]
-    backend: Option<String>,
-    /// TOML file with settings, e.g. the config.toml of a run folder.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// One setting, e.g. --set ppo.gamma=0.995. The option may be repeated.
-    #[arg(long, value_name = "KEY=VALUE")]
-    set: Vec<String>,
-    /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N].
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Run folder [default: runs/SCENARIO/ALGORITHM/seed_N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Continue from the last checkpoint in the run folder, with the settings stored there.
     #[arg(long)]
     resume: bool,
-}
-
-impl Args {
-    fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
-        let integer = |v: u64| {
-            i64::try_from(v)
-                .map(Value::Integer)
-                .with_context(|| format!("{v} is too large, allowed: numbers below 2^63"))
-        };
-        let number = |value: Option<u64>| value.map(integer).transpose();
-        let text = |value: &Option<String>| value.clone().map(Value::String);
-        let path = |value: &Option<PathBuf>| {
-            value.as_ref().map(|path| Value::String(path.display().to_string()))
-        };
-        let flags = [
-            ("scenario", path(&self.scenario)),
-            ("algorithm", text(&self.algorithm)),
-            ("agents", number(self.agents.map(u64::from))?),
-            ("seed", number(self.seed)?),
-            ("init_from", path(&self.init_from)),
-            ("device", text(&self.device)),
-            ("simulation.backend", text(&self.backend)),
-            ("steps", number(self.steps)?),
-        ];
-        Ok(flags.into_iter().filter_map(|(key, value)| Some((key, value?))).collect())
-    }
 }
 
 /// Refuses a folder that contains files with the names of a run's files but no run.
@@ -105,13 +48,12 @@ fn same_file(a: &Path, b: &Path) -> bool {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
-    let document = match (&args.config, &args.out) {
-        (Some(path), _) => Document::read(path)?,
+    let given = &args.settings;
+    let mut layers = given.layers()?;
+    if let (None, Some(out), true) = (&given.config, &args.out, args.resume) {
         // A resumed run uses its own settings.
-        (None, Some(out)) if args.resume => Document::read(&RunDir::new(out).config())?,
-        _ => Document::default(),
-    };
-    let mut layers = Layers { document, sets: args.set.clone(), flags: args.flags()? };
+        layers.document = Document::read(&RunDir::new(out).config())?;
+    }
     let (mut config, mut scenario) = Config::resolve(&layers)?;
     if let Some(why) = config.cannot_be_trained() {
         bail!(why);
@@ -122,7 +64,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .join(&config.algorithm)
             .join(format!("seed_{}", config.seed))
     }));
-    if args.resume && args.config.is_none() && args.out.is_none() {
+    if args.resume && given.config.is_none() && args.out.is_none() {
         // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
         (config, scenario) = Config::resolve(&layers)?;
@@ -139,7 +81,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             dir.path().display()
         );
     }
-    if args.resume && args.init_from.is_some() {
+    if args.resume && given.init_from.is_some() {
         bail!("--resume continues with the weights of the run; omit --init-from");
     }
     let fingerprint = scenario.fingerprint();
@@ -152,7 +94,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         );
     }
     if !args.resume {
-        refuse_strange(&dir, args.config.as_deref())?;
+        refuse_strange(&dir, given.config.as_deref())?;
     }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;

@@ -7,13 +7,14 @@
 
 use std::f64::consts::SQRT_2;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
 use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
 /// How the graph acts on the attention.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskMode {
     /// Attention is limited to open edges: what is sent over a cut edge changes nothing, bit for

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::attribute::{element, words};
 
 /// How an agent observes other vehicles.
+#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ObservationGroups {
@@ -32,6 +33,7 @@ impl ObservationGroups {
 words!(ObservationGroups { Nearest: "nearest", Conflict: "conflict", Both: "both" });
 
 /// Order of the nearest vehicles in the observation.
+#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NeighbourOrder {
@@ -48,6 +50,7 @@ words!(NeighbourOrder { Distance: "distance", Bearing: "bearing" });
 
 /// What an agent knows of another vehicle's intention: the part of that vehicle's route that the
 /// vehicle has not yet begun.
+#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Intention {

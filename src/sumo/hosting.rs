@@ -2,6 +2,7 @@
 
 use std::{ffi::OsString, fmt, str::FromStr, thread, time::Duration};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Error, Simulation, SimulationConfig, TraciSimulation, fleet::Fleet};
@@ -47,7 +48,7 @@ impl FromStr for Backend {
 }
 
 /// The user's choice of the backend.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Choice {
     /// The fastest available backend: libsumo on a machine with one core if this build includes it,

@@ -32,6 +32,9 @@
 mod networks;
 mod replay_buffer;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use tch::{Device, Kind, Tensor, no_grad};
 
 use self::networks::{Actor, MaddpgNetworks};
@@ -39,12 +42,13 @@ use self::replay_buffer::{ReplayBuffer, Transitions, View};
 use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 use super::device::act_on;
 use super::encoder::encode_locally;
+use super::head::NoiseMode;
 use super::means::{Means, scalar};
 use super::parameters::{
     ACTOR, CRITIC, ParameterBuilder, Weights, load_value_norm, part, value_norm_entry,
 };
 use super::ppo::masked_mean;
-use super::settings::{NoiseMode, Settings};
+use super::settings::Settings;
 use super::{
     Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses, Method,
     UpdateParameters,
@@ -53,6 +57,40 @@ use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
+
+/// Settings of MADDPG. Of the common settings, MADDPG reads learning rates, minibatch, discounts,
+/// value normalisation, largest gradient norm and averaging.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields)]
+#[schemars(default)]
+pub struct MaddpgSettings {
+    /// Number of rollouts in the replay buffer. Checkpoints contain the buffer, so that their size
+    /// grows with this number.
+    #[default = 16]
+    #[schemars(range(min = 1, max = 10_000))]
+    pub replay: usize,
+    /// Number of minibatches drawn from the replay buffer after each rollout.
+    #[default = 64]
+    #[schemars(range(min = 1, max = 100_000))]
+    pub updates: usize,
+    /// Number of steps whose rewards are added before the critic's value of the last one:
+    /// multi-step returns (Lowe et al., 2017: 1), without a correction for changes of the policy
+    /// since. With one step, vehicles learned to stop before the crossing permanently
+    /// (docs/lab/0.1.0.md#maddpg).
+    #[default = 10]
+    #[schemars(range(min = 1, max = 1000))]
+    pub n_step: usize,
+    /// Share τ of the distance to the trained networks by which target networks move after each
+    /// minibatch.
+    #[default = 0.005]
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub target_rate: f64,
+    /// Weight in the policy's loss of the squared mean actions before the tanh (Lowe et al., 2017:
+    /// 1e-3).
+    #[default = 1e-3]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub action_penalty: f64,
+}
 
 /// Multi-agent deep deterministic policy gradient.
 pub(super) const MADDPG: Method =

@@ -1,0 +1,103 @@
+//! `iwol config`, and the arguments that give settings.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use iwol_sumo::algo;
+use iwol_sumo::config::{Config, Document, Layers, PRESETS};
+use toml::Value;
+
+use super::Verdict;
+
+/// Prints the settings that `iwol train` would use with the same arguments, as TOML, and where each
+/// value comes from. Settings that the method does not read are left out.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Print the JSON schema of files with settings, for editors.
+    #[arg(long, exclusive = true)]
+    schema: bool,
+    /// Print the documentation of all settings, as Markdown.
+    #[arg(long, exclusive = true)]
+    reference: bool,
+}
+
+/// Arguments that give settings.
+#[derive(Debug, clap::Args)]
+pub(super) struct SettingsArgs {
+    /// Scenario file, e.g. scenarios/intersection.xml.
+    #[arg(long)]
+    scenario: Option<PathBuf>,
+    #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
+    algorithm: Option<String>,
+    /// Number of vehicles at spawn places, which are all agents unless env.penetration is below 1
+    /// [default: the scenario's].
+    #[arg(long)]
+    agents: Option<u32>,
+    /// Seed of all random numbers [default: 0].
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Maximum number of environment steps of all worlds together, rounded up to whole rollouts.
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Start from the weights in a run folder or checkpoint of the same algorithm. The number of
+    /// agents may differ, except with CommFormer.
+    #[arg(long, value_name = "CHECKPOINT")]
+    pub(super) init_from: Option<PathBuf>,
+    /// Device on which the networks are computed [default: cpu].
+    #[arg(long, value_name = "cpu|cuda")]
+    device: Option<String>,
+    /// Interface to SUMO, on which results do not depend [default: auto].
+    #[arg(long, value_name = "auto|traci|libsumo")]
+    backend: Option<String>,
+    #[arg(long, value_name = "NAME", help = format!("Preset, which replaces defaults: {}", PRESETS.map(|preset| preset.name).join(", ")))]
+    preset: Option<String>,
+    /// TOML file with settings, e.g. the config.toml of a run folder.
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// One setting, e.g. --set ppo.gamma=0.995. The option may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+}
+
+impl SettingsArgs {
+    /// Returns the layers of settings that the arguments give.
+    pub(super) fn layers(&self) -> anyhow::Result<Layers> {
+        let document = self.config.as_deref().map(Document::read).transpose()?.unwrap_or_default();
+        Ok(Layers { document, sets: self.set.clone(), flags: self.flags()? })
+    }
+
+    fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
+        let integer = |v: u64| {
+            i64::try_from(v)
+                .map(Value::Integer)
+                .with_context(|| format!("{v} is too large: numbers must be below 2^63"))
+        };
+        let text = |text: &Option<String>| text.clone().map(Value::String);
+        let path = |path: &Option<PathBuf>| text(&path.as_ref().map(|p| p.display().to_string()));
+        let flags = [
+            ("preset", text(&self.preset)),
+            ("scenario", path(&self.scenario)),
+            ("algorithm", text(&self.algorithm)),
+            ("agents", self.agents.map(|agents| integer(agents.into())).transpose()?),
+            ("seed", self.seed.map(integer).transpose()?),
+            ("init_from", path(&self.init_from)),
+            ("device", text(&self.device)),
+            ("simulation.backend", text(&self.backend)),
+            ("steps", self.steps.map(integer).transpose()?),
+        ];
+        Ok(flags.into_iter().filter_map(|(key, value)| Some((key, value?))).collect())
+    }
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    if args.schema {
+        tell!("{:#}", Config::schema());
+    } else if args.reference {
+        super::print(format_args!("{}", Config::reference()));
+    } else {
+        super::print(format_args!("{}", args.settings.layers()?.resolve()?.explained()));
+    }
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,203 @@
+//! Settings on their way to a configuration: their values, and where each value comes from.
+
+use std::collections::BTreeMap;
+
+use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
+
+use super::presets::{PRESETS, Preset};
+use super::{Config, Document, Error, flatten};
+use crate::algo;
+use crate::suggest::nearest;
+
+/// The source of a setting's value.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Origin {
+    /// The default that the struct of its group declares.
+    Declared,
+    /// The scenario.
+    Scenario,
+    /// The preset with this name.
+    Preset(&'static str),
+    /// A rule by which defaults follow from the thing with this name.
+    Rule(&'static str),
+    /// The user, in this place: file, line and column, `--set key=value` or a flag.
+    Given(String),
+}
+
+/// The origins of settings, by their full names.
+pub type Origins = BTreeMap<String, Origin>;
+
+impl std::fmt::Display for Origin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Declared => f.write_str("default"),
+            Self::Scenario => f.write_str("scenario"),
+            Self::Preset(name) => write!(f, "preset {name}"),
+            Self::Rule(what) => write!(f, "default for this {what}"),
+            Self::Given(place) => f.write_str(place),
+        }
+    }
+}
+
+/// The values of all settings, and the origin of each.
+pub(super) struct Values {
+    pub(super) table: Table,
+    pub(super) origins: Origins,
+}
+
+impl Values {
+    /// Returns a configuration's values; `origin` returns the origin of a setting by its name.
+    pub(super) fn of(config: &Config, origin: impl Fn(&str) -> Origin) -> Self {
+        let table = to_table(config);
+        let origins = flatten(&table).into_keys().map(|key| (key.clone(), origin(&key))).collect();
+        Self { table, origins }
+    }
+
+    /// Applies a rule and notes it as the origin of what it changes.
+    pub(super) fn follow(&mut self, rule: &'static str, change: impl FnOnce(&mut Config)) {
+        let mut config: Config = self.table.clone().try_into().expect("defaults are valid");
+        change(&mut config);
+        let was = flatten(&self.table);
+        self.table = to_table(&config);
+        let changed =
+            flatten(&self.table).into_iter().filter(|(key, value)| was.get(key) != Some(value));
+        self.origins.extend(changed.map(|(key, _)| (key, Origin::Rule(rule))));
+    }
+
+    /// Takes over the settings of a preset.
+    pub(super) fn preset(&mut self, preset: &Preset) {
+        for (key, value) in flatten(&preset.table()) {
+            let keys: Vec<&str> = key.split('.').collect();
+            self.set(&keys, value, Origin::Preset(preset.name));
+        }
+    }
+
+    /// Takes over the settings of a document.
+    pub(super) fn merge(
+        &mut self,
+        layer: &DeTable<'_>,
+        prefix: &[&str],
+        document: &Document,
+    ) -> Result<(), Error> {
+        for (key, value) in layer {
+            let keys = [prefix, &[key.get_ref()]].concat();
+            self.check_key(&keys, &document.place(key.span().start))?;
+            if let DeValue::Table(inner) = value.get_ref() {
+                self.merge(inner, &keys, document)?;
+            } else {
+                let place = document.place(value.span().start);
+                let parsed =
+                    parse_value(&document.text[value.span()]).ok_or_else(|| Error::Syntax {
+                        place: place.clone(),
+                        message: "this value cannot be read".to_owned(),
+                    })?;
+                self.assign(&keys, parsed, place)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets a setting and checks its type, so that an error names the place of the value. Ranges
+    /// are checked at the end, because some depend on other settings.
+    pub(super) fn assign(
+        &mut self,
+        keys: &[&str],
+        value: Value,
+        place: String,
+    ) -> Result<(), Error> {
+        self.check_key(keys, &place)?;
+        let bad = |message: String| {
+            Err(Error::Value { place: place.clone(), key: keys.join("."), message })
+        };
+        if keys == ["preset"] {
+            // Presets are taken over before all documents.
+            return match value.as_str().and_then(Preset::named) {
+                Some(_) => Ok(()),
+                None => bad(unknown("preset", &value, &PRESETS.map(|preset| preset.name))),
+            };
+        }
+        self.set(keys, value, Origin::Given(place.clone()));
+        let config: Config = match Value::Table(self.table.clone()).try_into() {
+            Ok(config) => config,
+            Err(error) => {
+                let error: toml::de::Error = error;
+                return bad(with_nearest(error.message()));
+            }
+        };
+        if !algo::NAMES.contains(&config.algorithm.as_str()) {
+            return bad(unknown("algorithm", &config.algorithm.into(), &algo::NAMES));
+        }
+        Ok(())
+    }
+
+    fn set(&mut self, keys: &[&str], value: Value, origin: Origin) {
+        let (last, folders) = keys.split_last().expect("a key has a name");
+        let mut here = &mut self.table;
+        for key in folders {
+            here = here.get_mut(*key).and_then(Value::as_table_mut).expect("a valid key");
+        }
+        let value = match (&here[*last], value) {
+            (Value::Float(_), Value::Integer(i)) => Value::Float(i as f64),
+            (_, value) => value,
+        };
+        here.insert((*last).to_owned(), value);
+        self.origins.insert(keys.join("."), origin);
+    }
+
+    /// Checks that a key is valid: the table contains every valid key but `preset`.
+    fn check_key(&self, keys: &[&str], place: &str) -> Result<(), Error> {
+        if keys == ["preset"] {
+            return Ok(());
+        }
+        let mut here = &self.table;
+        for (depth, key) in keys.iter().enumerate() {
+            match here.get(*key) {
+                Some(Value::Table(inner)) => here = inner,
+                Some(_) if depth + 1 == keys.len() => {}
+                _ => {
+                    let name = keys.join(".");
+                    let valid = flatten(&self.table);
+                    let similar = nearest(&name, valid.keys().map(String::as_str))
+                        .or_else(|| nearest(key, here.keys().map(String::as_str)))
+                        .map(str::to_owned);
+                    return Err(Error::UnknownKey {
+                        place: place.to_owned(),
+                        key: name,
+                        nearest: similar,
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn to_table(config: &Config) -> Table {
+    Table::try_from(config).expect("a configuration is plain data")
+}
+
+/// Parses a value; `None` if the text is not one value.
+pub(super) fn parse_value(text: &str) -> Option<Value> {
+    let mut table: Table = toml::from_str(&format!("v = {text}")).ok()?;
+    if table.len() == 1 { table.remove("v") } else { None }
+}
+
+/// Returns the message that no `what` has the name `name`.
+fn unknown(what: &str, name: &Value, all: &[&str]) -> String {
+    let name = super::plain(name);
+    let similar = did_you_mean(nearest(&name, all.iter().copied()));
+    format!("there is no {what} `{name}` (available: {}){similar}", all.join(", "))
+}
+
+fn did_you_mean(similar: Option<&str>) -> String {
+    similar.map(|similar| format!("; did you mean `{similar}`?")).unwrap_or_default()
+}
+
+/// Adds the nearest allowed word to a message about an unknown word. The message quotes first that
+/// word, then the allowed ones.
+fn with_nearest(message: &str) -> String {
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    let word = quoted.next().filter(|_| message.starts_with("unknown variant"));
+    format!("{message}{}", did_you_mean(word.and_then(|word| nearest(word, quoted))))
+}
