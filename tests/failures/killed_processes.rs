@@ -78,28 +78,25 @@ fn train(run: &Path, more: &[&str]) -> Child {
 fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
     let _beside = beside_others();
     let folder = folder();
-    for (name, code) in [("INT", 130), ("TERM", 130)] {
-        let run = folder.path().join(name);
-        let mut child = train(&run, &[]);
-        wait_until("the first iterations", 60, || {
-            fs::read_to_string(run.join("metrics.jsonl"))
-                .is_ok_and(|text| text.lines().count() >= 2)
-        });
-        let workers = sumo_children(child.id());
-        assert_eq!(workers.len(), 2);
-        signal(child.id(), name);
-        let status = child.wait().expect("it ends");
-        assert_eq!(status.code(), Some(code), "SIG{name}");
-        assert!(run.join("checkpoints/last.safetensors").exists());
-        for pid in workers {
-            wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
-        }
-        let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
-        assert!(
-            lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
-            "whole lines"
-        );
+    let run = folder.path().join("run");
+    let mut child = train(&run, &[]);
+    wait_until("the first iterations", 60, || {
+        fs::read_to_string(run.join("metrics.jsonl")).is_ok_and(|text| text.lines().count() >= 2)
+    });
+    let workers = sumo_children(child.id());
+    assert_eq!(workers.len(), 2);
+    signal(child.id(), "INT");
+    let status = child.wait().expect("it ends");
+    assert_eq!(status.code(), Some(130));
+    assert!(run.join("checkpoints/last.safetensors").exists());
+    for pid in workers {
+        wait_until("SUMO is gone", 5, || !Path::new(&format!("/proc/{pid}")).exists());
     }
+    let lines = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+    assert!(
+        lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
+        "whole lines"
+    );
 }
 
 /// The first interrupt lets the current iteration finish, here a long one; a second interrupt ends

@@ -8,7 +8,7 @@ use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::sumo::{Backend, Command, Hosting, VehicleState, start};
 
-use crate::support::{agents_drive, folder, succeeds, task, train, turn};
+use crate::support::{agents_drive, task, turn};
 
 fn hosting(backend: Backend, processes: usize) -> Hosting {
     Hosting { backend, processes, ..Hosting::default() }
@@ -242,6 +242,7 @@ fn an_episode_of_sumos_own_driver_does_not_depend_on_the_one_before() {
 #[cfg(feature = "libsumo")]
 #[test]
 fn training_is_the_same_with_either_backend_validations_included() {
+    use crate::support::{folder, succeeds, train};
     let folder = folder();
     let train = |backend: &str| -> Vec<String> {
         let run = folder.path().join(backend);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use iwol_sumo::config::{Config, Document, Layers};
@@ -241,7 +241,7 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
         &changes.iter().fold(FILE.to_owned(), |all, (from, to)| all.replace(from, to)),
     );
     succeeds(&mut sweep(&file, &runs, &[]));
-    let files = [&file, Path::new("--runs"), &runs, Path::new("-o"), &out];
+    let files = [file.as_path(), Path::new("--runs"), &runs, Path::new("-o"), &out];
     succeeds(iwol(&["report"]).args(files));
     let markdown = std::fs::read_to_string(out.join("report.md")).expect("written");
     let result = runs.join("tiny/mappo/seed_0/evaluations/range_communication_range=10.0.json");

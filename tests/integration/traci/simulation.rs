@@ -642,18 +642,17 @@ fn sumo_outlives_the_thread_that_asked_for_it() {
     simulation.step(&[]).unwrap();
 }
 
-/// Environment variable that makes a test act as the victim: the test runs itself a second time
-/// with this variable, and the second run starts SUMO and waits to be killed. The value is the path
-/// of the file to which the victim writes SUMO's process identifier.
+/// Environment variable that makes the test below act as the victim: the test runs itself a second
+/// time with this variable, and the second run starts SUMO and waits to be killed. The value is the
+/// path of the file to which the victim writes SUMO's process identifier.
 const VICTIM: &str = "IWOL_TEST_VICTIM";
 
-/// Runs the test of this name in this module as a victim, kills it, and asserts that its SUMO ends.
-fn kill_owner(test: &str) {
+/// Runs the test below as a victim, kills it, and asserts that its SUMO ends.
+fn kill_owner() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("pid");
-    let name = format!("{}::{test}", module_path!().split_once("::").unwrap().1);
     let mut victim = Program::new(std::env::current_exe().unwrap())
-        .args(["--exact", &name])
+        .arg("no_sumo_that_loads_is_left_after_its_owner_is_killed")
         .env(VICTIM, &file)
         .stdout(Stdio::null())
         .spawn()
@@ -681,37 +680,15 @@ fn kill_owner(test: &str) {
     assert!(ended, "SUMO {pid} was an orphan");
 }
 
-#[test]
-fn no_sumo_is_left_after_its_owner_is_killed() {
-    let Some(file) = std::env::var_os(VICTIM) else {
-        return kill_owner("no_sumo_is_left_after_its_owner_is_killed");
-    };
-    let simulation = start(1);
-    std::fs::write(file, format!("{}\n", simulation.pid())).unwrap();
-    thread::sleep(Duration::from_secs(60));
-}
-
 /// Tests that a SUMO that is still loading ends with its owner. While SUMO loads, it has no
 /// connection whose end it could notice; the script stands for a SUMO that never finishes loading.
 #[test]
 fn no_sumo_that_loads_is_left_after_its_owner_is_killed() {
     let Some(file) = std::env::var_os(VICTIM) else {
-        return kill_owner("no_sumo_that_loads_is_left_after_its_owner_is_killed");
+        return kill_owner();
     };
     let script = "echo $$ > \"$0\"; exec sleep 60";
     let arguments = vec!["-c".into(), script.into(), file];
     let options = Options { binary: Some("/bin/sh".into()), arguments, ..Options::default() };
     panic!("{:?}", Process::start(&options));
-}
-
-#[test]
-fn many_start_at_once() {
-    let started: Vec<_> = (0..8).map(|_| thread::spawn(|| start(1))).collect();
-    let mut simulations: Vec<_> = started.into_iter().map(|t| t.join().unwrap()).collect();
-    for simulation in &mut simulations {
-        simulation.send(&add(0, EAST, 50.0)).unwrap();
-    }
-    for simulation in &mut simulations {
-        assert!(simulation.receive().unwrap().vehicles[0].is_some());
-    }
 }
