@@ -18,6 +18,7 @@ scenario = "scenarios/intersection.xml"
 agents = 4
 steps = 4096
 train = { envs = 2, rollout_steps = 64, validate_every = 512, validation_episodes = 2, anneal_steps = 512 }
+env = { horizon = 400 }
 [grid]
 algorithm = ["mappo"]
 seed = [0, 1]

@@ -325,30 +325,30 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
 /// Source files that define the calls of each domain; `macros.rs` defines the calls of several
 /// domains.
 const SOURCES: [(&str, &str); 15] = [
-    ("edge", include_str!("../src/sumo/domain/edge.rs")),
-    ("gui", include_str!("../src/sumo/domain/gui.rs")),
-    ("inductionloop", include_str!("../src/sumo/domain/induction_loop.rs")),
-    ("junction", include_str!("../src/sumo/domain/junction.rs")),
-    ("lane", include_str!("../src/sumo/domain/lane.rs")),
-    ("lanearea", include_str!("../src/sumo/domain/lane_area.rs")),
-    ("parkingarea", include_str!("../src/sumo/domain/parking_area.rs")),
-    ("person", include_str!("../src/sumo/domain/person.rs")),
-    ("poi", include_str!("../src/sumo/domain/poi.rs")),
-    ("polygon", include_str!("../src/sumo/domain/polygon.rs")),
-    ("route", include_str!("../src/sumo/domain/route.rs")),
-    ("simulation", include_str!("../src/sumo/domain/simulation.rs")),
-    ("trafficlight", include_str!("../src/sumo/domain/traffic_light.rs")),
+    ("edge", include_str!("../../../src/sumo/domain/edge.rs")),
+    ("gui", include_str!("../../../src/sumo/domain/gui.rs")),
+    ("inductionloop", include_str!("../../../src/sumo/domain/induction_loop.rs")),
+    ("junction", include_str!("../../../src/sumo/domain/junction.rs")),
+    ("lane", include_str!("../../../src/sumo/domain/lane.rs")),
+    ("lanearea", include_str!("../../../src/sumo/domain/lane_area.rs")),
+    ("parkingarea", include_str!("../../../src/sumo/domain/parking_area.rs")),
+    ("person", include_str!("../../../src/sumo/domain/person.rs")),
+    ("poi", include_str!("../../../src/sumo/domain/poi.rs")),
+    ("polygon", include_str!("../../../src/sumo/domain/polygon.rs")),
+    ("route", include_str!("../../../src/sumo/domain/route.rs")),
+    ("simulation", include_str!("../../../src/sumo/domain/simulation.rs")),
+    ("trafficlight", include_str!("../../../src/sumo/domain/traffic_light.rs")),
     (
         "vehicle",
         concat!(
-            include_str!("../src/sumo/domain/vehicle.rs"),
-            include_str!("../src/sumo/domain/vehicle/changes.rs"),
-            include_str!("../src/sumo/domain/vehicle/filters.rs")
+            include_str!("../../../src/sumo/domain/vehicle.rs"),
+            include_str!("../../../src/sumo/domain/vehicle/changes.rs"),
+            include_str!("../../../src/sumo/domain/vehicle/filters.rs")
         ),
     ),
-    ("vehicletype", include_str!("../src/sumo/domain/vehicle_type.rs")),
+    ("vehicletype", include_str!("../../../src/sumo/domain/vehicle_type.rs")),
 ];
-const SHARED: &str = include_str!("../src/sumo/domain/macros.rs");
+const SHARED: &str = include_str!("../../../src/sumo/domain/macros.rs");
 
 /// Calls of the Python client without a method in this crate, and the reasons.
 const ABSENT: [&str; 10] = [
