@@ -106,7 +106,7 @@ fn a_second_interrupt_ends_it_at_once() {
     let _beside = beside_others();
     let folder = folder();
     let run = folder.path().join("run");
-    let mut child = train(&run, &["ppo.epochs=400", "ppo.minibatch=8"]);
+    let mut child = train(&run, &["ppo.epochs=200", "ppo.minibatch=8"]);
     wait_until("the first iteration", 120, || {
         fs::read(run.join("metrics.jsonl")).is_ok_and(|text| !text.is_empty())
     });
@@ -119,7 +119,7 @@ fn a_second_interrupt_ends_it_at_once() {
     assert_eq!(
         child.try_wait().expect("its state"),
         None,
-        "it did not wait for an update of 6,400 steps"
+        "it did not wait for an update of 3,200 steps"
     );
     signal(child.id(), "INT");
     let mut code = None;
