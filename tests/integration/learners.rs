@@ -934,8 +934,6 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             batch_growth: 1,
         };
         learner.update(&rollout, &parameters, Seed::new(3).index(update)).expect("finite");
-        if update % 10 == 9 {
-            eprintln!("PLAY {name} {update} {mean:.3} {:.1} s", began.elapsed().as_secs_f64());
     }
     mean
 }
