@@ -1,10 +1,10 @@
 //! Comparison of networks, losses, value normalisation and optimiser with values that PyTorch
 //! computed.
 //!
-//! `pytorch_reference/generate.py` writes the inputs, weights, outputs and gradients of each case to
-//! `pytorch_reference/golden.safetensors`; the tests load the same weights into the Rust layers. Tolerances
-//! are a few rounding errors of `f32`: absolute and relative 2e-5 for outputs of networks and for
-//! gradients, and tighter where stated.
+//! `pytorch_reference/generate.py` writes the inputs, weights, outputs and gradients of each case
+//! to `pytorch_reference/golden.safetensors`; the tests load the same weights into the Rust layers.
+//! Tolerances are a few rounding errors of `f32`: absolute and relative 2e-5 for outputs of
+//! networks and for gradients, and tighter where stated.
 
 use iwol_sumo::algo::settings::{EncoderKind, Settings};
 use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, UpdateParameters, ppo};
