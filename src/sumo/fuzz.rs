@@ -2,7 +2,7 @@
 //! panic and needs memory in proportion to the length of the message. `IWOL_FUZZ_CASES` sets the
 //! number of cases, see [`cases`].
 
-#[path = "../../tests/fuzz/cases.rs"]
+#[path = "../../tests/integration/damaged_files/cases.rs"]
 mod cases;
 
 use std::sync::LazyLock;

@@ -1,0 +1,26 @@
+//! Tests of the whole against the real SUMO, with networks that train, and through the program's
+//! command line. One binary, because each links libtorch.
+//!
+//! Tests that kill this process's children, or measure its memory, are in the binary `failures`.
+
+#[path = "../support.rs"]
+mod support;
+
+mod authoring;
+mod background_traffic;
+mod calibration;
+mod command_line;
+mod damaged_files;
+mod dependencies;
+mod hosting;
+mod layers;
+mod learners;
+mod policies;
+mod pytorch_reference;
+mod recordings;
+mod reports;
+mod resuming;
+mod scenario_files;
+mod steering;
+mod sweeps;
+mod traci;

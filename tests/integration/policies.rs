@@ -1,0 +1,199 @@
+//! Test of the whole use of a policy: train, export, evaluate at other sizes, start training from
+//! it, plot.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use iwol_sumo::algo::{self, Capabilities};
+use serde_json::Value;
+
+use crate::support::{self, folder, iwol, succeeds};
+
+const SMALL: [&str; 9] = [
+    "train.envs=2",
+    "train.rollout_steps=32",
+    "train.validate_every=64",
+    "train.validation_episodes=1",
+    "network.hidden=8",
+    "iwol.message=8",
+    "iwol.latent=4",
+    "ppo.minibatch=64",
+    "env.horizon=40",
+];
+
+fn train(out: &Path, more: &[&str]) -> Command {
+    support::train(out, &SMALL, &[&["--steps", "128"], more].concat())
+}
+
+fn text(command: &mut Command) -> String {
+    support::text(&succeeds(command).stdout)
+}
+
+fn refused(command: &mut Command) -> String {
+    let output = command.output().expect("it ran");
+    assert_eq!(output.status.code(), Some(2));
+    String::from_utf8(output.stderr).expect("text")
+}
+
+#[test]
+fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
+    let folder = folder();
+    let at = |name: &str| folder.path().join(name);
+    let name = |name: &str| at(name).display().to_string();
+    for algorithm in algo::NAMES {
+        let Capabilities { any_number, latent, .. } = algo::capabilities(algorithm).expect("known");
+        // Numbers of vehicles that the policy is used with after training.
+        let (more, next_agents) = if any_number { ("16", "5") } else { ("4", "4") };
+        let run = format!("{algorithm}_0");
+        text(&mut train(&at(&run), &["--algorithm", algorithm, "--agents", "4"]));
+        let small = name(&format!("{algorithm}_small"));
+        assert_eq!(text(&mut iwol(&["export", &name(&run), "--out", &small])).trim(), small);
+        let size = |folder: &str| {
+            let path = Path::new(folder).join("checkpoints/best.safetensors");
+            fs::metadata(path).expect("a checkpoint").len()
+        };
+        assert!(size(&small) < size(&name(&run)) / 2);
+
+        // The copy gives the same results as the run, and controls other numbers of vehicles.
+        let evaluate = |run: &str, agents: &str| -> Value {
+            let args = ["evaluate", run, "--episodes", "2", "--agents", agents, "--json"];
+            serde_json::from_str(&text(&mut iwol(&args))).expect("JSON")
+        };
+        assert_eq!(evaluate(&name(&run), "4"), evaluate(&small, "4"));
+        if !any_number {
+            let refused = refused(&mut iwol(&["evaluate", &small, "--agents", "16"]));
+            assert!(refused.contains("cannot be used with 16"), "{refused}");
+        }
+        let wide = evaluate(&small, more);
+        let reconstruction = wide["metrics"]["reconstruction"].as_array().expect("a list");
+        assert_eq!(reconstruction.len(), latent.len(), "{algorithm}");
+        assert!(
+            reconstruction.iter().all(|k| k["error"].as_f64().is_some_and(|e| e > 0.0)),
+            "{wide}"
+        );
+
+        // Training starts from the copy with more vehicles; its metrics contain the quality of the
+        // latent.
+        let next = format!("{algorithm}_next");
+        text(&mut train(
+            &at(&next),
+            &["--algorithm", algorithm, "--agents", next_agents, "--init-from", &small],
+        ));
+        let metrics = fs::read_to_string(at(&next).join("metrics.jsonl")).expect("metrics");
+        for name in ["world", "interaction"] {
+            assert_eq!(
+                metrics.contains(&format!("validation/{name}_explained")),
+                latent.contains(&name),
+                "{algorithm}"
+            );
+        }
+
+        // These refusals do not depend on the algorithm, so they are tested once.
+        if algorithm != algo::NAMES[0] {
+            continue;
+        }
+        let refusals = [
+            (
+                refused(&mut train(Path::new(&small), &["--algorithm", algorithm])),
+                "contains a policy; start from it",
+            ),
+            (
+                refused(&mut iwol(&["export", &name(&run), "--out", &small])),
+                "already contains a checkpoint",
+            ),
+            (
+                refused(&mut iwol(&[
+                    "train",
+                    "--resume",
+                    "--out",
+                    &name(&run),
+                    "--init-from",
+                    &small,
+                ])),
+                "omit --init-from",
+            ),
+            (
+                refused(&mut train(
+                    &at("x"),
+                    &[
+                        "--algorithm",
+                        algorithm,
+                        "--init-from",
+                        &small,
+                        "--set",
+                        "env.observation=nearest",
+                    ],
+                )),
+                "do not fit this run's networks and observations",
+            ),
+            (
+                refused(&mut train(&at("x"), &["--algorithm", "icp-dec", "--init-from", &small])),
+                "contains a policy of mappo, but this run trains icp-dec",
+            ),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--set", "seed=5"])),
+                "--seed determines the episodes",
+            ),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--out", "x.safetensors"])),
+                "reserved for checkpoints",
+            ),
+            (
+                refused(&mut iwol(&[
+                    "evaluate",
+                    &small,
+                    "--out",
+                    &name("x"),
+                    "--record",
+                    &name("x"),
+                ])),
+                "choose two different files",
+            ),
+            (
+                refused(&mut iwol(&["evaluate", &small, "--set", "network.hidden=16"])),
+                "does not fit the observations and networks",
+            ),
+            (
+                refused(&mut iwol(&[
+                    "train",
+                    "--resume",
+                    "--out",
+                    &name(&run),
+                    "--set",
+                    "network.encoder=gru",
+                ])),
+                "written with another `network.encoder`",
+            ),
+            (
+                refused(&mut train(&at("x"), &["--algorithm", algorithm, "--device", "cuda:99"])),
+                "there is no device cuda:99",
+            ),
+        ];
+        for (found, expected) in refusals {
+            assert!(found.contains(expected), "{found}");
+        }
+    }
+
+    // Two seeds form one curve; runs with another observation form another curve.
+    text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));
+    let nearest = ["--algorithm", "mappo", "--agents", "4", "--set", "env.observation=nearest"];
+    text(&mut train(&at("nearest"), &nearest));
+    for axis in ["steps", "time"] {
+        let picture = name(&format!("{axis}.png"));
+        let runs = [name("mappo_0"), name("mappo_1"), name("nearest")];
+        text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
+        assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
+    }
+    // A run that a report kept contains only its settings and validations.
+    let kept = at("kept");
+    fs::create_dir(&kept).expect("a folder");
+    fs::copy(at("mappo_0").join("config.toml"), kept.join("config.toml")).expect("copied");
+    let metrics = fs::read_to_string(at("mappo_0").join("metrics.jsonl")).expect("metrics");
+    let validations: Vec<&str> =
+        metrics.lines().filter(|line| line.contains("validation/success")).collect();
+    assert!(!validations.is_empty() && validations.len() < metrics.lines().count());
+    fs::write(kept.join("metrics.jsonl"), validations.join("\n") + "\n").expect("written");
+    text(&mut iwol(&["plot", &name("kept"), "--out", &name("kept.png")]));
+    assert!(fs::metadata(name("kept.png")).expect("a picture").len() > 10_000);
+}

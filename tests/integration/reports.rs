@@ -1,0 +1,213 @@
+//! Tests of reports that are made from hand-written results: the intervals that tables name, and
+//! the provenance of results.
+
+use std::path::Path;
+
+use iwol_sumo::report;
+use iwol_sumo::sweep::{Cell, Sweep};
+use serde_json::{Value, json};
+
+use crate::support::folder;
+
+const FILE: &str = r#"
+title = "Hand-written"
+[settings]
+scenario = "scenarios/intersection.xml"
+steps = 4096
+[grid]
+algorithm = ["im-iwol", "mappo", "magic"]
+agents = [4, 8]
+seed = [0, 1, 2]
+[[skip]]
+when = { algorithm = "magic", seed = [1, 2] }
+[[evaluate]]
+name = "last"
+episodes = 100
+"#;
+
+/// Returns an estimate as `iwol evaluate` writes it.
+fn estimate(mean: f64, low: f64, high: f64) -> Value {
+    json!({ "mean": mean, "low": low, "high": high })
+}
+
+/// Writes files as if every cell were trained and evaluated; `success` gives the mean of each cell.
+fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) -> Value) {
+    for cell in &sweep.cells {
+        std::fs::create_dir_all(cell.folder.join("evaluations")).expect("a folder");
+        let write =
+            |name: &str, text: &str| std::fs::write(cell.folder.join(name), text).expect("written");
+        write("trained.json", r#"{"steps": 4096, "seconds": 60.0}"#);
+        write(
+            "metrics.jsonl",
+            "{\"step\": 64, \"validation/success\": 0.5, \"time/total_s\": 1.0}\n",
+        );
+        write("config.toml", &cell.config.to_toml());
+        let rate = success(cell);
+        let crashes = ((1.0 - rate) * 1000.0).round() as u64;
+        let found = json!({
+            "episodes": 100, "checkpoint": "last.safetensors", "seed": 0, "run": run(cell),
+            "program": { "version": "0.4.0", "commit": "unknown", "sumo": "1.20.0" },
+            "metrics": {
+                "success": estimate(rate, rate - 0.03, (rate + 0.01).min(1.0)),
+                "safety": estimate(rate, rate - 0.03, (rate + 0.01).min(1.0)),
+                "window_reward": estimate(600.0 + rate, 590.0, 610.0),
+                "loitering": estimate(0.01, 0.0, 0.02),
+                "km_per_crash": { "km": 40.0, "crashes": crashes, "mean": null, "low": 10.0, "high": null },
+                "reconstruction": [{
+                    "name": "world", "error": 0.01, "explained": 0.93,
+                    "probe": {
+                        "samples": 5000, "features": 60, "explained": 0.9, "undetermined": 20,
+                        "undetermined_explained": 0.4 + 0.1 * f64::from(u8::from(cell.config.seed == 1)),
+                        "undetermined_probe_explained": 0.3,
+                    },
+                }],
+            },
+        });
+        let evaluate = &sweep.evaluations[0];
+        std::fs::write(cell.result(evaluate, &[]), found.to_string()).expect("written");
+    }
+}
+
+/// Returns the report in Markdown, and `summary.json`.
+fn report(sweep: &Sweep, folder: &Path) -> (String, Value) {
+    let out = folder.join("report");
+    report::write(sweep, "iwol report", &out).expect("a report");
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).expect("written");
+    (read("report.md"), serde_json::from_str(&read("summary.json")).expect("JSON"))
+}
+
+/// Returns the tables of a report as rows of cells; the header comes first.
+fn tables(markdown: &str) -> Vec<Vec<Vec<String>>> {
+    let mut tables: Vec<Vec<Vec<String>>> = vec![Vec::new()];
+    for line in markdown.lines() {
+        if !line.starts_with('|') {
+            tables.push(Vec::new());
+        } else if !line.starts_with("|---") {
+            let cells = line.trim_matches('|').split(" | ").map(|cell| cell.trim().to_owned());
+            tables.last_mut().expect("one is open").push(cells.collect());
+        }
+    }
+    tables.retain(|table| !table.is_empty());
+    tables
+}
+
+#[test]
+fn every_table_has_one_unit_of_interval_and_names_it() {
+    let folder = folder();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).expect("a sweep");
+    // All seeds of MAPPO with 4 agents have the same result, those of Im-IWoL differ, and MAGIC has
+    // one seed.
+    let success = |cell: &Cell| match (cell.config.algorithm.as_str(), cell.config.agents) {
+        ("mappo", 4) => 1.0,
+        _ => 0.9 + 0.02 * cell.config.seed as f64,
+    };
+    results(&sweep, success, |_| Value::Null);
+    let (markdown, _) = report(&sweep, folder.path());
+    let tables = tables(&markdown);
+    for table in tables.iter().filter(|table| table[0][0].starts_with("success %")) {
+        let cells: Vec<&String> = table[1..].iter().flat_map(|row| &row[1..]).collect();
+        let (over_seeds, brackets) = (
+            cells.iter().any(|cell| cell.contains('±')),
+            cells.iter().any(|cell| cell.contains('[')),
+        );
+        assert!(!(over_seeds && brackets), "two units of interval in one table: {table:?}");
+        let named = ["over seeds", "all episodes together", "episodes of a single run"];
+        assert_eq!(
+            named.iter().filter(|unit| table[0][0].contains(*unit)).count(),
+            1,
+            "{:?}",
+            table[0]
+        );
+    }
+    let titled = |part: &str| {
+        let mut found = tables
+            .iter()
+            .filter(|table| table[0][0].starts_with("success %") && table[0][0].contains(part));
+        found.next().unwrap_or_else(|| panic!("no table of success {part} in {markdown}"))
+    };
+    let row = |table: &[Vec<String>], name: &str| table.iter().find(|row| row[0] == name).cloned();
+    // If all seeds have the same result, the interval over seeds is a point; a separate table gives
+    // the interval over episodes.
+    let seeds = titled("over seeds");
+    assert_eq!(row(seeds, "mappo").expect("a row")[1..], ["100.0 ± 0.0", "92.0 ± 5.0"]);
+    assert_eq!(row(seeds, "im-iwol").expect("a row")[1], "92.0 ± 5.0");
+    assert_eq!(row(seeds, "magic"), None, "one seed says nothing about others");
+    // Wilson's lower bound for 300 episodes that all succeed is 300 / (300 + 1.96²).
+    let pooled = row(titled("all episodes together"), "mappo").expect("a row");
+    assert_eq!(
+        pooled[1],
+        format!("100.0 [{:.1}, 100.0]", 100.0 * 300.0 / (300.0 + 1.959_964_f64.powi(2)))
+    );
+    let alone = titled("episodes of a single run");
+    assert_eq!(alone.len(), 2, "MAGIC alone: {alone:?}");
+    assert_eq!(row(alone, "magic").expect("a row")[1], "90.0 [87.0, 91.0]");
+}
+
+/// Returns the provenance that the cells of the test were trained with.
+fn trained_with() -> Value {
+    json!({
+        "version": "0.3.0", "commit": "0123456789abcdef0123456789abcdef01234567", "dirty": false, "sumo": "1.18.0",
+        "libtorch": "2.13.0",
+    })
+}
+
+#[test]
+fn results_name_versions_and_commits() {
+    let folder = folder();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", &folder.path().join("runs")).expect("a sweep");
+    results(&sweep, |_| 0.9, |_| trained_with());
+    // One run was resumed by another version.
+    let resumed =
+        sweep.cells.iter().find(|cell| cell.id == "mappo_agents=8/seed_1").expect("a cell");
+    let mut meta = trained_with();
+    (meta["version"], meta["earlier"]) =
+        ("0.3.1".into(), json!([{ "version": "0.3.0", "sumo": "1.15.0" }]));
+    std::fs::write(resumed.run().meta(), meta.to_string()).expect("written");
+    let (markdown, summary) = report(&sweep, folder.path());
+    for row in [
+        "| im-iwol_agents=4 | 3 | 4096 | 1.0 ± 0.0 | 68 | 0.3.0 (0123456789) | 1.18.0 |",
+        "| mappo_agents=8 | 3 | 4096 | 1.0 ± 0.0 | 68 | 0.3.0 (0123456789); 0.3.0; 0.3.1 (0123456789) | 1.18.0; 1.15.0 |",
+    ] {
+        assert!(markdown.contains(row), "{row} is missing in {markdown}");
+    }
+    assert!(markdown.contains("Evaluated by iwol 0.4.0 with SUMO 1.20.0."), "{markdown}");
+    let rows = summary["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 14);
+    for row in rows {
+        assert!(row["run"]["version"].is_string() && row["run"]["commit"].is_string(), "{row}");
+        assert_eq!(row["run"]["sumo"], "1.18.0");
+        assert_eq!(row["program"]["version"], "0.4.0");
+    }
+
+    // The files that are kept without weights include the versions.
+    let kept = folder.path().join("kept");
+    resumed.keep(&kept, "s").expect("copied");
+    let again = Sweep::parse(FILE, "s.toml", "s", &kept).expect("a sweep");
+    let copy = again.cells.iter().find(|cell| cell.id == resumed.id).expect("a cell");
+    assert_eq!(copy.run().training(), resumed.run().training());
+}
+
+#[test]
+fn kilometres_and_knowledge_have_tables() {
+    let folder = folder();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).expect("a sweep");
+    let success = |cell: &Cell| match cell.config.algorithm.as_str() {
+        "mappo" => 1.0,
+        _ => 0.9 + 0.02 * cell.config.seed as f64,
+    };
+    results(&sweep, success, |_| Value::Null);
+    let (markdown, _) = report(&sweep, folder.path());
+    for part in [
+        // The seeds have 100, 80 and 60 crashes in 40 km each; without a crash there is only a
+        // lower bound.
+        "| im-iwol | 0.50 [0.44, 0.57] (240 in 120.0 km) | 0.50 [0.44, 0.57] (240 in 120.0 km) |",
+        "| mappo | > 32.53 (0 in 120.0 km) | > 32.53 (0 in 120.0 km) |",
+        "| explained variance of the world, % (± t-interval over seeds) |",
+        "| im-iwol, 4 | 93.0 ± 0.0 | 90.0 ± 0.0 | 20 of 60 | 43.3 ± 14.3 | 30.0 ± 0.0 |",
+        "| magic, 8 | 93.0 | 90.0 | 20 of 60 | 40.0 | 30.0 |",
+        "| loitering % at agents (± t-interval over seeds) | 4 | 8 |",
+    ] {
+        assert!(markdown.contains(part), "{part} is missing in {markdown}");
+    }
+    assert!(!markdown.contains("variance of the interaction"), "{markdown}");
+}
