@@ -1,5 +1,5 @@
 //! Settings of the learning algorithms. Each field states its meaning, unit and effect; `Default`
-//! has the values that docs/settings.md lists.
+//! has the values that docs/reference/settings.md lists.
 
 use serde::{Deserialize, Serialize};
 

@@ -61,7 +61,8 @@ impl Config {
     /// applied.
     ///
     /// Settings that no layer gives get defaults that depend on the number N of agents (between 4
-    /// and 48), on whether vehicles steer, and on the method (`docs/settings.md` lists the values):
+    /// and 48), on whether vehicles steer, and on the method (`docs/reference/settings.md` lists
+    /// the values):
     ///
     /// - Number of agents: `train.anneal_steps` × 8/N, but at least half; `train.validate_every`
     ///   and `train.validation_episodes` × 8/N, but at least a quarter; `steps` and
@@ -370,13 +371,13 @@ mod tests {
         resolve(text, sets).expect_err("must be refused").to_string()
     }
 
-    /// `docs/settings.md` has a row for each setting, with the default for 8 vehicles on the
-    /// intersection.
+    /// `docs/reference/settings.md` has a row for each setting, with the default for 8 vehicles on
+    /// the intersection.
     #[test]
     fn the_page_of_settings_has_all_of_them_with_their_defaults() {
         let defaults = flatten(&toml::from_str(&resolve("", &[]).unwrap().to_toml()).unwrap());
         let (_, tables) =
-            include_str!("../../docs/settings.md").split_once("## The run\n").unwrap();
+            include_str!("../../docs/reference/settings.md").split_once("## The run\n").unwrap();
         let quoted =
             |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
         let mut found = BTreeSet::new();
@@ -401,7 +402,7 @@ mod tests {
             }
         }
         let missing: Vec<&String> = defaults.keys().filter(|key| !found.contains(*key)).collect();
-        assert!(missing.is_empty(), "not in docs/settings.md: {missing:?}");
+        assert!(missing.is_empty(), "not in docs/reference/settings.md: {missing:?}");
     }
 
     #[test]
