@@ -200,8 +200,8 @@ fn help(verbs: &[&str], page: &mut String) {
 #[test]
 fn the_page_on_the_command_line_is_what_the_program_says() {
     let mut page = String::from(
-        "# Command line\n\nThis page is for everyone who looks up a flag: it has what `iwol --help` and `iwol VERB --help` \
-         print. A test makes it (`UPDATE_PAGES=1 cargo test --features libsumo command_line`); do not edit it.\n",
+        "# Command line\n\nThis page is for everyone who looks up a flag: it has what `--help` of each verb prints. A test \
+         makes it (`UPDATE_PAGES=1 cargo test --features libsumo command_line`); do not edit it.\n",
     );
     help(&[], &mut page);
     let path = root().join("docs/reference/command_line.md");
@@ -227,11 +227,8 @@ fn calls_in_sentences_parse() {
     }
     assert!(calls.len() > 20, "the scan finds calls: {calls:?}");
     for call in calls {
-        // The shell splits words and redirects. `--help` ends the call once all before it is read.
-        let line = match call.split_once(" > ") {
-            Some((call, _)) => format!("\"$IWOL\" {call} --help"),
-            None => format!("\"$IWOL\" {call} --help"),
-        };
+        // The shell splits words. `--help` ends the call once all before it is read.
+        let line = format!("\"$IWOL\" {} --help", call.split(" > ").next().expect("a call"));
         let output = Command::new("sh")
             .args(["-c", &line])
             .env("IWOL", env!("CARGO_BIN_EXE_iwol"))
