@@ -2,6 +2,7 @@
 //! command line is what the program says, and commands in pages run.
 
 use std::collections::BTreeSet;
+use std::fmt::Write as _;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
@@ -184,7 +185,8 @@ fn help(verbs: &[&str], page: &mut String) {
     let text = String::from_utf8(output.stdout).expect("text");
     let text: Vec<&str> = text.lines().map(str::trim_end).collect();
     let title = [&["iwol"], verbs].concat().join(" ");
-    page.push_str(&format!("\n## `{title}`\n\n```text\n{}\n```\n", text.join("\n").trim_end()));
+    let shown = text.join("\n");
+    write!(page, "\n## `{title}`\n\n```text\n{}\n```\n", shown.trim_end()).expect("a string");
     let below = text.iter().skip_while(|line| **line != "Commands:").skip(1);
     for line in below.take_while(|line| !line.is_empty()) {
         // The description of a verb may go on in lines that are indented further.
@@ -303,7 +305,8 @@ fn commands_of_pages_run() {
         let place = Workplace::new();
         place.shell(&format!("cp -r {}/runs .", trained.folder.path().display()));
         if !page.text.contains("iwol train --scenario scenarios/intersection.xml") {
-            place.shell("mkdir -p runs/intersection/im-iwol && cp -r runs/demo runs/intersection/im-iwol/seed_1");
+            place.shell("mkdir -p runs/intersection/im-iwol");
+            place.shell("cp -r runs/demo runs/intersection/im-iwol/seed_1");
         }
         for block in blocks {
             eprintln!("{}:\n{block}", page.path.display());
