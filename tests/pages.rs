@@ -203,15 +203,15 @@ fn help(verbs: &[&str], page: &mut String) {
 fn the_page_on_the_command_line_is_what_the_program_says() {
     let mut page = String::from(
         "# Command line\n\nThis page is for everyone who looks up a flag: it has what `--help` of each verb prints. A test \
-         makes it (`UPDATE_PAGES=1 cargo test --features libsumo command_line`); do not edit it.\n",
+         makes it (`IWOL_UPDATE=1 cargo test --features libsumo command_line`); do not edit it.\n",
     );
     help(&[], &mut page);
     let path = root().join("docs/reference/command_line.md");
-    if std::env::var_os("UPDATE_PAGES").is_some() {
+    if std::env::var_os("IWOL_UPDATE").is_some() {
         fs::write(&path, &page).expect("written");
     }
     let written = fs::read_to_string(&path).unwrap_or_default();
-    assert!(written == page, "{} is out of date: run with UPDATE_PAGES=1", path.display());
+    assert!(written == page, "{} is out of date: run with IWOL_UPDATE=1", path.display());
 }
 
 /// Calls of `iwol` within sentences name verbs and flags that exist.
