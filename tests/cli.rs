@@ -137,7 +137,7 @@ fn damaged_checkpoints_are_refused() {
     );
 
     // The run can be evaluated, also with another number of agents, and the JSON has the keys that
-    // docs/evaluation.md documents.
+    // docs/guide/evaluation.md documents.
     let output = iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"])
         .arg(&run)
         .output()

@@ -179,6 +179,22 @@ fn the_book_has_every_page() {
     assert_eq!(listed, written);
 }
 
+#[test]
+fn pages_name_every_experiment() {
+    let [sweeps, status] = ["guide/sweeps.md", "results/status.md"]
+        .map(|page| Page::read(&Path::new("docs").join(page)).text);
+    for folder in ["paper", "ablations", "beyond"] {
+        for entry in fs::read_dir(root().join("experiments").join(folder)).expect("a folder") {
+            let name = entry.expect("an entry").file_name().into_string().expect("text");
+            let file = format!("`experiments/{folder}/{name}`");
+            assert!(status.contains(&file), "{file}: run scripts/experiment-status");
+            // One line stands for all ablations.
+            let listed = folder == "ablations" || sweeps.contains(&format!("`{name}`"));
+            assert!(listed, "{file} is not in docs/guide/sweeps.md");
+        }
+    }
+}
+
 /// Returns the help of a verb and of the verbs below it, as Markdown.
 fn help(verbs: &[&str], page: &mut String) {
     let output = program().args(verbs).arg("--help").output().expect("it runs");
