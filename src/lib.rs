@@ -59,7 +59,7 @@ pub mod sweep;
 #[cfg(feature = "learn")]
 pub mod train;
 
-/// Runs the examples of the README as doctests.
+/// Runs the examples of the documentation as doctests.
 #[cfg(doctest)]
-#[doc = include_str!("../README.md")]
-struct Readme;
+#[doc = include_str!("../docs/guide/traci_client.md")]
+struct TraciClient;

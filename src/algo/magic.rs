@@ -16,7 +16,7 @@
 //! Differences on purpose:
 //!
 //! - Observation encoder, proximal policy optimisation and Gaussian head are those of all methods
-//!   (reference: LSTM, REINFORCE, discrete actions). `experiments/magic_reinforce.toml` trains by
+//!   (reference: LSTM, REINFORCE, discrete actions). `presets/magic_reinforce.toml` trains by
 //!   REINFORCE with the value as baseline, as the reference does.
 //! - A separate value function reads the privileged state (reference: hidden state and message).
 //! - Agents always listen to themselves (reference: with complete graphs they do; with learned

@@ -191,7 +191,7 @@ mod tests {
     }
 
     /// The first gradient step on a whole rollout is that of REINFORCE with a baseline
-    /// (`experiments/magic_reinforce.toml`).
+    /// (`presets/magic_reinforce.toml`).
     #[test]
     fn the_first_step_follows_the_policy_gradient() {
         let old = Tensor::from_slice(&[-0.3_f32, -2.0, 0.4, -1.0]).view([4, 1]);

@@ -581,10 +581,10 @@ fn maps_without_a_site_are_refused() {
 
 #[test]
 fn the_page_on_scenario_files_is_what_the_schema_says() {
-    let page = fs::read_to_string(root().join("docs/scenario.md")).unwrap();
+    let page = fs::read_to_string(root().join("docs/reference/scenario.md")).unwrap();
     assert!(
         page == scenario::markdown(),
-        "out of date: run `iwol scenario reference > docs/scenario.md`"
+        "out of date: run `iwol scenario reference > docs/reference/scenario.md`"
     );
     for element in scenario::describe().all() {
         assert!(!element.text.is_empty(), "<{}> is not explained", element.name);

@@ -112,7 +112,7 @@ fn damaged_checkpoints_are_refused() {
     );
 
     // The run can be evaluated, also with another number of agents, and the JSON has the keys that
-    // docs/evaluation.md documents.
+    // docs/guide/evaluation.md documents.
     let mut evaluate =
         iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"]);
     let output = succeeds(evaluate.arg(&run));

@@ -379,7 +379,7 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
 fn the_experiments_that_come_along_load() {
     let mut sweeps = 0;
     let folder = root().join("experiments");
-    let folders = [folder.join("ablations"), folder];
+    let folders = ["", "ablations", "beyond", "paper"].map(|name| folder.join(name));
     for entry in folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("the folder")) {
         let path = entry.expect("an entry").path();
         if path.is_dir() {

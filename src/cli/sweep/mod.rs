@@ -17,7 +17,7 @@ use super::Verdict;
 /// are skipped and interrupted cells continue, so that the same command resumes a sweep.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Sweep file, e.g. experiments/scalability.toml
+    /// Sweep file, e.g. experiments/paper/scalability.toml
     file: PathBuf,
     /// Number of cells that run at the same time [default: 1, because a cell uses all cores while
     /// it learns; with --slurm as many as Slurm allows]
