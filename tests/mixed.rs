@@ -128,9 +128,8 @@ fn who_walks_the_same_way_is_one_stream() {
     let file = folder.path().join("people.rou.xml");
     fs::write(&file, format!("<routes>{all}</routes>")).expect("written");
     let task = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files = vec![file]);
-    let own =
-        task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear()).routes.len();
-    assert_eq!(task.map.routes.len(), own + 3);
+    let without = task_of("pedestrians_cross.xml", |scenario| scenario.traffic.files.clear());
+    assert_eq!(task.map.routes.len(), without.map.routes.len() + 3);
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     let mut most = 0;
     for _ in 0..120 {
