@@ -101,8 +101,9 @@ impl Workload {
                     let place = &self.task.places[slot as usize];
                     let (route, front) =
                         (place.routes[0], place.pos + self.half() + self.way(slot, episode_step));
-                    let ([x, y], heading, segment) =
-                        self.task.map.routes[route].path.body(front, self.task.scenario.vehicle.length);
+                    let ([x, y], heading, segment) = self.task.map.routes[route]
+                        .path
+                        .body(front, self.task.scenario.vehicle.length);
                     let keep_route = self.task.map.locate(route, [x, y], segment).0.keep_route();
                     out.push(Command::MoveTo { world, slot, x, y, heading, keep_route });
                 }
