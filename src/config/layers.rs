@@ -82,11 +82,15 @@ impl Layers {
                 let message = "write it as key=value".to_owned();
                 return Err(Error::Value { place, key: set.clone(), message });
             };
-            values.assign(&key.trim().split('.').collect::<Vec<_>>(), bare(value.trim()), place)?;
+            values.assign(
+                &key.trim().split('.').collect::<Vec<_>>(),
+                bare(value.trim()),
+                &place,
+            )?;
         }
         for (key, value) in &self.flags {
             let place = format!("--{}", key.rsplit('.').next().unwrap_or(key));
-            values.assign(&key.split('.').collect::<Vec<_>>(), value.clone(), place)?;
+            values.assign(&key.split('.').collect::<Vec<_>>(), value.clone(), &place)?;
         }
 
         let Values { table, origins } = values;

@@ -92,7 +92,7 @@ fn lengths_follow_the_number_of_agents() {
 fn vehicles_that_steer_have_defaults_of_their_own() {
     let five = resolve_on("parking_lot", "", &[]).unwrap();
     assert_eq!((five.exploration.correlation, five.train.envs), (0.95, 25));
-    assert_eq!(five.steps, 4 * resolve("agents = 5", &[]).unwrap().steps);
+    assert_eq!(five.steps, 2_400_000 * 8 / 5);
     let view = |c: &Config| (c.ppo.gamma, c.ppo.gamma_explored);
     assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
     assert_eq!(

@@ -92,7 +92,7 @@ impl Values {
                         place: place.clone(),
                         message: "this value cannot be read".to_owned(),
                     })?;
-                self.assign(&keys, parsed, place)?;
+                self.assign(&keys, parsed, &place)?;
             }
         }
         Ok(())
@@ -100,15 +100,10 @@ impl Values {
 
     /// Sets a setting and checks its type, so that an error names the place of the value. Ranges
     /// are checked at the end, because some depend on other settings.
-    pub(super) fn assign(
-        &mut self,
-        keys: &[&str],
-        value: Value,
-        place: String,
-    ) -> Result<(), Error> {
-        self.check_key(keys, &place)?;
+    pub(super) fn assign(&mut self, keys: &[&str], value: Value, place: &str) -> Result<(), Error> {
+        self.check_key(keys, place)?;
         let bad = |message: String| {
-            Err(Error::Value { place: place.clone(), key: keys.join("."), message })
+            Err(Error::Value { place: place.to_owned(), key: keys.join("."), message })
         };
         if keys == ["preset"] {
             // Presets are taken over before all documents.
@@ -117,7 +112,7 @@ impl Values {
                 None => bad(unknown("preset", &value, &PRESETS.map(|preset| preset.name))),
             };
         }
-        self.set(keys, value, Origin::Given(place.clone()));
+        self.set(keys, value, Origin::Given(place.to_owned()));
         let config: Config = match Value::Table(self.table.clone()).try_into() {
             Ok(config) => config,
             Err(error) => {
