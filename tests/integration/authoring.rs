@@ -420,7 +420,11 @@ fn a_check_looks_at_the_net() {
         findings(&file)
     );
     fs::write(&config, "<configuration").unwrap();
-    assert!(findings(&file).contains("is not a configuration of netconvert"), "{}", findings(&file));
+    assert!(
+        findings(&file).contains("is not a configuration of netconvert"),
+        "{}",
+        findings(&file)
+    );
 }
 
 #[test]

@@ -77,7 +77,9 @@ fn the_smallest_net_with_room_is_taken() {
     }
     let error = scenario.net_for(49).unwrap_err();
     assert!(
-        error.to_string().ends_with("intersection.xml: 49 agents are not allowed, allowed: 4 to 48"),
+        error
+            .to_string()
+            .ends_with("intersection.xml: 49 agents are not allowed, allowed: 4 to 48"),
         "{error}"
     );
     assert!(error.hint().unwrap().contains("4 to 48"));

@@ -248,7 +248,9 @@ fn commented(xml: &str) -> String {
         let name = line.strip_prefix("    <").filter(|rest| rest.starts_with(char::is_alphabetic));
         let name = name.and_then(|rest| rest.split(|c: char| !c.is_alphanumeric()).next());
         if let Some(comment) = name.and_then(reference::comment) {
-            text += &format!("\n    <!-- {} -->\n", comment.replace("--", "-"));
+            text += "\n    <!-- ";
+            text += &comment.replace("--", "-");
+            text += " -->\n";
         }
         text.push_str(line);
         text.push('\n');
