@@ -19,8 +19,8 @@ use plotters::prelude::*;
 use canvas::{Canvas, Drawn, FINE, Placement, averaged, provide_font, px, write};
 use legend::Legend;
 
-pub use picture::{Picture, Rgb};
 pub(crate) use picture::path;
+pub use picture::{Picture, Rgb};
 
 use crate::record;
 

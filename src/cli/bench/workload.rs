@@ -105,8 +105,9 @@ impl Workload {
                         place.routes[0],
                         place.pos + self.half() + self.distance(slot, episode_step),
                     );
-                    let ([x, y], heading, segment) =
-                        self.task.map.routes[route].path.body(front, self.task.scenario.vehicle.length);
+                    let ([x, y], heading, segment) = self.task.map.routes[route]
+                        .path
+                        .body(front, self.task.scenario.vehicle.length);
                     let keep_route = self.task.map.locate(route, [x, y], segment).0.keep_route();
                     out.push(Command::MoveTo { world, slot, x, y, heading, keep_route });
                 }
