@@ -181,7 +181,7 @@ impl Trial {
             if !strange.is_empty() {
                 findings.push(finding(
                     Severity::Error,
-                    format!("{what}: out of range or no number: {}", list(&strange)),
+                    format!("{what}: these features were outside of their range, or not finite: {}", list(&strange)),
                     "a defect of this program, or a net with extreme coordinates; please report it with the scenario",
                 ));
             }
@@ -190,24 +190,24 @@ impl Trial {
         if !seen.groups.nearest() && seen.conflict_streams < self.meetings {
             findings.push(finding(
                 Severity::Warning,
-                format!("a route meets {} others, and agents see {} of them", self.meetings, seen.conflict_streams),
-                "more conflictStreams in <observation>, up to 16, or groups=\"both\", which shows the nearest vehicles besides",
+                format!("a route crosses or joins {} others, of which agents observe {}", self.meetings, seen.conflict_streams),
+                "raise conflictStreams in <observation>, up to 16, or use groups=\"both\", which adds the nearest vehicles",
             ));
         }
         let [played, unharmed] = self.flat_out;
         if played > 0 && unharmed == played && self.agents > 1 {
             findings.push(finding(
                 Severity::Warning,
-                format!("nobody came to harm in any of {played} episodes at full throttle: there is little to coordinate"),
-                "more vehicles, or places from where they reach the meeting points at the same time; more --steps play more episodes",
+                format!("no vehicle crashed in any of {played} episodes at full throttle, so there is little to coordinate"),
+                "add vehicles, or move places so that vehicles reach conflict points at the same time; more --steps play more episodes",
             ));
         }
         let constant = self.constant();
         if !constant.is_empty() {
             findings.push(finding(
                 Severity::Warning,
-                format!("observation: never changed: {}", list(&constant)),
-                "fewer streams, vehicles or neighbours in <observation> would do here; more --steps may show more",
+                format!("observation: these features never changed: {}", list(&constant)),
+                "observe fewer streams, vehicles or neighbours in <observation>; more --steps may show more",
             ));
         }
         findings

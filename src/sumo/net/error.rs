@@ -109,7 +109,7 @@ pub enum Problem {
         nearest: Option<String>,
     },
     /// A route names an edge that is part of a junction or that cars cannot use.
-    #[error("the edge `{edge}` is no road that a route can name")]
+    #[error("the edge `{edge}` is not a road, so no route can name it")]
     NotRoad {
         /// The id.
         edge: String,
@@ -134,7 +134,7 @@ pub enum Problem {
     },
     /// A walk names an edge without a lane for pedestrians.
     #[error(
-        "nobody can walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)"
+        "pedestrians cannot walk along the edge `{edge}`: build the net with sidewalks (netconvert --sidewalks.guess)"
     )]
     NoSidewalk {
         /// The id.

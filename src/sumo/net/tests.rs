@@ -231,7 +231,7 @@ fn a_file_that_is_not_utf8_is_refused_with_the_place() {
 fn a_route_names_roads_and_connections_lead_over_junctions() {
     assert_eq!(
         route(&["a", ":j_0"]).unwrap_err().to_string(),
-        "x.net.xml: the edge `:j_0` is no road that a route can name"
+        "x.net.xml: the edge `:j_0` is not a road, so no route can name it"
     );
     insta::assert_snapshot!(broken(r#"via=":j_0_0""#, r#"via="b_0""#), @"x.net.xml:14:57: `b_0` is not a valid via of <connection>, allowed: a lane within a junction");
 }
