@@ -24,6 +24,7 @@ use absent::{bench, config, export, plot, report, sweep, train};
 
 #[cfg(feature = "learn")]
 mod bench;
+#[cfg(feature = "learn")]
 mod config;
 mod doctor;
 mod evaluate;

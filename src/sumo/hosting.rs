@@ -2,7 +2,6 @@
 
 use std::{ffi::OsString, fmt, str::FromStr, thread, time::Duration};
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Error, Simulation, SimulationConfig, TraciSimulation, fleet::Fleet};
@@ -48,7 +47,8 @@ impl FromStr for Backend {
 }
 
 /// The user's choice of the backend.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Choice {
     /// The fastest available backend: libsumo on a machine with one core if this build includes it,
