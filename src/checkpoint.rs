@@ -225,6 +225,10 @@ impl Checkpoint {
             let shape: Vec<i64> = view.shape().iter().map(|&d| d as i64).collect();
             let tensor = Tensor::f_from_data_size(view.data(), &shape, kind)
                 .map_err(|e| damaged(format!("{name}: {e}")))?;
+            let finite = tensor.f_isfinite().and_then(|finite| bool::try_from(finite.all()));
+            if kind != Kind::Int64 && !finite.map_err(|e| damaged(format!("{name}: {e}")))? {
+                return Err(damaged(format!("{name} contains a value that is not finite")));
+            }
             learner.push((name.to_owned(), tensor));
         }
         Ok(Self {

@@ -128,6 +128,13 @@ impl Trainer {
         &self.progress
     }
 
+    /// Returns whether nothing is left to train: the run has taken all its steps, or is solved.
+    pub fn is_over(&self) -> bool {
+        let progress = &self.progress;
+        progress.validated >= progress.step
+            && (progress.step >= self.config.steps || schedule::solved(&self.config, progress))
+    }
+
     /// Returns the scenario, with the run's settings applied.
     pub fn scenario(&self) -> &Scenario {
         &self.scenario

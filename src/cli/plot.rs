@@ -91,6 +91,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let out = args.out.as_ref().unwrap_or(&args.runs[0]);
     let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
+    if out.extension().is_none_or(|end| end != "png") {
+        bail!("--out {}: figures are PNG files; give a name that ends in .png", out.display());
+    }
     let title = if alone {
         format!("Learning curve of {}", groups[0].label)
     } else {

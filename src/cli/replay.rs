@@ -1,7 +1,8 @@
 //! `iwol replay`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::bail;
 use iwol_sumo::record::write_atomic;
 use iwol_sumo::replay::Recording;
 
@@ -26,6 +27,21 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let recording = Recording::load(&args.recording)?;
+    let same = |a: &Path, b: &Path| {
+        a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+    };
+    let outputs: Vec<&Path> = [&args.out, &args.svg].into_iter().flatten().map(|p| &**p).collect();
+    if let Some(path) = outputs.iter().find(|path| same(path, &args.recording)) {
+        bail!("`{}` is the recording itself; choose another file to write", path.display());
+    }
+    if let [out, svg] = outputs[..]
+        && same(out, svg)
+    {
+        bail!("--out and --svg are both `{}`; choose two different files", out.display());
+    }
+    if let Some(at) = args.at.filter(|&at| at >= recording.steps) {
+        bail!("--at {at}: there is no such step; allowed: 0 to {}", recording.steps - 1);
+    }
     if let Some(path) = &args.out {
         write_atomic(path, recording.player().as_bytes())?;
         tell!("{}", path.display());

@@ -9,6 +9,7 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document};
+use iwol_sumo::sumo::Choice;
 use iwol_sumo::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
 
 use super::Verdict;
@@ -121,6 +122,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else {
         Trainer::new(config.clone(), scenario)?
     };
+    if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
+        bail!(
+            "`{}` is over after {} steps, so {change} would change nothing; allow more with --steps, or start a new run with --init-from",
+            dir.path().display(),
+            trainer.progress().step
+        );
+    }
     let (deployed, all) = trainer.learner().parameters();
     say!(
         "{} on {} with {vehicles}, seed {}: {} parameters ({} in the deployed policy)",
@@ -137,6 +145,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let worlds =
         if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
     say!("{worlds}");
+    if mixed && config.simulation.backend == Choice::Libsumo && config.train.envs > 1 {
+        say!(
+            "mixed traffic needs a SUMO per world, and libsumo runs one per process: TraCI is used"
+        );
+    }
     dir.begin_meta(&config, trainer.progress(), &fingerprint, &worlds)?;
     let bar = ProgressBar::new(config.steps);
     bar.set_style(

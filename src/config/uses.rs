@@ -10,7 +10,11 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
         "seed" => "--seed determines the episodes",
         "algorithm" => "the checkpoint determines the algorithm",
         "device" => "--device determines the device",
-        "init_from" | "steps" => "nothing is trained",
+        key if ["init_from", "steps"].contains(&key)
+            || ["train.", "ppo.", "exploration."].iter().any(|group| key.starts_with(group)) =>
+        {
+            "nothing is trained"
+        }
         _ => return None,
     };
     Some(format!("{set}: has no effect in an evaluation: {where_from}"))
@@ -35,5 +39,20 @@ impl Config {
         let unfit =
             as_many.and_then(|()| algo::check_channel(&self.algorithm, &asked.channel)).err();
         unfit.map(|unfit| unfit.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_of_training_have_no_effect_in_an_evaluation() {
+        for set in ["steps=5", "train.envs=4", "ppo.gamma=0.3", " exploration.mode = \"learned\""] {
+            assert!(no_matter_of_evaluation(set).is_some(), "{set}");
+        }
+        for set in ["env.detection_range=20", "channel.loss=0.5", "simulation.audit=false"] {
+            assert!(no_matter_of_evaluation(set).is_none(), "{set}");
+        }
     }
 }

@@ -62,11 +62,17 @@ impl Recording {
             );
         }
         let vehicles = self.vehicles(step);
+        // As in the player: lines of messages are solid, those of mere range dashed and grey.
+        let link = if self.communicates {
+            "stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\".25\""
+        } else {
+            "stroke=\"#59616b\" stroke-opacity=\".35\" stroke-width=\".15\" stroke-dasharray=\".6 .8\""
+        };
         for (i, j) in self.links(step) {
             let [a, b] = [i, j].map(|k| vehicles[k].1);
             let _ = writeln!(
                 svg,
-                "<path d=\"M{:.2} {:.2}L{:.2} {:.2}\" stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\".25\"/>",
+                "<path d=\"M{:.2} {:.2}L{:.2} {:.2}\" {link}/>",
                 a[0], a[1], b[0], b[1]
             );
         }

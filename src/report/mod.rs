@@ -113,7 +113,9 @@ fn heading(sweep: &Sweep, block: &Block<'_>) -> String {
 #[non_exhaustive]
 pub enum Error {
     /// Nothing is evaluated yet.
-    #[error("the sweep `{name}` has no result yet; run it first: iwol sweep FILE")]
+    #[error(
+        "the sweep `{name}` has no result yet; run it first with `iwol sweep`, or name the folder of its runs with --runs"
+    )]
     Nothing {
         /// The sweep.
         name: String,

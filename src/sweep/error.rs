@@ -38,7 +38,7 @@ pub enum Error {
     /// A cell's folder contains a run of a scenario that has changed since.
     #[error(
         "`{}` was trained with an earlier version of `{}`: this file, or a net or route file that it names, has changed; restore \
-         the files, move the run to another folder, or choose another --out",
+         the files, move the run to another folder, or choose another folder for runs (`iwol sweep --out`, `iwol report --runs`)",
         folder.display(), path.display()
     )]
     Scenario {
@@ -55,7 +55,7 @@ pub enum Error {
     },
     /// A cell's folder contains a run with other settings.
     #[error(
-        "`{}` contains a run with another `{key}`: {was} in the run, {is} in the sweep file; move the run to another folder, or choose another --out",
+        "`{}` contains a run with another `{key}`: {was} in the run, {is} in the sweep file; move the run to another folder, or choose another folder for runs (`iwol sweep --out`, `iwol report --runs`)",
         folder.display()
     )]
     Changed {

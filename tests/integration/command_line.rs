@@ -195,12 +195,29 @@ fn damaged_checkpoints_are_refused() {
     2
     error: tensor `encoder.mlp.layers.0.linear.weight` has shape [8, 67], but this network needs [16, 67]; check the configuration
     "#);
-    // Another discount factor is accepted and reported.
-    let said = text(&succeeds(&mut train(&run, &["ppo.gamma=0.5"], &["--resume"])).stderr);
+    // A run that is over takes no other setting, which would train nothing.
+    let stored = std::fs::read(run.join("config.toml")).expect("it is there");
+    assert_snapshot!(tidy(failure(&mut train(&run, &["ppo.gamma=0.5"], &["--resume"]))), @r#"
+    2
+    error: `DIR/run` is over after 64 steps, so ppo.gamma = 0.5 (was 0.99) would change nothing; allow more with --steps, or start a new run with --init-from
+    "#);
+    assert_eq!(std::fs::read(run.join("config.toml")).expect("it is there"), stored);
+    // With more steps, another discount factor is accepted and reported.
+    let mut on = train(&run, &["ppo.gamma=0.5"], &["--resume", "--steps", "96"]);
+    let said = text(&succeeds(&mut on).stderr);
     assert!(said.contains("another setting: ppo.gamma = 0.5 (was 0.99)"), "{said}");
-    // A truncated checkpoint is refused.
+    // A checkpoint with a weight that is not finite, and a truncated one, are refused.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");
+    let data = 8 + u64::from_le_bytes(bytes[..8].try_into().expect("a length")) as usize;
+    let entries: serde_json::Value = serde_json::from_slice(&bytes[8..data]).expect("JSON");
+    let offset = entries["learner/actor/head.mean.bias"]["data_offsets"][0].as_u64();
+    let at = data + offset.expect("an offset") as usize;
+    let mut broken = bytes.clone();
+    broken[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&file, &broken).expect("written");
+    let said = failure(iwol(&["evaluate"]).arg(&file));
+    assert!(said.contains("actor/head.mean.bias contains a value that is not finite"), "{said}");
     std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("written");
     assert_snapshot!(tidy(failure(iwol(&["train", "--resume", "--out"]).arg(&run))), @r#"
     2

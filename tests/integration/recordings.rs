@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::{INTERSECTION, folder, iwol, root, succeeds, text, train};
+use crate::support::{INTERSECTION, failure, folder, iwol, root, succeeds, text, train};
 
 fn check(html: &Path) -> serde_json::Value {
     let script = root().join("scripts/check-player.mjs");
@@ -50,7 +50,20 @@ fn a_recorded_episode_plays_in_a_browser() {
     // There is one row per decision, and one for the end.
     let length = recorded["summary"]["episode_length"].as_f64().expect("a length");
     assert_eq!(recorded["steps"].as_f64(), Some(length + 1.0));
-    assert!(std::fs::read_to_string(&svg).expect("written").contains("<rect"));
+    // The policy sends no messages, so lines show mere range.
+    let still = std::fs::read_to_string(&svg).expect("written");
+    assert!(still.contains("<rect") && still.contains("stroke-dasharray"), "{still}");
+    let before = std::fs::read(&recording).expect("written");
+    for (arguments, message) in [
+        (["--out", &recording, "--at", "0"], "is the recording itself"),
+        (["--out", &svg, "--at", "0"], "choose two different files"),
+        (["--out", &html, "--at", "100000"], "there is no such step; allowed: 0 to"),
+    ] {
+        let mut replay = iwol(&["replay", &recording, "--svg", &svg]);
+        let said = failure(replay.args(arguments));
+        assert!(said.contains(message), "{said}");
+    }
+    assert_eq!(std::fs::read(&recording).expect("written"), before);
 }
 
 /// The rewards of a recording add up to the reward of the episode.
