@@ -1,4 +1,4 @@
-//! What goes into a policy and comes out of it at one decision of E worlds with N agent slots each.
+//! Inputs and outputs of a policy at one decision of E worlds with N agent slots each.
 
 use tch::{Device, Tensor};
 

@@ -57,7 +57,7 @@ pub struct Exploration {
 pub enum NoiseMode {
     /// A schedule imposes it.
     Schedule,
-    /// It is a parameter and is learned (released code).
+    /// The standard deviation is a parameter and is learned (released code).
     Learned,
 }
 

@@ -1,4 +1,4 @@
-//! What follows from the declarations of the settings: the JSON schema, the check of ranges, and
+//! Derived from the declarations of the settings: the JSON schema, the check of ranges, and
 //! the reference page.
 
 use std::fmt::Write as _;
@@ -71,7 +71,7 @@ fn described(schema: &Value) -> &Value {
 /// A setting, or a group of settings.
 struct Setting<'a> {
     key: &'a str,
-    /// What the field declares.
+    /// Schema of the field itself: documentation, default and range.
     field: &'a Map<String, Value>,
     /// What the field's type declares; without a type of its own, the same as `field`.
     described: &'a Value,

@@ -1,4 +1,4 @@
-//! What the registry says about a metric.
+//! The description of a metric in the registry.
 
 use super::{KmPerCrash, Metrics};
 use crate::stats::Estimate;
@@ -20,7 +20,7 @@ pub struct Metric {
     pub better: Better,
     /// The outputs that show the metric.
     pub shown: Shown,
-    /// What the metric is and how to read it.
+    /// Meaning of the metric, and how to read it.
     pub explanation: &'static str,
     pub(super) field: fn(&Metrics) -> Option<Estimate>,
 }

@@ -1,4 +1,4 @@
-//! What agents learn from a rollout: advantages and returns, and what they share of each other's.
+//! Advantages and returns, from which agents learn, and the sharing of advantages among agents.
 
 use super::{Rollout, Sizes};
 

@@ -15,7 +15,7 @@ use super::{
 };
 use arguments::{in_memory, write_tiles};
 
-/// What a slot holds.
+/// The state of a slot.
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
     /// Whether SUMO knows the vehicle of the slot, either on the road or waiting for insertion.
@@ -42,9 +42,9 @@ pub(super) struct Fleet {
     tiled: Option<Arc<File>>,
     /// Definitions of vehicle types, an unnamed file as well.
     definitions: Option<Arc<File>>,
-    /// What the slots hold.
+    /// State of each slot.
     slots: Vec<Slot>,
-    /// What the slots hold after the exchange in progress.
+    /// State of each slot after the exchange in progress.
     next: Vec<Slot>,
     /// Lane, position and speed of the last [`Command::Add`] as strings, kept to reuse their
     /// buffers.

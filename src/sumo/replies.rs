@@ -126,7 +126,7 @@ type Key<'a> = (u8, Option<&'a str>, u8, &'a str, u8);
 pub struct StepReply {
     /// The results of the commands of the batch.
     pub outcomes: Replies,
-    /// What the subscriptions report after the step.
+    /// Reports of the subscriptions after the step.
     pub reports: Reports,
 }
 

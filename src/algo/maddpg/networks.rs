@@ -74,7 +74,7 @@ impl Actor {
     }
 }
 
-/// What the critic reads of each agent.
+/// The part of each agent that the critic reads.
 pub(super) enum CriticInput {
     /// The agent's observation and its view of the privileged state.
     Privileged(Encoder),

@@ -39,7 +39,7 @@ pub(super) struct Transitions {
     pub(super) discount: Tensor,
 }
 
-/// What the critic reads at one step.
+/// The arrays that the critic reads at one step.
 pub(super) struct View {
     /// Observations, `[R, N, O]`.
     pub(super) observation: Tensor,

@@ -3,8 +3,8 @@
 use super::routes::RouteGeometry;
 use crate::sumo::net::{EdgeFunction, Net, Path};
 
-/// What an indicator shows. A U-turn is signalled as a left turn (in left-hand traffic as a right
-/// turn).
+/// The direction that an indicator shows. A U-turn is signalled as a left turn (in left-hand
+/// traffic as a right turn).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Indicator {
     Off,

@@ -1,4 +1,4 @@
-//! What an agent knows about the routes of the other vehicles.
+//! An agent's knowledge of the routes of the other vehicles.
 //!
 //! Where the scenario hides intentions, an agent has to expect every route that a vehicle could
 //! still take: its *candidates*. Candidates follow from where the vehicle began and where it is
@@ -243,7 +243,7 @@ fn in_sight(traffic: &Traffic, i: usize, j: usize) -> bool {
     !traffic.slots.iter().enumerate().any(hides)
 }
 
-/// What is known about the vehicles' routes, to one agent or to all.
+/// Knowledge of the vehicles' routes, of one agent or common to all.
 #[derive(Clone, Copy)]
 pub(crate) struct Knowledge<'a> {
     pub(crate) routes: &'a [RouteGeometry],
@@ -270,7 +270,7 @@ impl<'a> Knowledge<'a> {
         Self { hidden, ..Self::full(&map.routes, traffic) }
     }
 
-    /// What the agent of slot `reader` knows of the other vehicles.
+    /// Knowledge of the agent of slot `reader` about the other vehicles.
     pub(crate) fn to(self, reader: usize) -> Self {
         Self { reader: Some(reader), ..self }
     }

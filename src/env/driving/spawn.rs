@@ -11,7 +11,7 @@ use crate::sumo::Command;
 /// SUMO's speed mode with all checks of SUMO's own driver.
 const SUMO_CHECKS: i32 = 31;
 
-/// Who begins an episode.
+/// The vehicles with which an episode begins.
 pub(super) struct Spawned {
     /// Number of agents, which occupy the first slots.
     pub(super) active_agents: usize,

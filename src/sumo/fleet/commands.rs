@@ -1,4 +1,4 @@
-//! What the environments' commands are in TraCI. Every backend carries out the calls that this
+//! The TraCI calls of the environments' commands. Every backend carries out the calls that this
 //! module writes: TraCI sends the batch, and libsumo reads the calls back from it.
 
 use std::fmt::Write as _;

@@ -28,7 +28,7 @@ const TIME_LOSS: u8 = VAR_TIMELOSS.number();
 /// its report does not matter.
 pub(in crate::sumo) struct StepSink<'a> {
     fleet: &'a mut Fleet,
-    /// What has been read of the report of the current object.
+    /// Values read so far from the report of the current object.
     row: Row,
     /// Indices of the refused commands, with SUMO's reasons.
     pub(in crate::sumo) refused: Vec<(usize, String)>,

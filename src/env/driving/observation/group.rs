@@ -1,4 +1,4 @@
-//! What a feature group is: how its features are described, and how they are written.
+//! The interface of a feature group: how its features are described, and how they are written.
 
 use crate::env::driving::agents::{Slot, Status, Traffic};
 use crate::env::driving::intention::Knowledge;
@@ -34,7 +34,7 @@ pub struct View<'a> {
     pub map: &'a Map,
     /// All vehicles.
     pub traffic: &'a Traffic,
-    /// What is known of the vehicles' routes.
+    /// Knowledge of the vehicles' routes.
     pub knowledge: Knowledge<'a>,
     /// Priorities of all slots' vehicles; empty in scenarios that do not show them.
     pub priorities: &'a [u32],

@@ -1,4 +1,4 @@
-//! What the calls for vehicles return.
+//! Types of the values that the calls for vehicles return.
 
 use crate::sumo::{
     Error,
