@@ -2,18 +2,19 @@
 //! key by key.
 //!
 //! A setting is declared once, as a field of the struct of its group: documentation, default and
-//! range. The scenario's own numbers are the table `[env]`, so that the resolved configuration is
-//! complete. It is stored with the run and is itself a valid `--config`. Every error names the
-//! file, line and column, and the nearest valid key.
+//! range. The scenario's numbers, words and flags are declared in the schema of scenario files, and
+//! `scenario.<element>.<attribute>` overrides them. The resolved configuration contains them all;
+//! it is stored with the run and is itself a valid `--config`. Every error names the file, line and
+//! column, and the nearest valid key.
 
 mod defaults;
 mod document;
-mod env;
 mod error;
 mod flat;
 mod layers;
 mod presets;
 mod rules;
+mod scenario;
 mod schema;
 #[cfg(test)]
 mod tests;
@@ -21,12 +22,12 @@ mod uses;
 mod values;
 
 pub use document::Document;
-pub use env::Env;
 pub use error::Error;
 pub(crate) use flat::between;
-pub use flat::{Change, changes, flatten, plain};
+pub use flat::{Change, changes, flatten, full_name, plain};
 pub use layers::{Layers, Resolution};
 pub use presets::{PRESETS, Preset};
+pub use scenario::ScenarioSettings;
 pub use uses::no_matter_of_evaluation;
 pub use values::{Origin, Origins};
 
@@ -38,8 +39,8 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use toml::Table;
 
-use crate::algo::{self, settings};
-use crate::scenario::Scenario;
+use crate::algo;
+use crate::scenario::ScenarioFile;
 use crate::sumo::{Choice, Hosting};
 
 /// The method that is trained unless another one is set.
@@ -51,15 +52,12 @@ const MOST_STEPS: u64 = 1 << 50;
 /// brackets), default and range. Resolution, [`Config::schema`] and [`Config::reference`] follow
 /// from the declarations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Config {
-    /// File of the scenario.
-    pub scenario: PathBuf,
     /// Name of the method.
     #[schemars(extend("enum" = algo::NAMES, "default" = DEFAULT_ALGORITHM))]
     pub algorithm: String,
-    /// Number of vehicles at spawn places. All of them are agents, unless `env.penetration` is
-    /// below 1. By default the scenario's.
+    /// Number of vehicles at spawn places. All of them are agents, unless
+    /// `scenario.traffic.penetration` is below 1. By default the scenario's.
     #[schemars(range(min = 1))]
     pub agents: u32,
     /// Seed of all random numbers.
@@ -76,32 +74,17 @@ pub struct Config {
     /// agents (CommFormer: of as many). Empty: training starts from new weights.
     #[schemars(extend("default" = ""))]
     pub init_from: PathBuf,
+    /// The scenario's file, or a table with the file and values that replace those in the file.
+    pub scenario: ScenarioSettings,
     /// The training loop.
     pub train: Train,
     /// The simulator.
     pub simulation: Simulation,
-    /// The networks.
-    pub network: settings::Network,
-    /// Proximal policy optimisation.
-    pub ppo: settings::Ppo,
-    /// Exploration noise.
-    pub exploration: settings::Exploration,
-    /// Settings of IWoL.
-    pub iwol: settings::Iwol,
-    /// The transformer of MAT and CommFormer.
-    pub transformer: settings::TransformerSettings,
-    /// Settings of MAGIC.
-    pub magic: settings::MagicSettings,
-    /// Settings of CommFormer.
-    pub commformer: settings::CommFormerSettings,
-    /// Settings of ICP.
-    pub icp: settings::IcpSettings,
-    /// Settings of MADDPG.
-    pub maddpg: settings::MaddpgSettings,
+    /// The settings of the learner.
+    #[serde(flatten)]
+    pub learner: algo::Settings,
     /// The radio between agents; only for evaluation.
     pub channel: algo::Channel,
-    /// The numbers of the scenario.
-    pub env: Env,
 }
 
 /// Settings of the training loop. The defaults of lengths and counts are for 8
@@ -212,55 +195,20 @@ impl Config {
     /// Default of [`Config::steps`]: a limit. Without steering, most runs stop long before it.
     const STEPS: u64 = 1_200_000;
 
-    /// Returns the declared defaults, with the scenario's own numbers.
-    fn declared(scenario: &Scenario) -> Self {
-        let algo::Settings {
-            network,
-            ppo,
-            exploration,
-            iwol,
-            transformer,
-            magic,
-            commformer,
-            icp,
-            maddpg,
-        } = algo::Settings::default();
+    /// Returns the declared defaults, with the values in the scenario's file.
+    fn declared(file: &ScenarioFile) -> Self {
         Self {
-            scenario: scenario.path.clone(),
             algorithm: DEFAULT_ALGORITHM.to_owned(),
-            agents: scenario.agents.default,
+            agents: file.scenario.agents.default,
             seed: 0,
             steps: Self::STEPS,
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
+            scenario: ScenarioSettings::of(file),
             train: Train::default(),
             simulation: Simulation::default(),
-            network,
-            ppo,
-            exploration,
-            iwol,
-            transformer,
-            magic,
-            commformer,
-            icp,
-            maddpg,
+            learner: algo::Settings::default(),
             channel: algo::Channel::default(),
-            env: Env::of(scenario),
-        }
-    }
-
-    /// Returns the learner's settings.
-    pub fn settings(&self) -> algo::Settings {
-        algo::Settings {
-            network: self.network.clone(),
-            ppo: self.ppo.clone(),
-            exploration: self.exploration.clone(),
-            iwol: self.iwol.clone(),
-            transformer: self.transformer.clone(),
-            magic: self.magic.clone(),
-            commformer: self.commformer.clone(),
-            icp: self.icp.clone(),
-            maddpg: self.maddpg.clone(),
         }
     }
 

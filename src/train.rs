@@ -230,8 +230,13 @@ impl Trainer {
         stop: &AtomicBool,
         report: &mut dyn FnMut(&Report),
     ) -> Result<TrainingEnd, Error> {
-        let mut files =
-            Files::open(dir, &self.config, self.progress.step, self.progress.validated)?;
+        let mut files = Files::open(
+            dir,
+            &self.config,
+            &self.scenario,
+            self.progress.step,
+            self.progress.validated,
+        )?;
         let mut validation_success = None;
         let outcome = loop {
             if stop.load(Ordering::Relaxed) {

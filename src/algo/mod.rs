@@ -311,7 +311,7 @@ pub enum Error {
     /// A stored state was trained with another number of agents, to which the algorithm is bound.
     #[error(
         "{algorithm} has parameters for each of {trained} agents and cannot be used with {agents}; use the same number of agents as \
-         in its training (--agents, env.penetration), or choose a method for any number of agents: {}",
+         in its training (--agents, scenario.traffic.penetration), or choose a method for any number of agents: {}",
         METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
     )]
     FixedAgents {

@@ -1,6 +1,7 @@
 //! The groups of settings of a learner. Each group is a struct in the file that reads it, whose
 //! fields declare the settings: documentation, default and range.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
@@ -15,14 +16,14 @@ pub use super::ppo::Ppo;
 pub use super::sequence::TransformerSettings;
 
 /// All settings of a learner.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// Networks, common to all methods.
+    /// The networks.
     pub network: Network,
-    /// Proximal policy optimisation, common to all methods.
+    /// Proximal policy optimisation.
     pub ppo: Ppo,
-    /// Exploration noise of the Gaussian policy.
+    /// Exploration noise.
     pub exploration: Exploration,
     /// Settings of IWoL.
     pub iwol: Iwol,

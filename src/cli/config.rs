@@ -31,7 +31,8 @@ pub(super) struct SettingsArgs {
     scenario: Option<PathBuf>,
     #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
-    /// Number of vehicles at spawn places, which are all agents unless env.penetration is below 1
+    /// Number of vehicles at spawn places, which are all agents unless
+    /// scenario.traffic.penetration is below 1
     /// [default: the scenario's].
     #[arg(long)]
     agents: Option<u32>,

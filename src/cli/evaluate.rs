@@ -52,7 +52,7 @@ pub(super) struct Args {
     /// Interface to SUMO; results do not depend on it
     #[arg(long, value_name = "auto|traci|libsumo")]
     backend: Option<String>,
-    /// One setting of the task, e.g. --set env.detection_range=20; may be repeated
+    /// One setting of the task, e.g. --set scenario.termination.horizon=500; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Record an episode of the first policy, for `iwol replay`

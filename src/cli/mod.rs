@@ -170,7 +170,9 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 fn hint_of_learning(cause: &(dyn std::error::Error + 'static)) -> Option<String> {
     use iwol_sumo::{config, train};
     match (cause.downcast_ref::<config::Error>(), cause.downcast_ref::<train::Error>()) {
-        (Some(config::Error::Scenario(e)), _) => e.hint(),
+        (Some(config::Error::Scenario(e) | config::Error::Overridden { source: e, .. }), _) => {
+            e.hint()
+        }
         (_, Some(train::Error::Env(e))) => e.hint(),
         _ => None,
     }

@@ -153,15 +153,17 @@ fn identity(run: &Path) -> (String, toml::Table) {
     config::remove_untold(&mut settings, &algorithm);
     // The folder of the scenario file does not matter, and runs that start from a policy of their
     // own seed differ only in their seed.
-    shorten(&mut settings, "scenario", Path::file_name);
+    if let Some(toml::Value::Table(scenario)) = settings.get_mut("scenario") {
+        shorten(scenario, "file", Path::file_name);
+    }
     shorten(&mut settings, "init_from", |path| {
         let of_seed =
             path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed_"));
         if of_seed { path.parent().map(Path::as_os_str) } else { Some(path.as_os_str()) }
     });
     let label = match settings
-        .get("env")
-        .and_then(|env| env.get("observation"))
+        .get("scenario")
+        .and_then(|scenario| scenario.get("observation")?.get("groups"))
         .and_then(toml::Value::as_str)
     {
         Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),

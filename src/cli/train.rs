@@ -33,7 +33,7 @@ pub(super) struct Args {
 fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     let own = |path: &Path| config.is_some_and(|config| same_file(config, path));
     let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
-    match [dir.config(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
+    match [dir.config(), dir.scenario(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
         Some(path) => {
             bail!(
                 "`{}` already exists and does not belong to a run; choose another --out",
@@ -91,7 +91,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             "`{}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
              the original scenario, or start a new run from this run's policy with --init-from",
             dir.path().display(),
-            config.scenario.display()
+            config.scenario.file.display()
         );
     }
     if !args.resume {
@@ -133,7 +133,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     say!(
         "{} on {} with {vehicles}, seed {}: {} parameters ({} in the deployed policy)",
         config.algorithm,
-        config.scenario.display(),
+        config.scenario.file.display(),
         config.seed,
         all,
         deployed

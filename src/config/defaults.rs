@@ -5,22 +5,22 @@ use super::Config;
 use super::presets::STEERING;
 use super::values::{Origin, Values};
 use crate::algo;
-use crate::scenario::Scenario;
+use crate::scenario::ScenarioFile;
 
 impl Values {
     /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
     /// trained policy.
     pub(super) fn defaults(
-        scenario: &Scenario,
+        file: &ScenarioFile,
         algorithm: &str,
         agents: u32,
         trained: bool,
     ) -> Self {
-        let mut values = Self::of(&Config::declared(scenario), |key| {
-            let own = key.starts_with("env.") || ["scenario", "agents"].contains(&key);
+        let mut values = Self::of(&Config::declared(file), |key| {
+            let own = key.starts_with("scenario.") || key == "agents";
             if own { Origin::Scenario } else { Origin::Declared }
         });
-        let steers = scenario.control.steering.is_some();
+        let steers = file.scenario.control.steering.is_some();
         if steers {
             values.preset(&STEERING);
         }
@@ -29,7 +29,8 @@ impl Values {
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
             values.follow("init_from", |config| {
-                config.exploration.log_std_start = config.exploration.log_std_explore;
+                let noise = &mut config.learner.exploration;
+                noise.log_std_start = noise.log_std_explore;
             });
         }
         values
@@ -58,7 +59,8 @@ impl Config {
         // Throughput rises as long as annealing lasts, so annealing is not shortened further
         // (docs/lab/decision-process.md).
         train.anneal_steps = scaled(train.anneal_steps).max(train.anneal_steps / 2);
-        self.exploration.explore_steps = lengthened(self.exploration.explore_steps);
+        let exploration = &mut self.learner.exploration;
+        exploration.explore_steps = lengthened(exploration.explore_steps);
         if steers {
             self.steps = lengthened(self.steps);
         }
@@ -71,12 +73,12 @@ impl Config {
             self.train.batch_growth = 1;
             // Samples of a replay buffer are used many times; half as many at once take about half
             // the time.
-            self.ppo.minibatch /= 2;
+            self.learner.ppo.minibatch /= 2;
         }
         if method.team {
             // A team's return is the sum of its agents' own rewards; shares of agents that have
             // left would be lost.
-            self.env.cooperation = 0.0;
+            self.scenario.set("reward", "cooperation", 0.0.into());
         }
     }
 }

@@ -49,6 +49,14 @@ pub enum Error {
         "no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml"
     )]
     NoScenario,
+    /// The scenario is not valid together with settings that override parts of it.
+    #[error("{source} (with {places})")]
+    Overridden {
+        /// The origins of the settings.
+        places: String,
+        /// The error in the scenario.
+        source: scenario::Error,
+    },
     /// The scenario is not valid.
     #[error(transparent)]
     Scenario(#[from] scenario::Error),

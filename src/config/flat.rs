@@ -11,12 +11,17 @@ pub fn flatten(table: &Table) -> BTreeMap<String, Value> {
     flat
 }
 
+/// Returns the full name of a setting: `scenario` is short for `scenario.file`.
+pub fn full_name(key: &str) -> &str {
+    if key == "scenario" { "scenario.file" } else { key }
+}
+
 fn collect(table: &Table, prefix: &str, out: &mut BTreeMap<String, Value>) {
     for (key, value) in table {
         let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
         match value {
             Value::Table(inner) => collect(inner, &name, out),
-            _ => _ = out.insert(name, value.clone()),
+            _ => _ = out.insert(full_name(&name).to_owned(), value.clone()),
         }
     }
 }

@@ -4,12 +4,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use toml::Value;
-use toml::de::DeTable;
+use toml::de::{DeTable, DeValue};
 
 use super::presets::Preset;
 use super::values::{Origin, Origins, Values, parse_value, to_table};
-use super::{Config, DEFAULT_ALGORITHM, Document, Error, schema};
-use crate::scenario::Scenario;
+use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
+use crate::scenario::{Scenario, ScenarioFile};
 
 /// The sources of settings, in rising priority. Below all of them are the defaults, and the preset
 /// that the setting `preset` names in any of them.
@@ -28,15 +28,16 @@ pub struct Layers {
 pub struct Resolution {
     /// All settings.
     pub config: Config,
-    /// The scenario with the table `[env]` applied.
+    /// The scenario with the values of the settings.
     pub scenario: Scenario,
     /// Where the value of each setting comes from.
     pub origins: Origins,
+    /// The values that replace others in the scenario's file.
+    pub replaced: Vec<Change>,
 }
 
 impl Config {
-    /// Resolves the layers and returns the configuration, and the scenario with the `[env]` table
-    /// applied.
+    /// Resolves the layers and returns the configuration, and the scenario with the values in it.
     ///
     /// # Errors
     /// As [`Layers::resolve`].
@@ -57,18 +58,18 @@ impl Layers {
             message: e.message().to_owned(),
         })?;
 
-        // The scenario gives the defaults of `[env]` and of the number of agents, and that number
-        // and the method give those of learning. So these settings are looked up first.
+        // The scenario gives its own values and the default number of agents, and that number and
+        // the method give the defaults of learning. So these settings are looked up first.
         let first = |key: &str| self.look_up(parsed.get_ref(), key);
         let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
-        let mut scenario = Scenario::load(Path::new(&word("scenario").ok_or(Error::NoScenario)?))?;
+        let file = ScenarioFile::read(Path::new(&word("scenario.file").ok_or(Error::NoScenario)?))?;
         let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
         let algorithm = word("algorithm");
         let preset = word("preset").and_then(|name| Preset::named(&name));
         let mut values = Values::defaults(
-            &scenario,
+            &file,
             algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM),
-            agents.unwrap_or(scenario.agents.default),
+            agents.unwrap_or(file.scenario.agents.default),
             word("init_from").is_some_and(|from| !from.is_empty()),
         );
         if let Some(preset) = preset {
@@ -118,23 +119,34 @@ impl Layers {
         if let Some((keys, allowed)) = config.broken_rule() {
             return wrong(keys, allowed);
         }
-        config.env.apply(&mut scenario);
+        let scenario = config.scenario.load(&file, &origins)?;
         scenario.net_for(config.agents)?;
-        Ok(Resolution { config, scenario, origins })
+        let replaced = config.scenario.changes(&file);
+        Ok(Resolution { config, scenario, origins, replaced })
     }
 
-    /// Returns the value that the layers give for a setting without a group.
+    /// Returns the value that the layers give for a setting, by its full name.
     fn look_up(&self, document: &DeTable<'_>, key: &str) -> Option<Value> {
-        let flag = self.flags.iter().find(|(own, _)| *own == key).map(|(_, v)| v.clone());
+        let flag = self.flags.iter().find(|(own, _)| full_name(own) == key).map(|(_, v)| v.clone());
         let set = || {
             let mut sets = self.sets.iter().rev().filter_map(|set| set.split_once('='));
-            sets.find(|(own, _)| own.trim() == key).map(|(_, text)| bare(text.trim()))
+            sets.find(|(own, _)| full_name(own.trim()) == key).map(|(_, text)| bare(text.trim()))
         };
-        let file = || {
-            let (_, value) = document.iter().find(|(own, _)| own.get_ref() == key)?;
-            parse_value(self.document.text.get(value.span())?)
-        };
-        flag.or_else(set).or_else(file)
+        flag.or_else(set).or_else(|| self.in_document(document, "", key))
+    }
+
+    /// Returns the value of a setting in a table of the document whose full name is `prefix`.
+    fn in_document(&self, table: &DeTable<'_>, prefix: &str, key: &str) -> Option<Value> {
+        table.iter().find_map(|(own, value)| {
+            let name = format!("{prefix}{}", own.get_ref());
+            match value.get_ref() {
+                DeValue::Table(inner) if key.starts_with(&format!("{name}.")) => {
+                    self.in_document(inner, &format!("{name}."), key)
+                }
+                _ if full_name(&name) == key => parse_value(self.document.text.get(value.span())?),
+                _ => None,
+            }
+        })
     }
 }
 

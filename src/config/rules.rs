@@ -2,7 +2,6 @@
 
 use super::Config;
 use crate::algo::{self, settings};
-use crate::scenario::{Intention, Observation};
 
 /// Largest number of samples per rollout, which keeps its observations within the machine's memory.
 const MOST_SAMPLES: usize = 1 << 24;
@@ -11,7 +10,8 @@ impl Config {
     /// Returns the first rule that is broken, as its keys, the offending key first, and the allowed
     /// values; `None` if there is none.
     pub(super) fn broken_rule(&self) -> Option<(&'static [&'static str], &'static str)> {
-        let (train, network, transformer) = (&self.train, &self.network, &self.transformer);
+        let (train, learner) = (&self.train, &self.learner);
+        let algo::Settings { network, ppo, exploration, iwol, transformer, .. } = learner;
         let samples = train
             .envs
             .saturating_mul(train.rollout_steps)
@@ -45,7 +45,7 @@ impl Config {
             ),
             (
                 &["iwol.heads", "iwol.message"],
-                divides(self.iwol.heads, self.iwol.message),
+                divides(iwol.heads, iwol.message),
                 "a divisor of iwol.message",
             ),
             (
@@ -56,12 +56,12 @@ impl Config {
             ),
             (
                 &["commformer.graph_every", "ppo.epochs", "algorithm"],
-                (2..=self.ppo.epochs.max(2)).contains(&self.commformer.graph_every) || !commformer,
+                (2..=ppo.epochs.max(2)).contains(&learner.commformer.graph_every) || !commformer,
                 "2 to ppo.epochs: of this number of passes over a rollout, one trains the graph",
             ),
             (
                 &["ppo.target_kl", "algorithm"],
-                self.ppo.target_kl == 0.0 || !commformer,
+                ppo.target_kl == 0.0 || !commformer,
                 "0 with CommFormer, whose last pass over a rollout trains the graph",
             ),
             (
@@ -71,14 +71,8 @@ impl Config {
             ),
             (
                 &["exploration.mode", "algorithm"],
-                self.exploration.mode == settings::NoiseMode::Schedule || on_policy,
+                exploration.mode == settings::NoiseMode::Schedule || on_policy,
                 "schedule: this method does not learn the amount of noise",
-            ),
-            (
-                &["env.signal_distance", "env.intention"],
-                self.env.intention == Intention::Signalled
-                    || self.env.signal_distance == Observation::SIGNAL_DISTANCE,
-                "30, the default, unless env.intention is signalled: otherwise no vehicle has an indicator",
             ),
             (
                 &["network.extra_layers"],

@@ -9,6 +9,7 @@ use toml::Table;
 
 use super::presets::{PRESETS, STEERING};
 use super::{Config, flatten};
+use crate::scenario::overridable;
 
 static SCHEMA: LazyLock<Value> = LazyLock::new(|| schemars::schema_for!(Config).into());
 
@@ -21,7 +22,10 @@ impl Config {
             json!({ "description": "Settings that replace defaults.", "enum": names });
         let groups = schema["$defs"].as_object_mut().expect("groups").values_mut();
         groups.filter_map(Value::as_object_mut).for_each(|group| _ = group.remove("required"));
-        schema.as_object_mut().expect("an object").remove("required");
+        let root = schema.as_object_mut().expect("an object");
+        root.remove("required");
+        root.remove("unevaluatedProperties");
+        root.insert("additionalProperties".to_owned(), false.into());
         schema
     }
 
@@ -44,7 +48,7 @@ impl Config {
             let inner: Vec<Setting> = settings(group.described).collect();
             let _ = table(&mut page, &format!("{}.", group.key), &inner, &steering);
         }
-        page
+        page + &of_scenario()
     }
 }
 
@@ -58,6 +62,34 @@ pub(super) fn out_of_range(table: &Table) -> Option<(String, String)> {
         let range = Range::of(group["properties"][name].as_object()?);
         (!range.contains(number)).then(|| (key.clone(), range.to_string()))
     })
+}
+
+/// Returns the section about the values in a scenario's file.
+fn of_scenario() -> String {
+    let mut elements: Vec<(&str, String, Vec<String>)> = Vec::new();
+    for known in overridable() {
+        let (name, folders) = known.path.split_last().expect("a name");
+        let path = folders.join(".");
+        let name = format!("`{name}`");
+        match elements.last_mut().filter(|last| last.1 == path) {
+            Some(last) => last.2.push(name),
+            None => elements.push((&known.element.name, path, vec![name])),
+        }
+    }
+    let rows = elements.into_iter().map(|(element, path, names)| {
+        format!(
+            "| `scenario.{path}` | {} | [`<{element}>`](scenario.md#{element}) |\n",
+            names.join(", ")
+        )
+    });
+    format!(
+        "\n## `scenario`\n\n\
+         Numbers, words and flags of the scenario's file, by the names of its elements and attributes, e.g. \
+         `--set scenario.observation.neighbours=2`. A value replaces the one in the file. Without a limit, a number is `inf`. \
+         Lists, names and files can be changed only in the scenario's file.\n\n\
+         | group | settings | meaning and allowed values |\n|---|---|---|\n{}",
+        rows.collect::<String>()
+    )
 }
 
 /// Returns what a schema refers to, or the schema itself.

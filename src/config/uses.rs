@@ -30,7 +30,8 @@ impl Config {
     /// Returns why the policy of a run with these settings cannot be used with the settings
     /// `asked`, as far as this is known before training; `None` if it can.
     pub fn cannot_serve(&self, asked: &Self) -> Option<String> {
-        let as_many = if self.env.penetration == asked.env.penetration {
+        let penetration = |config: &Self| config.scenario.value("traffic", "penetration").cloned();
+        let as_many = if penetration(self) == penetration(asked) {
             algo::check_agents(&self.algorithm, self.agents.into(), asked.agents.into())
         } else {
             // The number of agents is known only once the scenario is set up.
@@ -51,7 +52,9 @@ mod tests {
         for set in ["steps=5", "train.envs=4", "ppo.gamma=0.3", " exploration.mode = \"learned\""] {
             assert!(no_matter_of_evaluation(set).is_some(), "{set}");
         }
-        for set in ["env.detection_range=20", "channel.loss=0.5", "simulation.audit=false"] {
+        for set in
+            ["scenario.observation.detectionRange=20", "channel.loss=0.5", "simulation.audit=false"]
+        {
             assert!(no_matter_of_evaluation(set).is_none(), "{set}");
         }
     }

@@ -6,8 +6,9 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::presets::{PRESETS, Preset};
-use super::{Config, Document, Error, flatten};
+use super::{Config, Document, Error, flatten, full_name, scenario};
 use crate::algo;
+use crate::scenario::cannot_override;
 use crate::suggest::nearest;
 
 /// The source of a setting's value.
@@ -101,29 +102,59 @@ impl Values {
     /// Sets a setting and checks its type, so that an error names the place of the value. Ranges
     /// are checked at the end, because some depend on other settings.
     pub(super) fn assign(&mut self, keys: &[&str], value: Value, place: &str) -> Result<(), Error> {
+        let named = keys.join(".");
+        let keys = &full_name(&named).split('.').collect::<Vec<_>>()[..];
         self.check_key(keys, place)?;
-        let bad = |message: String| {
-            Err(Error::Value { place: place.to_owned(), key: keys.join("."), message })
+        let bad = |message: String| Error::Value {
+            place: place.to_owned(),
+            key: keys.join("."),
+            message,
         };
         if keys == ["preset"] {
             // Presets are taken over before all documents.
             return match value.as_str().and_then(Preset::named) {
                 Some(_) => Ok(()),
-                None => bad(unknown("preset", &value, &PRESETS.map(|preset| preset.name))),
+                None => Err(bad(unknown("preset", &value, &PRESETS.map(|preset| preset.name)))),
             };
         }
+        if flatten(&self.table).keys().any(|key| key.starts_with(&format!("{}.", keys.join(".")))) {
+            return Err(bad("this is a group of settings; set one of them".to_owned()));
+        }
+        let value = match keys {
+            ["scenario", path @ ..] => {
+                scenario::checked(path, &value).unwrap_or(Ok(value)).map_err(bad)?
+            }
+            _ => value,
+        };
         self.set(keys, value, Origin::Given(place.to_owned()));
         let config: Config = match Value::Table(self.table.clone()).try_into() {
             Ok(config) => config,
             Err(error) => {
                 let error: toml::de::Error = error;
-                return bad(with_nearest(error.message()));
+                return Err(bad(with_nearest(error.message())));
             }
         };
         if !algo::NAMES.contains(&config.algorithm.as_str()) {
-            return bad(unknown("algorithm", &config.algorithm.into(), &algo::NAMES));
+            return Err(bad(unknown("algorithm", &config.algorithm.into(), &algo::NAMES)));
         }
         Ok(())
+    }
+
+    /// Returns the name of the setting or group that was probably meant: the most similar one, or
+    /// one with a similar last part.
+    fn nearest(&self, name: &str) -> Option<String> {
+        let settings: Vec<String> = flatten(&self.table).into_keys().collect();
+        let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_owned();
+        let lasts: Vec<String> = settings.iter().map(|key| last(key)).collect();
+        let mut groups: Vec<&str> =
+            settings.iter().filter_map(|key| Some(key.rsplit_once('.')?.0)).collect();
+        groups.dedup();
+        let names = settings.iter().map(String::as_str);
+        let by_last = || {
+            let similar = nearest(&last(name), lasts.iter().map(String::as_str))?;
+            settings.get(lasts.iter().position(|last| last == similar)?).map(String::as_str)
+        };
+        nearest(name, groups.into_iter().chain(names)).or_else(by_last).map(str::to_owned)
     }
 
     fn set(&mut self, keys: &[&str], value: Value, origin: Origin) {
@@ -151,15 +182,11 @@ impl Values {
                 Some(Value::Table(inner)) => here = inner,
                 Some(_) if depth + 1 == keys.len() => {}
                 _ => {
-                    let name = keys.join(".");
-                    let valid = flatten(&self.table);
-                    let similar = nearest(&name, valid.keys().map(String::as_str))
-                        .or_else(|| nearest(key, here.keys().map(String::as_str)))
-                        .map(str::to_owned);
-                    return Err(Error::UnknownKey {
-                        place: place.to_owned(),
-                        key: name,
-                        nearest: similar,
+                    let (place, key) = (place.to_owned(), keys.join("."));
+                    let known = (keys[0] == "scenario").then(|| cannot_override(&keys[1..]));
+                    return Err(match known.flatten() {
+                        Some(message) => Error::Value { place, key, message },
+                        None => Error::UnknownKey { place, nearest: self.nearest(&key), key },
                     });
                 }
             }

@@ -45,6 +45,7 @@ pub(super) fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
                 let environment = cell
                     .config
                     .scenario
+                    .file
                     .file_stem()
                     .unwrap_or_default()
                     .to_string_lossy()

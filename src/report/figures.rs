@@ -171,9 +171,15 @@ fn dodge(k: usize, count: usize, places: usize) -> f64 {
 fn axis_label(key: &str) -> String {
     match key {
         "agents" => "vehicles".to_owned(),
-        "env.communication_range" => "communication range (m)".to_owned(),
-        "env.neighbours" => "observed vehicles".to_owned(),
-        _ => key.rsplit('.').next().unwrap_or(key).replace('_', " "),
+        "scenario.communication.range" => "communication range (m)".to_owned(),
+        "scenario.observation.neighbours" => "observed vehicles".to_owned(),
+        _ => {
+            let name = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
+            let spaced = |c: char| {
+                if c.is_uppercase() { vec![' ', c.to_ascii_lowercase()] } else { vec![c] }
+            };
+            name.chars().flat_map(spaced).collect()
+        }
     }
 }
 

@@ -109,6 +109,11 @@ pub enum Error {
     },
 }
 
+/// Returns the message that an attribute has a value that is not allowed.
+pub(super) fn invalid(element: &str, key: &str, value: &str, allowed: impl Display) -> String {
+    format!("`{}` is not a valid {key} of <{element}>, allowed: {allowed}", shorten(value))
+}
+
 impl Error {
     /// Returns an error: an attribute has a value that is not allowed.
     pub(super) fn value(
@@ -118,9 +123,27 @@ impl Error {
         value: &str,
         allowed: impl Display,
     ) -> Self {
-        let value = shorten(value);
-        let message = format!("`{value}` is not a valid {key} of <{element}>, allowed: {allowed}");
-        Self::Invalid { place, message, hint: None }
+        Self::Invalid { place, message: invalid(element, key, value, allowed), hint: None }
+    }
+
+    /// Returns the message without the place, which the message of [`Error::Invalid`] begins with.
+    #[must_use]
+    pub fn message(&self) -> String {
+        match self {
+            Self::Invalid { message, .. } => message.clone(),
+            other => other.to_string(),
+        }
+    }
+
+    pub(super) fn place_mut(&mut self) -> Option<&mut Place> {
+        match self {
+            Self::Read { .. } | Self::TooLarge { .. } | Self::Agents { .. } => None,
+            Self::Parse { place, .. }
+            | Self::Unknown { place, .. }
+            | Self::Invalid { place, .. }
+            | Self::Net { place, .. }
+            | Self::Route { place, .. } => Some(place),
+        }
     }
 
     /// Returns the error with a hint.

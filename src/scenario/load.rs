@@ -23,8 +23,12 @@ impl Scenario {
     /// [`Error`], with its position in the file, if the file cannot be read, contains something
     /// invalid, or does not fit its nets.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let text = text(path)?;
-        let document = document(&text, path)?;
+        Self::load_text(&text(path)?, path)
+    }
+
+    /// Does the same as [`Scenario::load`] with the text of a file.
+    pub(super) fn load_text(text: &str, path: &Path) -> Result<Self, Error> {
+        let document = document(text, path)?;
         let reader = Reader { path, document: &document };
         let scenario = reader.scenario()?;
         let errors = check::files(&scenario, &reader).errors;

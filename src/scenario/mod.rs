@@ -14,6 +14,7 @@ mod fingerprint;
 mod load;
 mod model;
 mod observation;
+mod overrides;
 mod reader;
 mod reference;
 mod schema;
@@ -28,6 +29,7 @@ pub use model::{
     SpawnRow, Steering, Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
+pub use overrides::{Overridable, Override, Refused, ScenarioFile, cannot_override, overridable};
 pub use reference::markdown;
 pub use schema::{Attribute, Element, Kind, SCHEMA, describe};
 pub use verify::Findings;

@@ -1,13 +1,9 @@
 //! What an agent observes.
 
-use serde::{Deserialize, Serialize};
-
 use super::attribute::{element, words};
 
 /// How an agent observes other vehicles.
-#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ObservationGroups {
     /// The nearest vehicles, in any direction (paper).
     Nearest,
@@ -33,9 +29,7 @@ impl ObservationGroups {
 words!(ObservationGroups { Nearest: "nearest", Conflict: "conflict", Both: "both" });
 
 /// Order of the nearest vehicles in the observation.
-#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum NeighbourOrder {
     /// Nearest first (paper).
     #[default]
@@ -50,9 +44,7 @@ words!(NeighbourOrder { Distance: "distance", Bearing: "bearing" });
 
 /// What an agent knows of another vehicle's intention: the part of that vehicle's route that the
 /// vehicle has not yet begun.
-#[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Intention {
     /// The whole route.
     #[default]

@@ -4,9 +4,9 @@ use std::{fmt::Display, path::Path};
 
 use roxmltree::{Document, Node};
 
-use super::schema::{self, Kind, MAX_NUMBER};
+use super::schema::{self, MAX_NUMBER};
 use super::{Error, Place};
-use crate::sumo::net::{did_you_mean, nearest, shorten, xml};
+use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest file that is read \[bytes\].
 pub(super) const MAX_BYTES: u64 = 4 << 20;
@@ -69,15 +69,12 @@ impl<'a, 'input> Element<'a, 'input> {
     /// Returns an error: the attribute has none of the values that the schema allows.
     pub(super) fn refuse(&self, name: &str) -> Error {
         let kind = self.schema.attribute(name).map(|known| &known.kind);
-        let similar = match kind {
-            Some(Kind::Choice(words)) => nearest(
-                self.node.attribute(name).unwrap_or_default(),
-                words.iter().map(String::as_str),
-            ),
-            _ => None,
-        };
-        let allowed = kind.map(Kind::allowed).unwrap_or_default();
-        self.reader.value(self.node, name, allowed + &did_you_mean(similar))
+        let value = self.node.attribute(name).unwrap_or_default();
+        self.reader.value(
+            self.node,
+            name,
+            kind.map(|kind| kind.instead_of(value)).unwrap_or_default(),
+        )
     }
 
     /// Checks the element and all elements in it against the schema.

@@ -6,6 +6,8 @@ use std::sync::LazyLock;
 
 use roxmltree::{Document, Node};
 
+use crate::sumo::net::{did_you_mean, nearest};
+
 /// The schema, which is written beside new scenarios.
 pub const SCHEMA: &str = include_str!("../../scenarios/scenario.xsd");
 
@@ -124,6 +126,15 @@ impl Kind {
                 })
             }
         }
+    }
+
+    /// Returns the allowed values in words, and the word that `value` was probably meant to be.
+    pub(super) fn instead_of(&self, value: &str) -> String {
+        let similar = match self {
+            Self::Choice(words) => nearest(value, words.iter().map(String::as_str)),
+            _ => None,
+        };
+        self.allowed() + &did_you_mean(similar)
     }
 
     /// Returns the allowed values in words.

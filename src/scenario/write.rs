@@ -1,6 +1,6 @@
 //! Writes a scenario as XML that the reader accepts.
 
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use super::attribute::{Field, Tag};
 use super::schema::describe;
@@ -58,4 +58,25 @@ impl Scenario {
         }
         xml.finish()
     }
+
+    /// Returns the same as [`Scenario::to_xml`], with paths relative to `folder`.
+    ///
+    /// # Errors
+    /// If the folder, a net or a route file does not exist.
+    pub fn to_xml_in(&self, folder: &Path) -> std::io::Result<String> {
+        let folder = folder.canonicalize()?;
+        let mut moved = Self { path: PathBuf::new(), ..self.clone() };
+        let nets = moved.nets.iter_mut().map(|net| &mut net.file);
+        for file in nets.chain(&mut moved.traffic.files) {
+            *file = relative(&folder, &file.canonicalize()?);
+        }
+        Ok(moved.to_xml())
+    }
+}
+
+/// Returns the path of a file relative to a folder, both without links.
+fn relative(folder: &Path, file: &Path) -> PathBuf {
+    let common = folder.components().zip(file.components()).take_while(|(a, b)| a == b).count();
+    let up = folder.components().skip(common).map(|_| Component::ParentDir);
+    up.chain(file.components().skip(common)).collect()
 }

@@ -200,7 +200,7 @@ impl Cell {
         if self.run().fingerprint().is_some_and(|was| was != self.fingerprint) {
             return Err(Error::Scenario {
                 folder: self.folder.clone(),
-                path: self.config.scenario.clone(),
+                path: self.config.scenario.file.clone(),
             });
         }
         match config::between(&was, &is).into_iter().next() {

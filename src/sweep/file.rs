@@ -7,7 +7,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
-use crate::config::{Config, Document, Layers, flatten, no_matter_of_evaluation};
+use crate::config::{Config, Document, Layers, flatten, full_name, no_matter_of_evaluation};
 use crate::metrics::{self, Shown};
 
 /// A sweep file as it is written, merged with its base.
@@ -201,7 +201,7 @@ impl File {
         };
         let (config, scenario) = resolve(&layers)?;
         let fingerprint = fingerprints
-            .entry(config.scenario.clone())
+            .entry(config.scenario.file.clone())
             .or_insert_with(|| scenario.fingerprint())
             .clone();
         if let Some(why) = config.cannot_be_trained() {
@@ -324,13 +324,13 @@ fn settings_of(
     matched: &mut [bool],
 ) -> Table {
     let mut flat = flatten(common);
-    flat.extend(values.iter().cloned());
+    flat.extend(values.iter().map(|(key, value)| (full_name(key).to_owned(), value.clone())));
     for (rule, matched) in rules.iter().zip(matched) {
-        if holds(&rule.when, |key| flat.get(key)) {
+        if holds(&rule.when, |key| flat.get(full_name(key))) {
             *matched = true;
             let mut set = flatten(&rule.set);
             // Values of the grid take precedence over rules, because the cell's name contains them.
-            set.retain(|key, _| !values.iter().any(|(own, _)| own == key));
+            set.retain(|key, _| !values.iter().any(|(own, _)| full_name(own) == key));
             flat.extend(set);
         }
     }

@@ -17,7 +17,7 @@
 //! [[evaluate]]                            # an evaluation of each policy, for each combination
 //! name = "range"
 //! episodes = 200
-//! grid = { "env.communication_range" = [100.0, 10.0] }
+//! grid = { "scenario.communication.range" = [100.0, 10.0] }
 //! ```
 //!
 //! A file may name another file as its `base` and then contains only what differs from it.

@@ -17,7 +17,7 @@ const FILE: &str = r#"
     set = { "train.envs" = 2, ppo = { gamma = 0.9 }, agents = 48 }
     [[evaluate]]
     name = "range"
-    grid = { "env.communication_range" = [100.0, 10.0] }
+    grid = { "scenario.communication.range" = [100.0, 10.0] }
 "#;
 
 fn parse(text: &str) -> Result<Sweep, Error> {
@@ -48,8 +48,22 @@ fn rules_set_what_the_grid_does_not() {
     let sweep = parse(FILE).unwrap();
     let of = |id: &str| &sweep.cells.iter().find(|cell| cell.id == id).unwrap().config;
     let (ruled, free) = (of("mappo_agents=8/seed_1"), of("mappo_agents=4/seed_1"));
-    assert_eq!((ruled.train.envs, ruled.ppo.gamma, ruled.agents), (2, 0.9, 8));
+    assert_eq!((ruled.train.envs, ruled.learner.ppo.gamma, ruled.agents), (2, 0.9, 8));
     assert_eq!((free.train.envs, free.agents), (4, 4));
+}
+
+#[test]
+fn the_scenario_can_be_changed_beside_its_short_form() {
+    let sweep = |more: &str| {
+        let short = FILE.replace("seed = [0, 1]", &format!("seed = [0, 1]\n{more}"));
+        parse(&short).unwrap().cells
+    };
+    for cell in sweep("\"scenario.observation.neighbours\" = [2]") {
+        assert_eq!(cell.config.scenario.value("observation", "neighbours"), Some(&2.into()));
+        assert!(cell.id.contains("neighbours=2"), "{}", cell.id);
+    }
+    let files = sweep("scenario = [\"scenarios/intersection.xml\", \"scenarios/mixed_cross.xml\"]");
+    assert!(files.iter().any(|cell| cell.config.scenario.file.ends_with("mixed_cross.xml")));
 }
 
 #[test]
@@ -163,7 +177,7 @@ fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
         let file = FILE
             .replace("[\"im-iwol\", \"mappo\"]", algorithms)
             .replace("agents = 48", "steps = 8");
-        parse(&file.replace("\"env.communication_range\" = [100.0, 10.0]", grid))
+        parse(&file.replace("\"scenario.communication.range\" = [100.0, 10.0]", grid))
             .map_err(|error| error.to_string())
     };
     let refused = |algorithms: &str, grid: &str, why: &str| {
@@ -241,7 +255,8 @@ fn mistakes_are_named() {
             .contains("[[rule]] number 1: no cell has agents = [16]")
     );
     assert!(
-        message(("env.communication_range", "env.comunication_range")).contains("did you mean")
+        message(("scenario.communication.range", "env.comunication_range"))
+            .contains("did you mean")
     );
     assert!(
         message(("name = \"range\"", "panels = \"agent\""))

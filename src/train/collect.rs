@@ -27,7 +27,7 @@ impl Trainer {
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
         self.rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
-        let imposed = self.config.exploration.mode == NoiseMode::Schedule;
+        let imposed = self.config.learner.exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed {
             schedule::update_parameters(&self.config, &self.progress).log_std as f32
         } else {
@@ -137,7 +137,7 @@ mod tests {
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
         (config.train.envs, config.train.rollout_steps) = (2, 6);
         let (correlation, log_std) =
-            (config.exploration.correlation, config.exploration.log_std_start);
+            (config.learner.exploration.correlation, config.learner.exploration.log_std_start);
         let mut trainer = Trainer::new(config, scenario).expect("a trainer");
         // The second rollout must contain nothing of the first.
         trainer.collect(Seed::new(1)).expect("SUMO runs");

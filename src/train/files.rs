@@ -13,6 +13,7 @@ use crate::env::EpisodeRecord;
 use crate::evaluate::Evaluation;
 use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
+use crate::scenario::Scenario;
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
@@ -56,12 +57,16 @@ impl Files {
     pub(super) fn open(
         dir: &RunDir,
         config: &Config,
+        scenario: &Scenario,
         step: u64,
         validated: u64,
     ) -> Result<Self, Error> {
         std::fs::create_dir_all(dir.path().join("checkpoints"))
             .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
+        let path = dir.scenario();
+        let text = scenario.to_xml_in(dir.path()).map_err(record::Error::io("write", &path))?;
+        record::write_atomic(&path, text.as_bytes())?;
         let resumed = step > 0;
         let open = |path: PathBuf,
                     future: &dyn Fn(&JsonObject) -> bool|

@@ -62,7 +62,7 @@ impl RunDir {
             updated_unix_s: now,
             host: Host::current(),
             worlds,
-            shards: config.ppo.shards.into(),
+            shards: config.learner.ppo.shards.into(),
             device: String::from(config.device),
             steps: progress.step,
             seconds: progress.seconds,

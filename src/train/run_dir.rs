@@ -25,6 +25,11 @@ impl RunDir {
         self.0.join("config.toml")
     }
 
+    /// Returns the path of the scenario with the values of the configuration.
+    pub fn scenario(&self) -> PathBuf {
+        self.0.join("scenario.xml")
+    }
+
     /// Returns the path of `meta.json`: the program, command and machine of the training, and its
     /// progress.
     pub fn meta(&self) -> PathBuf {

@@ -13,7 +13,7 @@ use crate::config::Config;
 /// Returns the parameters of the next update: learning rate, noise, discount and
 /// batch growth.
 pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateParameters {
-    let (noise, ppo) = (&config.exploration, &config.ppo);
+    let (noise, ppo) = (&config.learner.exploration, &config.learner.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (noise_share, rate_share) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
@@ -37,7 +37,7 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
 
 /// Returns the correlation of the noise from step to step; 0 once annealing has begun.
 pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
-    if searching(progress) { config.exploration.correlation as f32 } else { 0.0 }
+    if searching(progress) { config.learner.exploration.correlation as f32 } else { 0.0 }
 }
 
 /// Returns whether the policy still explores: annealing has not begun, or failed validations took
@@ -123,13 +123,13 @@ mod tests {
         let (mut config, _) =
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
         config.steps = 1000;
-        config.exploration.explore_steps = 400;
+        config.learner.exploration.explore_steps = 400;
         (
-            config.exploration.log_std_start,
-            config.exploration.log_std_explore,
-            config.exploration.log_std_end,
+            config.learner.exploration.log_std_start,
+            config.learner.exploration.log_std_explore,
+            config.learner.exploration.log_std_end,
         ) = (0.0, -1.0, -2.0);
-        (config.ppo.learning_rate, config.ppo.learning_rate_end) = (1e-3, 0.1);
+        (config.learner.ppo.learning_rate, config.learner.ppo.learning_rate_end) = (1e-3, 0.1);
         (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) =
             (0.9, 200, 50);
         (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
@@ -158,7 +158,7 @@ mod tests {
             bits([0.99; 3]),
             "by default it stays"
         );
-        config.ppo.gamma_explored = 0.998;
+        config.learner.ppo.gamma_explored = 0.998;
         assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99, 0.99, 0.998]));
     }
 
@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn noise_is_correlated_until_annealing_begins() {
         let mut config = config();
-        config.exploration.correlation = 0.5;
+        config.learner.exploration.correlation = 0.5;
         let mut seen = Vec::new();
         // Success at 300, failure at 350, enough for annealing from 400 on, failure once annealed.
         let success = |progress: &Progress| match progress.step {

@@ -33,7 +33,7 @@ impl Trainer {
         let mut learner = algo::build(
             &config.algorithm,
             &task.spec,
-            &config.settings(),
+            &config.learner,
             seed.child("weights"),
             device,
         )?;
@@ -82,7 +82,7 @@ impl Trainer {
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
                 let fits = carried.is_none_or(|(_, t)| {
-                    t.size() == [(worlds * task.agents) as i64, config.network.hidden]
+                    t.size() == [(worlds * task.agents) as i64, config.learner.network.hidden]
                 });
                 if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits
                 {
@@ -120,7 +120,9 @@ impl Trainer {
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
     const ONCE: [&str; 6] =
         ["algorithm", "agents", "seed", "train.envs", "train.rollout_steps", "train.fewest_agents"];
-    let other = |key: &str| ONCE.contains(&key) || key.starts_with("env.");
+    // Where the scenario's file is does not matter; its content is compared otherwise.
+    let other =
+        |key: &str| ONCE.contains(&key) || key.starts_with("scenario.") && key != "scenario.file";
     let changed = config::changes(&stored.config, &config.to_toml());
     changed
         .into_iter()

@@ -89,7 +89,7 @@ fn damaged_checkpoints_are_refused() {
         "train.validation_episodes=1",
         "network.hidden=8",
         "iwol.rounds=1",
-        "env.horizon=40",
+        "scenario.termination.horizon=40",
     ];
     let output = succeeds(&mut train(&run, &tiny, &["--agents", "4", "--steps", "64"]));
     assert_eq!(text(&output.stdout).trim(), run.display().to_string());
@@ -338,7 +338,12 @@ fn work_goes_on_where_nobody_hears_it() {
     let dir = folder();
     let run = dir.path().join("run");
     let full = || std::fs::File::options().write(true).open("/dev/full").expect("it is there");
-    let small = ["train.envs=2", "train.rollout_steps=16", "network.hidden=8", "env.horizon=40"];
+    let small = [
+        "train.envs=2",
+        "train.rollout_steps=16",
+        "network.hidden=8",
+        "scenario.termination.horizon=40",
+    ];
     let mut train = train(&run, &small, &["--agents", "4", "--steps", "64"]);
     let status = train.stderr(full()).status().expect("it ran");
     assert!(status.success() && run.join("checkpoints/last.safetensors").exists(), "{status}");

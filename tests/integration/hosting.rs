@@ -252,7 +252,7 @@ fn training_is_the_same_with_either_backend_validations_included() {
             "train.validate_every=256",
             "train.validation_episodes=2",
             "network.hidden=8",
-            "env.horizon=40",
+            "scenario.termination.horizon=40",
         ];
         let more = ["--agents", "4", "--algorithm", "im-iwol", "--steps", "512"];
         succeeds(train(&run, &settings, &more).args(["--backend", backend]));

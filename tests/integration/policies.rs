@@ -19,7 +19,7 @@ const SMALL: [&str; 9] = [
     "iwol.message=8",
     "iwol.latent=4",
     "ppo.minibatch=64",
-    "env.horizon=40",
+    "scenario.termination.horizon=40",
 ];
 
 fn train(out: &Path, more: &[&str]) -> Command {
@@ -122,7 +122,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                         "--init-from",
                         &small,
                         "--set",
-                        "env.observation=nearest",
+                        "scenario.observation.groups=nearest",
                     ],
                 )),
                 "do not fit this run's networks and observations",
@@ -177,7 +177,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
 
     // Two seeds form one curve; runs with another observation form another curve.
     text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));
-    let nearest = ["--algorithm", "mappo", "--agents", "4", "--set", "env.observation=nearest"];
+    let nearest =
+        ["--algorithm", "mappo", "--agents", "4", "--set", "scenario.observation.groups=nearest"];
     text(&mut train(&at("nearest"), &nearest));
     for axis in ["steps", "time"] {
         let picture = name(&format!("{axis}.png"));

@@ -22,7 +22,7 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
          [iwol]\nrounds = 1\nlatent = 4\n\
          [commformer]\ngraph_every = 2\n\
          [ppo]\nminibatch = 128\nepochs = 2\n\
-         [env]\nhorizon = 60\n",
+         [scenario.termination]\nhorizon = 60\n",
         root().join(INTERSECTION).display()
     );
     let document = Document { name: "test".to_owned(), text, generated: false };
@@ -33,7 +33,7 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
 /// iterations.
 fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
     let (mut config, scenario) = config(algorithm, encoder, 720);
-    config.exploration.explore_steps = 240;
+    config.learner.exploration.explore_steps = 240;
     if algo::capabilities(algorithm).is_ok_and(|c| c.on_policy) {
         config.train.batch_growth = 2;
     }

@@ -25,7 +25,7 @@ seed = [0, 1]
 [[evaluate]]
 name = "range"
 episodes = 3
-grid = { "env.communication_range" = [100.0, 10.0] }
+grid = { "scenario.communication.range" = [100.0, 10.0] }
 [[reference]]
 label = "published"
 beside = "mappo"
@@ -215,7 +215,7 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         assert_eq!(row["run"]["sumo"], row["program"]["sumo"]);
     }
     let marl: Value = serde_json::from_str(&read("marl_eval.json")).expect("JSON");
-    let run = &marl["intersection"]["env.communication_range=100.0"]["mappo"]["seed_1"];
+    let run = &marl["intersection"]["scenario.communication.range=100.0"]["mappo"]["seed_1"];
     assert_eq!(
         run["absolute_metrics"]["success"][0],
         summary["rows"]

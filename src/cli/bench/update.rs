@@ -114,12 +114,12 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
 
 fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::Result<Row> {
     let device = config.device.find()?;
-    let mut learner = algo::build(name, &task.spec, &config.settings(), Seed::new(0), device)?;
+    let mut learner = algo::build(name, &task.spec, &config.learner, Seed::new(0), device)?;
     let rollout = random_rollout(&*learner, config, task);
     let parameters = UpdateParameters {
-        learning_rate: config.ppo.learning_rate,
+        learning_rate: config.learner.ppo.learning_rate,
         log_std: 0.0,
-        gamma: config.ppo.gamma,
+        gamma: config.learner.ppo.gamma,
         batch_growth: 1,
     };
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
@@ -142,7 +142,7 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
         algorithm: name.to_owned(),
         agents: config.agents,
         samples,
-        epochs: algo::capabilities(name)?.on_policy.then_some(config.ppo.epochs),
+        epochs: algo::capabilities(name)?.on_policy.then_some(config.learner.ppo.epochs),
         median_ms,
         per_sample_us: 1e3 * median_ms / samples as f64,
         reference_ms,
@@ -199,38 +199,38 @@ fn reference(
         ("steps", config.train.rollout_steps as i64),
         ("observation", task.spec.observation.len() as i64),
         ("state", task.spec.state.len() as i64),
-        ("hidden", config.network.hidden),
-        ("message", config.iwol.message),
-        ("rounds", config.iwol.rounds as i64),
-        ("heads", config.iwol.heads),
-        ("latent", config.iwol.latent),
-        ("epochs", config.ppo.epochs as i64),
-        ("minibatch", config.ppo.minibatch as i64),
-        ("threads", config.ppo.shards as i64),
+        ("hidden", config.learner.network.hidden),
+        ("message", config.learner.iwol.message),
+        ("rounds", config.learner.iwol.rounds as i64),
+        ("heads", config.learner.iwol.heads),
+        ("latent", config.learner.iwol.latent),
+        ("epochs", config.learner.ppo.epochs as i64),
+        ("minibatch", config.learner.ppo.minibatch as i64),
+        ("threads", config.learner.ppo.shards as i64),
         ("repeat", 1),
     ];
     // The reference supports only some settings; with others the two programs would not do the
     // same.
     let usual = Settings {
-        network: Network { hidden: config.network.hidden, ..Network::default() },
+        network: Network { hidden: config.learner.network.hidden, ..Network::default() },
         iwol: Iwol {
-            rounds: config.iwol.rounds,
-            heads: config.iwol.heads,
-            latent: config.iwol.latent,
-            message: config.iwol.message,
-            decoded: config.iwol.decoded,
+            rounds: config.learner.iwol.rounds,
+            heads: config.learner.iwol.heads,
+            latent: config.learner.iwol.latent,
+            message: config.learner.iwol.message,
+            decoded: config.learner.iwol.decoded,
             ..Iwol::default()
         },
-        ..config.settings()
+        ..config.learner.clone()
     };
     ensure!(
-        usual == config.settings() && config.device == ComputeDevice::Cpu,
+        usual == config.learner && config.device == ComputeDevice::Cpu,
         "the reference supports only network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave \
          all other settings at their defaults"
     );
     let mut program = Program::new(python);
     program.args(["-c", REFERENCE, "--algorithm", name]);
-    program.args(["--decoded", &config.iwol.decoded.to_string()]);
+    program.args(["--decoded", &config.learner.iwol.decoded.to_string()]);
     program.args(sizes.iter().flat_map(|(key, value)| [format!("--{key}"), value.to_string()]));
     let output = program.output().with_context(|| format!("cannot run `{}`", python.display()))?;
     let (text, errors) =

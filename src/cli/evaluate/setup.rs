@@ -6,11 +6,12 @@ use std::sync::Arc;
 use anyhow::bail;
 use iwol_sumo::algo::{self, Algorithm, Channel};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document, Layers};
+use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Resolution};
 use iwol_sumo::env::Task;
 use iwol_sumo::evaluate::{Controller, LearnedPolicy};
 use iwol_sumo::provenance::Training;
 use iwol_sumo::rng::Seed;
+use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::Hosting;
 use iwol_sumo::train::RunDir;
 use toml::Value;
@@ -55,7 +56,15 @@ impl Setup {
         if let Some(backend) = &args.backend {
             layers.flags.push(("simulation.backend", Value::String(backend.clone())));
         }
-        let (config, scenario) = Config::resolve(&layers)?;
+        let Resolution { config, scenario, origins, mut replaced } = layers.resolve()?;
+        // What the user asked for needs no mention.
+        replaced.retain(|change| match origins.get(&change.key) {
+            Some(Origin::Given(place)) => !place.starts_with("--"),
+            _ => true,
+        });
+        if let Some(run) = args.run.as_deref().and_then(RunDir::of) {
+            tell_changes(args, &run, &scenario, &replaced);
+        }
         let task = Arc::new(Task::new(&scenario, config.agents)?);
         let learned = match &checkpoint {
             Some(checkpoint) => Some((build(checkpoint, &config, &task)?, config.channel)),
@@ -86,15 +95,36 @@ impl Setup {
     }
 }
 
+/// Says in what the task differs from the scenario's file, and the file from that of training.
+fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Change]) {
+    let file = scenario.path.display();
+    if args.scenario.is_none()
+        && run.fingerprint().is_some_and(|trained| trained != scenario.fingerprint())
+    {
+        let whole = Some(run.scenario()).filter(|path| path.exists());
+        let whole = whole
+            .map(|path| format!("; --scenario {} is the scenario of training", path.display()));
+        say!(
+            "{file}, or a net or route file that it names, has changed since training: numbers, words and flags are those of \
+             training, and the rest is as the files are now{}",
+            whole.unwrap_or_default()
+        );
+    }
+    if !replaced.is_empty() {
+        let list: Vec<String> = replaced.iter().map(ToString::to_string).collect();
+        say!("the settings of the run replace values in {file}: {}", list.join(", "));
+    }
+}
+
 /// Builds the networks of a checkpoint for a task, with the checkpoint's weights.
 fn build(
     checkpoint: &Checkpoint,
     config: &Config,
     task: &Task,
 ) -> anyhow::Result<Box<dyn Algorithm>> {
-    let (settings, device) = (config.settings(), config.device.find()?);
+    let device = config.device.find()?;
     let mut learner =
-        algo::build(&checkpoint.algorithm, &task.spec, &settings, Seed::new(0), device)?;
+        algo::build(&checkpoint.algorithm, &task.spec, &config.learner, Seed::new(0), device)?;
     learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
         algo::Error::State(_) => anyhow::Error::new(unfit).context(
             "the checkpoint does not fit the observations and networks that the scenario and the settings define",
