@@ -22,6 +22,10 @@ impl Config {
             json!({ "description": "Settings that replace defaults.", "enum": names });
         let groups = schema["$defs"].as_object_mut().expect("groups").values_mut();
         groups.filter_map(Value::as_object_mut).for_each(|group| _ = group.remove("required"));
+        // The defaults of a group are those of its settings, of which some depend on the machine.
+        let all = schema["properties"].as_object_mut().expect("settings").values_mut();
+        let groups = all.filter(|one| one.get("$ref").is_some()).filter_map(Value::as_object_mut);
+        groups.for_each(|group| _ = group.remove("default"));
         let root = schema.as_object_mut().expect("an object");
         root.remove("required");
         root.remove("unevaluatedProperties");
@@ -85,7 +89,7 @@ fn of_scenario() -> String {
     format!(
         "\n## `scenario`\n\n\
          Numbers, words and flags of the scenario's file, by the names of its elements and attributes, e.g. \
-         `--set scenario.observation.neighbours=2`. A value replaces the one in the file. Without a limit, a number is `inf`. \
+         `--set scenario.observation.neighbours=2`. A value replaces the one in the file; `inf` stands for a limit that the file does not have. \
          Lists, names and files can be changed only in the scenario's file.\n\n\
          | group | settings | meaning and allowed values |\n|---|---|---|\n{}",
         rows.collect::<String>()

@@ -206,7 +206,10 @@ fn each_value_has_an_origin() {
     );
     assert!(explained.contains("[maddpg]") && !explained.contains("[magic]"));
     // What is printed is a configuration.
-    assert_eq!(resolve(&explained, &[]).unwrap().train, resolved.config.train);
+    let again = resolve_on("parking_lot", &explained, &[]).unwrap();
+    assert_eq!((again.train, again.scenario), (resolved.config.train, resolved.config.scenario));
+    // On another scenario, too, it says what does not fit.
+    assert!(message(&explained, &[]).ends_with("the scenario has no element <steering>"));
 }
 
 #[test]
@@ -343,7 +346,8 @@ fn mistakes_in_the_scenario_name_place_path_and_what_is_allowed() {
     // What belongs to the file alone.
     for (set, why) in [
         ("traffic.files=a.xml", "of <traffic>, a run can override penetration, capacity"),
-        ("control.brake=0.5:3", "of <control>, a run can override mode, interval"),
+        ("control.brake=0.5:3", "of <control>, a run can override interval, accel, drag, initialThrottle"),
+        ("control.mode=steering", "of <control>, a run can override interval, accel, drag, initialThrottle"),
         ("routes.route.edges=a", "only the scenario's file can set lists, names and files"),
         ("nets.net.file=a", "only the scenario's file can set lists, names and files"),
         ("name=a", "only the scenario's file can set lists, names and files"),

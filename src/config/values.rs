@@ -140,21 +140,20 @@ impl Values {
         Ok(())
     }
 
-    /// Returns the name of the setting or group that was probably meant: the most similar one, or
-    /// one with a similar last part.
+    /// Returns the name of the setting or group that was probably meant: one with a similar last
+    /// part, or else the most similar one.
     fn nearest(&self, name: &str) -> Option<String> {
+        fn last(name: &str) -> &str {
+            name.rsplit('.').next().unwrap_or_default()
+        }
         let settings: Vec<String> = flatten(&self.table).into_keys().collect();
-        let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_owned();
-        let lasts: Vec<String> = settings.iter().map(|key| last(key)).collect();
-        let mut groups: Vec<&str> =
-            settings.iter().filter_map(|key| Some(key.rsplit_once('.')?.0)).collect();
-        groups.dedup();
-        let names = settings.iter().map(String::as_str);
-        let by_last = || {
-            let similar = nearest(&last(name), lasts.iter().map(String::as_str))?;
-            settings.get(lasts.iter().position(|last| last == similar)?).map(String::as_str)
-        };
-        nearest(name, groups.into_iter().chain(names)).or_else(by_last).map(str::to_owned)
+        let names = || settings.iter().map(String::as_str);
+        let by_last = nearest(last(name), names().map(last)).and_then(|similar| {
+            let mut same = names().filter(|key| last(key) == similar);
+            nearest(name, same.clone()).or_else(|| same.next())
+        });
+        let groups = names().filter_map(|key| Some(key.rsplit_once('.')?.0));
+        by_last.or_else(|| nearest(name, groups.chain(names()))).map(str::to_owned)
     }
 
     fn set(&mut self, keys: &[&str], value: Value, origin: Origin) {

@@ -15,6 +15,9 @@ use crate::markup::escape_attribute;
 /// Element whose numbers cannot be overridden: how many agents there are is a choice of each run,
 /// and which numbers are possible follows from the nets.
 const AGENTS: &str = "agents";
+/// Attribute that cannot be overridden, because it repeats whether there is an element
+/// `<steering>`.
+const MODE: &str = "mode";
 
 /// An attribute that a run may override.
 #[derive(Debug, Clone)]
@@ -50,11 +53,14 @@ pub fn overridable() -> Vec<Overridable> {
 /// Returns why a run cannot override what `path` names in the schema; `None` if the schema has
 /// nothing of this name.
 pub fn cannot_override(path: &[&str]) -> Option<String> {
-    let mut element = describe();
+    let (mut element, mut is_element) = (describe(), true);
     for (depth, name) in path.iter().enumerate() {
         match element.child(name) {
             Some(child) => element = child,
-            None if depth + 1 == path.len() => _ = element.attribute(name)?,
+            None if depth + 1 == path.len() => {
+                element.attribute(name)?;
+                is_element = false;
+            }
             None => return None,
         }
     }
@@ -66,7 +72,7 @@ pub fn cannot_override(path: &[&str]) -> Option<String> {
             "only the scenario's file can set it; the number of agents is the setting `agents`".into()
         }
         [] => "only the scenario's file can set lists, names and files; a run can override numbers, words and flags".into(),
-        _ if path.last().is_some_and(|last| names.contains(last)) => {
+        _ if is_element || path.last().is_some_and(|last| names.contains(last)) => {
             format!("the scenario has no element <{}>", element.name)
         }
         _ => format!(
@@ -79,7 +85,7 @@ pub fn cannot_override(path: &[&str]) -> Option<String> {
 
 impl Attribute {
     fn is_overridable(&self) -> bool {
-        matches!(self.kind, Kind::Number { .. } | Kind::Choice(_))
+        self.name != MODE && matches!(self.kind, Kind::Number { .. } | Kind::Choice(_))
     }
 }
 

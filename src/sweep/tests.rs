@@ -255,7 +255,7 @@ fn mistakes_are_named() {
             .contains("[[rule]] number 1: no cell has agents = [16]")
     );
     assert!(
-        message(("scenario.communication.range", "env.comunication_range"))
+        message(("scenario.communication.range", "scenario.comunication.range"))
             .contains("did you mean")
     );
     assert!(

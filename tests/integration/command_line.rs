@@ -95,6 +95,7 @@ fn damaged_checkpoints_are_refused() {
     assert_eq!(text(&output.stdout).trim(), run.display().to_string());
     for file in [
         "config.toml",
+        "scenario.xml",
         "meta.json",
         "metrics.jsonl",
         "eval.jsonl",
@@ -162,6 +163,40 @@ fn damaged_checkpoints_are_refused() {
         success["low"].as_f64() <= success["mean"].as_f64()
             && success["mean"].as_f64() <= success["high"].as_f64()
     );
+
+    // The scenario of the run is a file like any other.
+    let whole = run.join("scenario.xml");
+    let checked = succeeds(iwol(&["scenario", "check", "--steps", "0"]).arg(&whole));
+    assert!(text(&checked.stdout).contains("0 errors"), "{}", text(&checked.stdout));
+    let output = succeeds(iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"]).arg(&run).arg("--scenario").arg(&whole));
+    assert_eq!(text(&output.stderr), "");
+    let same: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    assert_eq!(same["metrics"], json["metrics"]);
+
+    // After a change of the scenario's file, the run is played as it was trained, and says so.
+    let site = dir.path().join("site/a.xml");
+    std::fs::create_dir(dir.path().join("site")).expect("a folder");
+    std::fs::copy(&whole, &site).expect("a file");
+    let site_run = dir.path().join("site_run");
+    let mut command = iwol(&["train", "--agents", "4", "--steps", "64", "--scenario"]);
+    command.arg(&site).arg("--out").arg(&site_run);
+    command.args(tiny.iter().flat_map(|setting| ["--set", setting]));
+    succeeds(&mut command);
+    let evaluation = || {
+        let output = succeeds(iwol(&["evaluate", "--episodes", "2", "--json"]).arg(&site_run));
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        (json["metrics"].clone(), text(&output.stderr))
+    };
+    let (before, silent) = evaluation();
+    assert_eq!(silent, "");
+    let now = std::fs::read_to_string(&site).expect("it is there");
+    std::fs::write(&site, now.replace("wreckTime=\"2.5\"", "wreckTime=\"0\"")).expect("a file");
+    let (after, said) = evaluation();
+    assert_eq!(after, before);
+    assert_snapshot!(said.replace(&dir.path().display().to_string(), "DIR"), @r#"
+    DIR/site/a.xml, or a net or route file that it names, has changed since training; --scenario DIR/site_run/scenario.xml is the scenario of training
+    settings of the run replace values in DIR/site/a.xml: scenario.termination.wreckTime = 2.5 (was 0.0)
+    "#);
 
     // A second run into the same folder is refused without --resume.
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");

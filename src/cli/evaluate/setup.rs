@@ -95,24 +95,22 @@ impl Setup {
     }
 }
 
-/// Says in what the task differs from the scenario's file, and the file from that of training.
+/// Says how the task differs from the scenario's file, if that file is not the one of training.
 fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Change]) {
     let file = scenario.path.display();
-    if args.scenario.is_none()
-        && run.fingerprint().is_some_and(|trained| trained != scenario.fingerprint())
-    {
+    if args.scenario.is_none() {
+        if run.fingerprint().is_none_or(|trained| trained == scenario.fingerprint()) {
+            return;
+        }
         let whole = Some(run.scenario()).filter(|path| path.exists());
-        let whole = whole
-            .map(|path| format!("; --scenario {} is the scenario of training", path.display()));
-        say!(
-            "{file}, or a net or route file that it names, has changed since training: numbers, words and flags are those of \
-             training, and the rest is as the files are now{}",
-            whole.unwrap_or_default()
-        );
+        let whole = whole.map_or_else(String::new, |path| {
+            format!("; --scenario {} is the scenario of training", path.display())
+        });
+        say!("{file}, or a net or route file that it names, has changed since training{whole}");
     }
     if !replaced.is_empty() {
         let list: Vec<String> = replaced.iter().map(ToString::to_string).collect();
-        say!("the settings of the run replace values in {file}: {}", list.join(", "));
+        say!("settings of the run replace values in {file}: {}", list.join(", "));
     }
 }
 
