@@ -192,7 +192,9 @@ fn described(attribute: &Attribute) -> Map<String, serde_json::Value> {
             schema.insert("type".to_owned(), if *whole { "integer" } else { "number" }.into());
             let limits = [("minimum", least), ("exclusiveMinimum", above), ("maximum", most)];
             schema.extend(limits.into_iter().filter_map(|(key, limit)| {
-                Some((key.to_owned(), serde_json::Value::from((*limit)?)))
+                // Limits that only keep sums finite are left out: an absent number is infinite.
+                let limit = limit.filter(|limit| limit.abs() < 1e9)?;
+                Some((key.to_owned(), serde_json::Value::from(limit)))
             }));
         }
         Kind::Choice(words) if words.iter().all(|word| word == "true" || word == "false") => {

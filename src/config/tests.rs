@@ -346,8 +346,14 @@ fn mistakes_in_the_scenario_name_place_path_and_what_is_allowed() {
     // What belongs to the file alone.
     for (set, why) in [
         ("traffic.files=a.xml", "of <traffic>, a run can override penetration, capacity"),
-        ("control.brake=0.5:3", "of <control>, a run can override interval, accel, drag, initialThrottle"),
-        ("control.mode=steering", "of <control>, a run can override interval, accel, drag, initialThrottle"),
+        (
+            "control.brake=0.5:3",
+            "of <control>, a run can override interval, accel, drag, initialThrottle",
+        ),
+        (
+            "control.mode=steering",
+            "of <control>, a run can override interval, accel, drag, initialThrottle",
+        ),
         ("routes.route.edges=a", "only the scenario's file can set lists, names and files"),
         ("nets.net.file=a", "only the scenario's file can set lists, names and files"),
         ("name=a", "only the scenario's file can set lists, names and files"),

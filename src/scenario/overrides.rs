@@ -147,8 +147,9 @@ impl ScenarioFile {
         let root = describe();
         for element in root.children.iter().filter(|child| child.least == 0) {
             let document = document(&text, path)?;
-            let missing = child(document.root_element(), &element.name).is_none();
-            let end = text.rfind("</").filter(|_| missing);
+            let root = document.root_element();
+            let missing = child(root, &element.name).is_none();
+            let end = text[..root.range().end].rfind("</").filter(|_| missing);
             let Some(end) = end else { continue };
             let more = format!("{}<{}/>{}", &text[..end], element.name, &text[end..]);
             // An element whose absence means something stays absent.

@@ -168,7 +168,12 @@ fn damaged_checkpoints_are_refused() {
     let whole = run.join("scenario.xml");
     let checked = succeeds(iwol(&["scenario", "check", "--steps", "0"]).arg(&whole));
     assert!(text(&checked.stdout).contains("0 errors"), "{}", text(&checked.stdout));
-    let output = succeeds(iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"]).arg(&run).arg("--scenario").arg(&whole));
+    let output = succeeds(
+        iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"])
+            .arg(&run)
+            .arg("--scenario")
+            .arg(&whole),
+    );
     assert_eq!(text(&output.stderr), "");
     let same: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     assert_eq!(same["metrics"], json["metrics"]);
