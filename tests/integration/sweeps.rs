@@ -14,11 +14,11 @@ use crate::support::{folder, iwol, root, succeeds, text};
 const FILE: &str = r#"
 title = "Tiny"
 [settings]
-scenario = "scenarios/intersection.xml"
+scenario.file = "scenarios/intersection.xml"
+scenario.termination.horizon = 400
 agents = 4
 steps = 4096
 train = { envs = 2, rollout_steps = 64, validate_every = 512, validation_episodes = 2, anneal_steps = 512 }
-env = { horizon = 400 }
 [grid]
 algorithm = ["mappo"]
 seed = [0, 1]
