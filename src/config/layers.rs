@@ -4,12 +4,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use toml::Value;
-use toml::de::DeTable;
+use toml::de::{DeTable, DeValue};
 
 use super::presets::Preset;
 use super::values::{Origin, Origins, Values, parse_value, to_table};
 use super::{Config, DEFAULT_ALGORITHM, Document, Error, schema};
 use crate::scenario::Scenario;
+use crate::suggest::nearest;
 
 /// The sources of settings, in rising priority. Below all of them are the defaults, and the preset
 /// that the setting `preset` names in any of them.
@@ -61,7 +62,11 @@ impl Layers {
         // and the method give those of learning. So these settings are looked up first.
         let first = |key: &str| self.look_up(parsed.get_ref(), key);
         let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
-        let mut scenario = Scenario::load(Path::new(&word("scenario").ok_or(Error::NoScenario)?))?;
+        let Some(path) = word("scenario") else {
+            let unknown = unknown_key(parsed.get_ref(), "", document);
+            return Err(unknown.unwrap_or(Error::NoScenario));
+        };
+        let mut scenario = Scenario::load(Path::new(&path))?;
         let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
         let algorithm = word("algorithm");
         let preset = word("preset").and_then(|name| Preset::named(&name));
@@ -161,6 +166,27 @@ impl Resolution {
         }
         lines
     }
+}
+
+/// Returns the error of the first key of a document that is no setting; a missing scenario may be
+/// its consequence.
+fn unknown_key(layer: &DeTable<'_>, prefix: &str, document: &Document) -> Option<Error> {
+    let names = schema::names();
+    layer.iter().find_map(|(key, value)| {
+        let name = format!("{prefix}{}", key.get_ref());
+        let group = format!("{name}.");
+        match value.get_ref() {
+            DeValue::Table(inner) if names.iter().any(|known| known.starts_with(&group)) => {
+                unknown_key(inner, &group, document)
+            }
+            _ if name == "preset" || names.contains(&name) => None,
+            _ => Some(Error::UnknownKey {
+                place: document.place(key.span().start),
+                nearest: nearest(&name, names.iter().map(String::as_str)).map(str::to_owned),
+                key: name,
+            }),
+        }
+    })
 }
 
 /// Parses the value of a `--set`. Bare words are strings: `network.encoder=mlp` needs no quotes.
