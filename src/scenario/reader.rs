@@ -76,7 +76,10 @@ impl<'a, 'input> Element<'a, 'input> {
             ),
             _ => None,
         };
-        let allowed = kind.map(Kind::allowed).unwrap_or_default();
+        let mut allowed = kind.map(Kind::allowed).unwrap_or_default();
+        if matches!(kind, Some(Kind::Number { .. } | Kind::List { .. })) {
+            allowed += limit(self.node.attribute(name).unwrap_or_default());
+        }
         self.reader.value(self.node, name, allowed + &did_you_mean(similar))
     }
 
@@ -192,8 +195,9 @@ impl<'a, 'input> Reader<'a, 'input> {
         allowed: &str,
         valid: impl Fn(f64) -> bool,
     ) -> Result<f64, Error> {
-        let number = finite(self.text(node, key)?).filter(|&v| valid(v));
-        number.ok_or_else(|| self.value(node, key, allowed))
+        let text = self.text(node, key)?;
+        let number = finite(text).filter(|&v| valid(v));
+        number.ok_or_else(|| self.value(node, key, format!("{allowed}{}", limit(text))))
     }
 
     /// Returns the place of a byte offset.
@@ -255,6 +259,12 @@ impl<'a, 'input> Reader<'a, 'input> {
         let value = node.attribute(key).unwrap_or_default();
         Error::value(self.place(node, key), node.tag_name().name(), key, value, allowed)
     }
+}
+
+/// Returns the limit of all numbers, in words, if one of the numbers in a text is beyond it.
+fn limit(text: &str) -> &'static str {
+    let beyond = |word: &str| word.parse::<f64>().is_ok_and(|v| v.abs() > MAX_NUMBER);
+    if text.split_whitespace().any(beyond) { ", at most 1e9 in magnitude" } else { "" }
 }
 
 pub(super) fn finite(text: &str) -> Option<f64> {
