@@ -1,8 +1,8 @@
 # The ways into this project; each target sets up what it needs. `make help` lists them.
 #
 # Two cargo profiles, each with its own build of the dependencies (about two minutes of C++ on two cores):
-#   dev      `lint` and `test`: debug assertions and overflow checks are on, and the profile in Cargo.toml optimises the
-#            dependencies in full, so that tests which train are quick. Both targets share one build of libtorch's shim.
+#   dev      `lint` and `test`: debug assertions and overflow checks are on, and the profile in Cargo.toml optimises in full
+#            what tests that train spend their time in. Both targets share one build of libtorch's shim.
 #   release  `build`, `demo` and `bench`: what is measured and used.
 CARGO ?= cargo
 # What is built in besides: `make FEATURES=` leaves libsumo out, and with it Python.
@@ -35,7 +35,8 @@ lint: bootstrap check-client ## check formatting, clippy's lints and the documen
 	$(CARGO) clippy --locked --all-targets --features "$(FEATURES)" -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --features "$(FEATURES)"
 
-check-client: ## check that library and program build without libtorch (without the feature `learn`)
+check-client: ## build library and program without libtorch (without the feature `learn`), and check them
+	$(CARGO) build --locked --no-default-features
 	$(CARGO) clippy --locked --no-default-features -- -D warnings
 	$(CARGO) clippy --locked --no-default-features --features "$(FEATURES)" -- -D warnings
 

@@ -2,6 +2,8 @@
 //! configuration and the state of every world. Loading a checkpoint executes nothing. Training
 //! continues from it bit for bit.
 
+#![cfg(feature = "learn")]
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 

@@ -7,6 +7,8 @@
 //! it is stored with the run and is itself a valid `--config`. Every error names the file, line and
 //! column, and the nearest valid key.
 
+#![cfg(feature = "learn")]
+
 mod defaults;
 mod document;
 mod error;

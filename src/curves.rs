@@ -1,6 +1,8 @@
 //! Learning curves: what the validations of a run measured against steps or time, and the mean of
 //! several runs.
 
+#![cfg(feature = "learn")]
+
 use std::path::Path;
 
 use serde::Deserialize;
@@ -87,8 +89,8 @@ pub fn curve(
     lines.iter().filter_map(point).collect()
 }
 
-/// Returns the mean curve of several runs of a metric with its 95 % interval, which stays in the
-/// metric's range; of a single run, the curve itself. A run that ended before the others keeps its
+/// Returns the mean curve of several runs of a metric with its 95 % interval, which contains
+/// only possible numbers; of a single run, the curve itself. A run that ended before the others keeps its
 /// last value.
 pub fn mean_curve(label: String, runs: &[Curve], along: Along, metric: &Metric) -> Series {
     if let [only] = runs {
@@ -103,9 +105,9 @@ pub fn mean_curve(label: String, runs: &[Curve], along: Along, metric: &Metric) 
             (places.first().copied().unwrap_or(0.0), places.last().copied().unwrap_or(0.0));
         places = (0..=TIMES).map(|k| first + (last - first) * k as f64 / TIMES as f64).collect();
     }
-    let (low, high) = metric.range().unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     let curve = sample_efficiency(runs, &places);
     let points = curve.iter().map(|(x, e)| (*x, e.mean)).collect();
-    let band = curve.iter().map(|(x, e)| (*x, e.low.max(low), e.high.min(high))).collect();
+    let bounds = curve.iter().map(|(x, e)| (*x, metric.possible(*e)));
+    let band = bounds.map(|(x, e)| (x, e.low, e.high)).collect();
     Series::curve(label, points, Some(band))
 }

@@ -15,49 +15,42 @@
 //! # Without libtorch
 //!
 //! The TraCI client, scenarios, environments and the evaluation of drivers without training need no
-//! libtorch. A project that uses only them turns the default feature `learn` off:
+//! libtorch. A project that uses only them names a checkout of this repository, and turns the default
+//! feature `learn` off:
 //!
 //! ```toml
 //! [dependencies]
-//! iwol-sumo = { version = "0.2", default-features = false }
+//! iwol-sumo = { path = "../iwol-sumo", default-features = false }
 //! ```
 //!
 //! The feature `libsumo` adds SUMO inside the process, besides processes of its own.
 
+// Modules that need libtorch leave themselves out of builds without the feature `learn`.
+pub mod algo;
+pub mod checkpoint;
+pub mod config;
+pub mod curves;
 pub mod env;
 pub mod evaluate;
 mod fnv;
 pub mod inspect;
 mod markup;
 pub mod metrics;
+pub mod nn;
 pub mod plot;
 pub mod provenance;
 pub mod record;
 pub mod replay;
+pub mod report;
 pub mod rng;
+pub mod rollout;
 pub mod scenario;
 pub mod stats;
 pub mod suggest;
 pub mod sumo;
-
-#[cfg(feature = "learn")]
-pub mod algo;
-#[cfg(feature = "learn")]
-pub mod checkpoint;
-#[cfg(feature = "learn")]
-pub mod config;
-#[cfg(feature = "learn")]
-pub mod curves;
-#[cfg(feature = "learn")]
-pub mod nn;
-#[cfg(feature = "learn")]
-pub mod report;
-#[cfg(feature = "learn")]
-pub mod rollout;
-#[cfg(feature = "learn")]
 pub mod sweep;
-#[cfg(feature = "learn")]
 pub mod train;
+pub mod words;
 
 /// Runs the examples of the documentation as doctests.
 #[cfg(doctest)]

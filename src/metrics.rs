@@ -15,7 +15,9 @@ use serde::{Deserialize, Serialize};
 use crate::env::{Audit, BackgroundMetrics, EpisodeRecord, Failures};
 use crate::stats::Estimate;
 
-use metric::{BRAKING, FINE, FINE_SECONDS, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS};
+use metric::{
+    APART, BRAKING, COUNT, FINE, FINE_COUNT, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS,
+};
 pub use metric::{Better, Metric, Scale, Shown};
 pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 
@@ -76,7 +78,7 @@ macro_rules! metrics {
             #[allow(clippy::needless_update)]
             fn measure(data: &$data) -> Self {
                 $(let $id: fn(&$data) -> $type = $measure;)*
-                Self { $($id: $id(data),)* ..Self::default() }
+                Self { $($id: $id(data).possible(&$scale),)* ..Self::default() }
             }
         }
     };
@@ -107,17 +109,17 @@ metrics! {
             "Throughput: reward per agent over 1000 steps, in which episodes follow each other \
              (the paper's \"Rewards\").";
         episode_length: Estimate = |e| e.mean(|r| f64::from(r.episode_length)),
-            "episode length", "steps", NUMBER, Neither, InEvaluations,
+            "episode length", "steps", COUNT, Neither, InEvaluations,
             "Length of an episode in steps.";
         efficiency: Estimate = |e| e.mean(|r| r.efficiency),
             "efficiency", "agents per step", FINE, Higher, InEvaluations,
             "(success − danger) · N / steps, in agents per step; danger is the share of agents \
              that crashed or went off-road.";
         sumo_collisions: Estimate = |e| e.mean(|r| f64::from(r.sumo_collisions)),
-            "SUMO collisions", "colliding pairs", FINE, Lower, InEvaluations,
+            "SUMO collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
             "Colliding pairs per episode in SUMO's report.";
         own_collisions: Estimate = |e| e.mean(|r| f64::from(r.own_collisions)),
-            "collisions", "colliding pairs", FINE, Lower, InEvaluations,
+            "collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
             "Colliding pairs per episode by our own box test.";
         loitering: Estimate = |e| e.rate(|r| r.loitering),
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
@@ -149,7 +151,7 @@ metrics! {
     of: Vec<BackgroundMetrics>, ids: "others.", part: |metrics| metrics.others.as_ref(),
     metrics: {
         vehicles: Estimate = |o| mean(o, |_| true, |o| f64::from(o.vehicles)).unwrap_or_default(),
-            "background vehicles", "background vehicles", NUMBER, Neither, InEvaluations,
+            "background vehicles", "background vehicles", COUNT, Neither, InEvaluations,
             "Number of background vehicles in an episode.";
         crash: Option<Estimate> = |o| rate(o, DRIVEN, |o| o.crash),
             "background crash", "background vehicles that crash (%)", PERCENT, Lower, InFigures,
@@ -169,7 +171,7 @@ metrics! {
             "Share of the background vehicles with a time to collision with an agent below 1.5 \
              s, or with a collision.";
         pedestrians: Estimate = |o| mean(o, |_| true, |o| f64::from(o.pedestrians)).unwrap_or_default(),
-            "pedestrians", "pedestrians", NUMBER, Neither, InEvaluations,
+            "pedestrians", "pedestrians", COUNT, Neither, InEvaluations,
             "Number of pedestrians in an episode.";
         pedestrian_crash: Option<Estimate> = |o| rate(o, WALKED, |o| o.pedestrian_crash),
             "pedestrians hit", "pedestrians (%)", PERCENT, Lower, InFigures,
@@ -179,10 +181,10 @@ metrics! {
             "Share of the pedestrians with a time to collision with an agent below 1.5 s, or \
              that were hit.";
         ttc: Option<Estimate> = |o| mean(o, EITHER, |o| o.ttc),
-            "smallest TTC", "time to collision (s)", FINE_SECONDS, Higher, InEvaluations,
+            "smallest TTC", "time to collision (s)", APART, Higher, InEvaluations,
             "Smallest time to collision of an episode, at most 5 s.";
         pet: Option<Estimate> = |o| mean(o, EITHER, |o| o.pet),
-            "smallest PET", "post-encroachment time (s)", FINE_SECONDS, Higher, InFigures,
+            "smallest PET", "post-encroachment time (s)", APART, Higher, InFigures,
             "Smallest post-encroachment time of an episode, at most 5 s.";
     }
     more: {}
@@ -195,16 +197,12 @@ struct Episodes<'a> {
 }
 
 impl Episodes<'_> {
-    fn column(&self, of: fn(&EpisodeRecord) -> f64) -> Vec<f64> {
-        self.records.iter().map(of).collect()
-    }
-
     fn rate(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
-        Estimate::rate(&self.column(of)).unwrap_or_default()
+        rate(self.records, |_| true, of).unwrap_or_default()
     }
 
     fn mean(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
-        Estimate::t(&self.column(of)).unwrap_or_default()
+        mean(self.records, |_| true, of).unwrap_or_default()
     }
 
     fn km_per_crash(&self) -> Option<KmPerCrash> {
@@ -220,27 +218,15 @@ const DRIVEN: Chosen = |o| o.vehicles > 0;
 const WALKED: Chosen = |o| o.pedestrians > 0;
 const EITHER: Chosen = |o| o.vehicles + o.pedestrians > 0;
 
-fn column(
-    all: &[BackgroundMetrics],
-    chosen: Chosen,
-    of: fn(&BackgroundMetrics) -> f64,
-) -> Vec<f64> {
-    all.iter().filter(|o| chosen(o)).map(of).collect()
+fn column<R>(all: &[R], chosen: fn(&R) -> bool, of: fn(&R) -> f64) -> Vec<f64> {
+    all.iter().filter(|row| chosen(row)).map(of).collect()
 }
 
-fn rate(
-    all: &[BackgroundMetrics],
-    chosen: Chosen,
-    of: fn(&BackgroundMetrics) -> f64,
-) -> Option<Estimate> {
+fn rate<R>(all: &[R], chosen: fn(&R) -> bool, of: fn(&R) -> f64) -> Option<Estimate> {
     Estimate::rate(&column(all, chosen, of))
 }
 
-fn mean(
-    all: &[BackgroundMetrics],
-    chosen: Chosen,
-    of: fn(&BackgroundMetrics) -> f64,
-) -> Option<Estimate> {
+fn mean<R>(all: &[R], chosen: fn(&R) -> bool, of: fn(&R) -> f64) -> Option<Estimate> {
     Estimate::t(&column(all, chosen, of))
 }
 
@@ -295,6 +281,7 @@ pub fn reference() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::MAX_TIME_APART;
 
     #[test]
     fn every_metric_has_its_own_key_and_the_key_finds_it_in_json() {
@@ -312,6 +299,30 @@ mod tests {
             assert_eq!(shown.mean, metric.scale.factor * known.mean, "{}", metric.id);
         }
         assert_eq!(SUCCESS.id, "success");
+    }
+
+    #[test]
+    fn intervals_contain_only_possible_numbers() {
+        let effects = |delay: f64, ttc: f64| BackgroundMetrics {
+            vehicles: 1,
+            delay,
+            ttc,
+            ..BackgroundMetrics::default()
+        };
+        let records: Vec<EpisodeRecord> = [effects(0.0, 5.0), effects(0.5, 5.0), effects(0.0, 4.0)]
+            .map(|others| EpisodeRecord { others: Some(others), ..EpisodeRecord::default() })
+            .into();
+        let metrics = Metrics::of(&records, &[-1.0, 2.0], &[]).unwrap();
+        let others = metrics.others.as_ref().unwrap();
+        let (delay, ttc) = (others.delay.unwrap(), others.ttc.unwrap());
+        assert!(delay.low == 0.0 && delay.high > 0.5, "{delay:?}");
+        assert!(ttc.low > 0.0 && ttc.high == MAX_TIME_APART, "{ttc:?}");
+        assert!(metrics.window_reward.low < -1.0, "rewards have any sign");
+        // In the shown unit, as reports compute it over seeds.
+        let shown = Estimate { mean: 99.0, low: 95.0, high: 103.0 };
+        assert_eq!(SUCCESS.possible(shown).high, 100.0);
+        let unknown = Estimate { mean: 1.0, low: f64::NEG_INFINITY, high: f64::INFINITY };
+        assert_eq!(SUCCESS.possible(unknown), unknown);
     }
 
     #[test]

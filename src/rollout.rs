@@ -6,6 +6,8 @@
 //! action follows. An agent that is truncated at `t` is still observed in row `t + 1` (present, not
 //! active), so that its value can be bootstrapped like any other.
 
+#![cfg(feature = "learn")]
+
 mod advantages;
 
 use std::ops::Range;

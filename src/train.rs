@@ -4,6 +4,8 @@
 //! iterations and contains the worlds' action histories, so that stopping and resuming changes
 //! nothing.
 
+#![cfg(feature = "learn")]
+
 mod collect;
 mod error;
 mod files;

@@ -5,6 +5,8 @@
 //! A new method needs a file, its `mod` line and an entry in `METHODS` below. Commands, messages
 //! and tests follow from that entry.
 
+#![cfg(feature = "learn")]
+
 mod actor_critic;
 mod batch;
 mod channel;

@@ -1,5 +1,7 @@
 //! `iwol config`, and the arguments that give settings.
 
+#![cfg(feature = "learn")]
+
 use std::path::PathBuf;
 
 use anyhow::Context as _;

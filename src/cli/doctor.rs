@@ -13,6 +13,7 @@ use iwol_sumo::provenance::Program;
 use iwol_sumo::provenance::{libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
+use iwol_sumo::words::counted;
 
 use super::chain;
 
@@ -183,8 +184,8 @@ fn check_torch(findings: &mut Findings) {
         "device",
         if tch::Cuda::is_available() {
             format!(
-                "cpu (CUDA finds {} devices; use them with `iwol train --device cuda`)",
-                tch::Cuda::device_count()
+                "cpu (CUDA finds {}; use `iwol train --device cuda`)",
+                counted(tch::Cuda::device_count(), "device")
             )
         } else if with_cuda {
             "cpu (libtorch supports CUDA but finds no device: does `nvidia-smi` list one?)"
@@ -219,8 +220,8 @@ fn check_files(findings: &mut Findings) {
         match Scenario::load(&path) {
             Ok(scenario) => {
                 let separator = if good.is_empty() { "" } else { ", " };
-                let _ =
-                    write!(good, "{separator}{} ({} nets)", path.display(), scenario.nets.len());
+                let nets = counted(scenario.nets.len(), "net");
+                let _ = write!(good, "{separator}{} ({nets})", path.display());
             }
             Err(error) => findings.faults.push(Fault { what: chain(&error), hint: error.hint() }),
         }

@@ -1,5 +1,7 @@
 //! `iwol export`
 
+#![cfg(feature = "learn")]
+
 use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};

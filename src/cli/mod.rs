@@ -17,28 +17,20 @@ macro_rules! tell {
     };
 }
 
+// Verbs that need libtorch leave themselves out of builds without the feature `learn`. There the
+// module `absent` takes their places.
 #[cfg(not(feature = "learn"))]
 mod absent;
-#[cfg(not(feature = "learn"))]
-use absent::{bench, config, export, plot, report, sweep, train};
-
-#[cfg(feature = "learn")]
 mod bench;
-#[cfg(feature = "learn")]
 mod config;
 mod doctor;
 mod evaluate;
-#[cfg(feature = "learn")]
 mod export;
-#[cfg(feature = "learn")]
 mod plot;
 mod replay;
-#[cfg(feature = "learn")]
 mod report;
 mod scenario;
-#[cfg(feature = "learn")]
 mod sweep;
-#[cfg(feature = "learn")]
 mod train;
 
 use std::io::IsTerminal as _;
@@ -46,6 +38,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+#[cfg(not(feature = "learn"))]
+#[allow(clippy::wildcard_imports, reason = "in place of the modules that are left out")]
+use absent::*;
 use clap::{Parser, Subcommand};
 use iwol_sumo::{env, scenario as scenarios, sumo};
 
@@ -77,7 +72,7 @@ enum Verb {
     Report(report::Args),
     /// Convert a recorded episode to a player in one HTML file, or to a picture.
     Replay(replay::Args),
-    /// Draw learning curves as PNG.
+    /// Draw learning curves.
     Plot(plot::Args),
     /// Print the settings that a run would use, and where each comes from.
     Config(config::Args),

@@ -1,12 +1,14 @@
 //! `iwol plot`
 
+#![cfg(feature = "learn")]
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use iwol_sumo::config;
 use iwol_sumo::curves::{self, Along, Curve, Line, curve, mean_curve};
 use iwol_sumo::metrics::{self, EvaluationResult, SUCCESS, Shown};
-use iwol_sumo::plot::{Panel, Series, figure};
+use iwol_sumo::plot::{Format, Panel, Series, figure};
 use iwol_sumo::train::RunDir;
 
 use super::Verdict;
@@ -23,7 +25,8 @@ pub(super) struct Args {
     /// updates)
     #[arg(long, value_enum, default_value_t = Axis::Steps)]
     x: Axis,
-    /// Picture to write, or a folder for it [default: learning_curve.png in the first run folder]
+    /// Picture to write, .png or .svg, or a folder for it [default: learning_curve.png in the first
+    /// run folder]
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
     /// JSON file of `iwol evaluate`; its policies without training become reference lines
@@ -49,6 +52,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let alone = args.runs.len() == 1;
     let along = if args.x == Axis::Steps { Along::Steps } else { Along::Minutes };
     let groups = groups(&args.runs, along)?;
+    let out = args.out.as_ref().unwrap_or(&args.runs[0]);
+    let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
+    Format::of(&out).context("--out")?;
     let references = args.reference.as_deref().map(references).transpose()?.unwrap_or_default();
     // The safety panel of a single run is left out, because it nearly repeats the success panel.
     let metrics =
@@ -88,11 +94,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             references: references.iter().map(reference).collect::<anyhow::Result<_>>()?,
             ..Panel::default()
         });
-    }
-    let out = args.out.as_ref().unwrap_or(&args.runs[0]);
-    let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
-    if out.extension().is_none_or(|end| end != "png") {
-        bail!("--out {}: figures are PNG files; give a name that ends in .png", out.display());
     }
     let title = if alone {
         format!("Learning curve of {}", groups[0].label)

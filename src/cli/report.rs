@@ -1,7 +1,11 @@
 //! `iwol report`
 
+#![cfg(feature = "learn")]
+
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use iwol_sumo::plot::Format;
 use iwol_sumo::report;
 use iwol_sumo::sweep::Sweep;
 
@@ -19,17 +23,25 @@ pub(super) struct Args {
     /// Folder to write to [default: results/SWEEP]
     #[arg(long, short, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// File format of the figures
+    #[arg(long, value_name = "png|svg", default_value = "png", value_parser = format())]
+    figures: Format,
     /// Also copy the data of the report to this folder: settings, validations and evaluations of
     /// every trained run, without weights. `--runs DIR` makes the report from this copy
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
 }
 
+fn format() -> impl TypedValueParser<Value = Format> {
+    let names = PossibleValuesParser::new(["png", "svg"]);
+    names.map(|name| if name == "svg" { Format::Svg } else { Format::Png })
+}
+
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.runs)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("results").join(&sweep.name));
     let command = format!("iwol sweep {0}\niwol report {0}", args.file.display());
-    for path in report::write(&sweep, &command, &out)? {
+    for path in report::write(&sweep, &command, &out, args.figures)? {
         tell!("{}", path.display());
     }
     if let Some(keep) = &args.keep {

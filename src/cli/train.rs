@@ -1,5 +1,7 @@
 //! `iwol train`
 
+#![cfg(feature = "learn")]
+
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -11,6 +13,7 @@ use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document};
 use iwol_sumo::sumo::Choice;
 use iwol_sumo::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
+use iwol_sumo::words::counted;
 
 use super::Verdict;
 use super::config::SettingsArgs;
@@ -101,9 +104,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let stop = super::stop_flag()?;
     let learners = scenario.traffic.learners(config.agents);
     let vehicles = if learners < config.agents {
-        format!("{} vehicles, of which {learners} learn", config.agents)
+        format!("{}, of which {learners} learn", counted(config.agents, "vehicle"))
     } else {
-        format!("{} agents", config.agents)
+        counted(config.agents, "agent")
     };
     let mixed = scenario.traffic.is_mixed(config.agents);
     let mut changes = Vec::new();

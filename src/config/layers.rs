@@ -10,6 +10,7 @@ use super::presets::Preset;
 use super::values::{Origin, Origins, Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
 use crate::scenario::{Scenario, ScenarioFile};
+use crate::suggest::nearest;
 
 /// The sources of settings, in rising priority. Below all of them are the defaults, and the preset
 /// that the setting `preset` names in any of them.
@@ -62,7 +63,11 @@ impl Layers {
         // the method give the defaults of learning. So these settings are looked up first.
         let first = |key: &str| self.look_up(parsed.get_ref(), key);
         let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
-        let file = ScenarioFile::read(Path::new(&word("scenario.file").ok_or(Error::NoScenario)?))?;
+        let Some(path) = word("scenario.file") else {
+            let unknown = unknown_key(parsed.get_ref(), "", document);
+            return Err(unknown.unwrap_or(Error::NoScenario));
+        };
+        let file = ScenarioFile::read(Path::new(&path))?;
         let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
         let algorithm = word("algorithm");
         let preset = word("preset").and_then(|name| Preset::named(&name));
@@ -173,6 +178,27 @@ impl Resolution {
         }
         lines
     }
+}
+
+/// Returns the error of the first key of a document that is no setting; a missing scenario may be
+/// its consequence.
+fn unknown_key(layer: &DeTable<'_>, prefix: &str, document: &Document) -> Option<Error> {
+    let names = schema::names();
+    layer.iter().find_map(|(key, value)| {
+        let name = format!("{prefix}{}", key.get_ref());
+        let group = format!("{name}.");
+        match value.get_ref() {
+            DeValue::Table(inner) if names.iter().any(|known| known.starts_with(&group)) => {
+                unknown_key(inner, &group, document)
+            }
+            _ if name == "preset" || names.contains(&name) => None,
+            _ => Some(Error::UnknownKey {
+                place: document.place(key.span().start),
+                nearest: nearest(&name, names.iter().map(String::as_str)).map(str::to_owned),
+                key: name,
+            }),
+        }
+    })
 }
 
 /// Parses the value of a `--set`. Bare words are strings: `network.encoder=mlp` needs no quotes.

@@ -96,6 +96,30 @@ fn of_scenario() -> String {
     )
 }
 
+/// Returns the full names of all settings.
+pub(super) fn names() -> Vec<String> {
+    let all = settings(&SCHEMA).flat_map(|setting| {
+        let inner = settings(setting.described).map(|own| format!("{}.{}", setting.key, own.key));
+        let inner: Vec<String> = if setting.is_group() { inner.collect() } else { Vec::new() };
+        if inner.is_empty() { vec![setting.key.to_owned()] } else { inner }
+    });
+    all.collect()
+}
+
+/// Returns the values that a setting, or a group of settings, allows, in words.
+pub(super) fn allowed(keys: &[&str]) -> Option<String> {
+    let mut group: &Value = &SCHEMA;
+    let mut found = None;
+    for key in keys {
+        let setting = settings(group).find(|setting| setting.key == *key)?;
+        group = setting.described;
+        found = Some(setting);
+    }
+    let setting = found?;
+    let group = format!("a group of settings, `[{}]`", setting.key);
+    Some(if setting.is_group() { group } else { setting.allowed() })
+}
+
 /// Returns what a schema refers to, or the schema itself.
 fn described(schema: &Value) -> &Value {
     schema["$ref"]

@@ -406,9 +406,13 @@ fn mistakes_name_place_key_and_neighbour() {
         message("[ppo]\ngamma = 1.5\n", &[]),
         "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1"
     );
-    assert!(
-        message("[ppo]\ngamma = \"x\"\n", &[])
-            .starts_with("c.toml:2:9: bad value for `ppo.gamma`: invalid type")
+    assert_eq!(
+        message("[ppo]\ngamma = \"x\"\n", &[]),
+        "c.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1"
+    );
+    assert_eq!(
+        message("ppo = 3\n", &[]),
+        "c.toml:1:7: bad value for `ppo`: allowed: a group of settings, `[ppo]`"
     );
     assert!(message("[ppo\n", &[]).starts_with("c.toml:1:"));
     assert!(
@@ -432,5 +436,38 @@ fn mistakes_name_place_key_and_neighbour() {
     assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
     assert!(
         message("", &["ppo.target_kl=0.01", "algorithm=commformer"]).contains("0 with CommFormer")
+    );
+}
+
+#[test]
+fn a_value_of_another_type_is_refused_with_the_allowed_values() {
+    for key in flatten(&resolve("", &[]).unwrap().to_toml().parse().unwrap()).keys() {
+        let said = message(&format!("{key} = []\n"), &[]);
+        assert!(said.contains(&format!("bad value for `{key}`: allowed: ")), "{said}");
+    }
+}
+
+#[test]
+fn without_a_scenario_an_unknown_key_is_named() {
+    let message = |text: &str| {
+        let name = "c.toml".to_owned();
+        let document = Document { name, text: text.to_owned(), generated: false };
+        let layers = Layers { document, ..Layers::default() };
+        layers.resolve().expect_err("must be refused").to_string()
+    };
+    assert!(
+        message("seed = 1\npreset = 'paper'\n[ppo]\ngamma = 1\n").starts_with("no scenario given")
+    );
+    assert_eq!(
+        message("scenari = 'a.xml'\n"),
+        "c.toml:1:1: there is no setting `scenari`; did you mean `scenario`?"
+    );
+    assert_eq!(
+        message("[ppo]\ngama = 1\n"),
+        "c.toml:2:1: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
+    );
+    assert_eq!(
+        message("[po]\ngamma = 1\n"),
+        "c.toml:1:2: there is no setting `po`; did you mean `ppo`?"
     );
 }

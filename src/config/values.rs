@@ -131,7 +131,13 @@ impl Values {
             Ok(config) => config,
             Err(error) => {
                 let error: toml::de::Error = error;
-                return Err(bad(with_nearest(error.message())));
+                // The parser's words for a value of another type are those of Rust's types.
+                let other_type = error.message().starts_with("invalid ");
+                let allowed = other_type.then(|| super::schema::allowed(keys)).flatten();
+                return Err(bad(allowed.map_or_else(
+                    || with_nearest(error.message()),
+                    |allowed| format!("allowed: {allowed}"),
+                )));
             }
         };
         if !algo::NAMES.contains(&config.algorithm.as_str()) {

@@ -7,6 +7,7 @@ use crate::markup::escape as escaped;
 use crate::plot::{Picture, Rgb};
 use crate::scenario::SpawnPlace;
 use crate::sumo::net::{EdgeFunction, Net};
+use crate::words::counted;
 
 const ROAD: Rgb = [214, 218, 222];
 const JUNCTION: Rgb = [232, 234, 236];
@@ -27,8 +28,6 @@ const SAME: f64 = 1.0;
 /// Returns a map of a scenario with a number of agents, seen from above.
 pub fn picture(task: &Task, net: &Net) -> Picture {
     let meetings = meetings(task);
-    let counted =
-        |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
     let mut picture = Picture::new(format!(
         "{}: {}, {}, {}",
         task.scenario.name,

@@ -11,6 +11,7 @@ use crate::env::{Driver, Error, Features, RouteGeometry, Task, VecEnv, VecOption
 use crate::rng::{Seed, symmetric};
 use crate::scenario::{Finding, Scenario, Severity};
 use crate::sumo::Hosting;
+use crate::words::counted;
 
 /// Range of the agents' desired speeds, as shares of the maximum speed.
 const SHARES: std::ops::Range<f64> = 0.3..1.0;
@@ -164,7 +165,7 @@ impl Trial {
         if self.lost > 0 {
             findings.push(finding(
                 Severity::Error,
-                format!("SUMO lost vehicles in {} episodes: they left its roads before they arrived", self.lost),
+                format!("SUMO lost vehicles in {}: they left its roads before they arrived", counted(self.lost, "episode")),
                 "look at the routes' last edges and arrivalPos, and at lanes that lead to several lanes",
             ));
         }
@@ -190,7 +191,7 @@ impl Trial {
         if !seen.groups.nearest() && seen.conflict_streams < self.meetings {
             findings.push(finding(
                 Severity::Warning,
-                format!("a route crosses or joins {} others, of which agents observe {}", self.meetings, seen.conflict_streams),
+                format!("a route crosses or joins {}, of which agents observe {}", counted(self.meetings, "other"), seen.conflict_streams),
                 "raise conflictStreams in <observation>, up to 16, or use groups=\"both\", which adds the nearest vehicles",
             ));
         }
@@ -198,7 +199,7 @@ impl Trial {
         if played > 0 && unharmed == played && self.agents > 1 {
             findings.push(finding(
                 Severity::Warning,
-                format!("no vehicle crashed in any of {played} episodes at full throttle, so there is little to coordinate"),
+                format!("no vehicle crashed in {} at full throttle, so there is little to coordinate", counted(played, "episode")),
                 "add vehicles, or move places so that vehicles reach conflict points at the same time; more --steps play more episodes",
             ));
         }

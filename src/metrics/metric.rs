@@ -1,6 +1,7 @@
 //! The description of a metric in the registry.
 
 use super::{KmPerCrash, Metrics};
+use crate::env::MAX_TIME_APART;
 use crate::stats::Estimate;
 
 /// A metric of the registry.
@@ -34,15 +35,32 @@ pub struct Scale {
     pub factor: f64,
     /// Decimals in the table of `iwol evaluate`.
     pub digits: usize,
+    /// Smallest and largest possible number in the JSON output.
+    pub bounds: (f64, f64),
 }
 
-pub(super) const PERCENT: Scale = Scale { unit: "%", factor: 100.0, digits: 1 };
-pub(super) const NUMBER: Scale = Scale { unit: "", factor: 1.0, digits: 1 };
+pub(super) const PERCENT: Scale = Scale { unit: "%", factor: 100.0, digits: 1, bounds: (0.0, 1.0) };
+/// A number of any sign.
+pub(super) const NUMBER: Scale =
+    Scale { unit: "", factor: 1.0, digits: 1, bounds: (f64::NEG_INFINITY, f64::INFINITY) };
 pub(super) const FINE: Scale = Scale { digits: 3, ..NUMBER };
-pub(super) const KILOMETRES: Scale = Scale { digits: 2, ..NUMBER };
-pub(super) const SECONDS: Scale = Scale { unit: "s", ..NUMBER };
-pub(super) const FINE_SECONDS: Scale = Scale { digits: 3, ..SECONDS };
-pub(super) const BRAKING: Scale = Scale { unit: "m/s²", ..NUMBER };
+pub(super) const COUNT: Scale = Scale { bounds: (0.0, f64::INFINITY), ..NUMBER };
+pub(super) const FINE_COUNT: Scale = Scale { digits: 3, ..COUNT };
+pub(super) const KILOMETRES: Scale = Scale { digits: 2, ..COUNT };
+pub(super) const SECONDS: Scale = Scale { unit: "s", ..COUNT };
+/// A time between two road users.
+pub(super) const APART: Scale = Scale { digits: 3, bounds: (0.0, MAX_TIME_APART), ..SECONDS };
+pub(super) const BRAKING: Scale = Scale { unit: "m/s²", ..COUNT };
+
+impl Scale {
+    /// Returns an estimate whose interval contains only possible numbers. Infinite bounds, which
+    /// say that the values give none, stay.
+    pub(super) fn possible(&self, estimate: Estimate) -> Estimate {
+        let (least, most) = self.bounds;
+        let within = |bound: f64| if bound.is_finite() { bound.clamp(least, most) } else { bound };
+        Estimate { low: within(estimate.low), high: within(estimate.high), ..estimate }
+    }
+}
 
 /// Which values of a metric are better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,16 +115,31 @@ impl Metric {
     pub fn range(&self) -> Option<(f64, f64)> {
         self.is_rate().then_some((0.0, 100.0))
     }
+
+    /// Returns an estimate in the shown unit whose interval contains only possible numbers.
+    /// Infinite bounds, which say that the values give none, stay.
+    pub fn possible(&self, estimate: Estimate) -> Estimate {
+        let (least, most) = self.scale.bounds;
+        let bounds = (self.scale.factor * least, self.scale.factor * most);
+        Scale { bounds, ..self.scale }.possible(estimate)
+    }
 }
 
 /// A field of [`Metrics`] that contains an estimate.
-pub(super) trait Field {
+pub(super) trait Field: Sized {
     fn estimate(&self) -> Option<Estimate>;
+
+    /// Returns the field with an interval of possible numbers only.
+    fn possible(self, scale: &Scale) -> Self;
 }
 
 impl Field for Estimate {
     fn estimate(&self) -> Option<Estimate> {
         Some(*self)
+    }
+
+    fn possible(self, scale: &Scale) -> Self {
+        scale.possible(self)
     }
 }
 
@@ -114,10 +147,19 @@ impl Field for Option<Estimate> {
     fn estimate(&self) -> Option<Estimate> {
         *self
     }
+
+    fn possible(self, scale: &Scale) -> Self {
+        self.map(|estimate| scale.possible(estimate))
+    }
 }
 
 impl Field for Option<KmPerCrash> {
     fn estimate(&self) -> Option<Estimate> {
         self.map(|driven| driven.estimate)
+    }
+
+    /// The exact interval needs no bounds.
+    fn possible(self, _: &Scale) -> Self {
+        self
     }
 }

@@ -11,6 +11,8 @@
 //! width of a sequence, `d` token width or width of an attention head, `O` observation, `S`
 //! privileged state, `A` action.
 
+#![cfg(feature = "learn")]
+
 pub mod attention;
 pub mod decoder;
 pub mod distributions;

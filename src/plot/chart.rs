@@ -6,29 +6,24 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use super::axis::{Axis, enclosing, runs, usable};
-use super::canvas::{Canvas, Drawn, FONT, Placement, line, px, text_width, write};
-use super::legend::points;
+use super::canvas::{Canvas, Drawn, FONT, Placement, PlotBackend, line, px, text_width, write};
+use super::marks::{DASH, GAP, LINE_WIDTH, inside, points};
 use super::{HEADING, INK, Panel, Style, TEXT, TICK};
 
 const GRID: RGBColor = RGBColor(226, 226, 226);
 const REFERENCE: RGBColor = RGBColor(70, 70, 70);
-/// Width of a curve \[drawn pixels\].
-pub(super) const LINE_WIDTH: i32 = px(5) / 2;
-/// Lengths of a dash and of the gap after it \[drawn pixels\].
-pub(super) const DASH: i32 = px(9);
-pub(super) const GAP: i32 = px(6);
 /// Length of the stroke between a reference line and its label \[pixels of the picture\].
 const LEADER: i32 = 12;
 /// Maximum number of points of a line that also gets a dot at each point.
 const DOTS_UP_TO: usize = 40;
 
 /// Draws a panel into its place on the canvas.
-pub(super) fn draw(
-    canvas: &Canvas,
-    place: &Canvas,
+pub(super) fn draw<B: PlotBackend>(
+    canvas: &Canvas<B>,
+    place: &Canvas<B>,
     panel: &Panel,
     color: &dyn Fn(&str) -> RGBColor,
-) -> Drawn {
+) -> Drawn<B> {
     let (mut x_axis, y_axis) = (Axis::new(x_range(panel), 5), Axis::new(y_range(panel), 6));
     if !panel.categories.is_empty() {
         x_axis.ticks = (0..panel.categories.len()).map(|k| k as f64).collect();
@@ -78,7 +73,7 @@ pub(super) fn draw(
         .axis_style(INK.stroke_width(px(1) as u32))
         .set_all_tick_mark_size(px(5))
         .label_style(style(TICK))
-        .y_label_offset(px(TICK) / 5)
+        .y_label_offset(B::below_centre(TICK))
         .x_label_formatter(&name)
         .axis_desc_style(style(TEXT))
         .x_desc(&panel.x_label)
@@ -154,18 +149,13 @@ pub(super) fn draw(
     draw_reference_labels(canvas, (end.0, corner.1), marks)
 }
 
-/// Returns the radius of the white inside of a ring, which marks values to compare with.
-pub(super) fn inside(radius: i32) -> i32 {
-    radius - px(3) / 2
-}
-
 /// Writes the names of the reference lines right of the plot, whose lower right corner is given,
 /// each as close to the height of its line as the others allow.
-fn draw_reference_labels(
-    canvas: &Canvas,
+fn draw_reference_labels<B: PlotBackend>(
+    canvas: &Canvas<B>,
     (right, bottom): (i32, i32),
     mut marks: Vec<(i32, Vec<String>)>,
-) -> Drawn {
+) -> Drawn<B> {
     const LINE: i32 = px(TICK);
     marks.sort_by_key(|(y, _)| *y);
     // Top edges of the labels: first moved down past each other, then up again from the plot's
@@ -197,7 +187,7 @@ fn draw_reference_labels(
 
 /// Breaks a label between words into lines of at most `width` drawn pixels; a longer word stays
 /// whole.
-fn wrapped(canvas: &Canvas, label: &str, width: i32) -> Vec<String> {
+fn wrapped<B: PlotBackend>(canvas: &Canvas<B>, label: &str, width: i32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in label.split_whitespace() {
         if let Some(line) = lines.last_mut() {

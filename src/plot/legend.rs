@@ -3,9 +3,8 @@
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
-use super::axis::{runs, usable};
-use super::canvas::{Canvas, Drawn, Placement, line, px, text_width, write};
-use super::chart::{DASH, GAP, LINE_WIDTH, inside};
+use super::canvas::{Canvas, Drawn, Placement, PlotBackend, line, px, text_width, write};
+use super::marks::{DASH, GAP, LINE_WIDTH, inside, points};
 use super::{INK, Panel, Series, Style, TEXT};
 
 /// The colours of Okabe and Ito, which people with any colour vision can tell apart (without
@@ -89,7 +88,7 @@ impl Legend {
 
     /// Draws the legend at the bottom, in as many rows as it needs, and returns the y of its upper
     /// edge.
-    pub(super) fn draw(&self, canvas: &Canvas) -> Drawn<i32> {
+    pub(super) fn draw<B: PlotBackend>(&self, canvas: &Canvas<B>) -> Drawn<B, i32> {
         const SWATCH: i32 = px(34);
         const BESIDE: i32 = px(9);
         const BETWEEN: i32 = px(34);
@@ -132,11 +131,6 @@ impl Legend {
         }
         Ok(top)
     }
-}
-
-/// Returns the runs of usable points of a series.
-pub(super) fn points(series: &Series) -> Vec<Vec<(f64, f64)>> {
-    runs(series.points.iter().map(|&(x, y)| (usable(x) && usable(y)).then_some((x, y))))
 }
 
 #[cfg(test)]

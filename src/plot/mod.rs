@@ -1,28 +1,30 @@
-//! Plots of curves, and of points with intervals, as PNG pictures.
+//! Plots of curves, and of points with intervals, as PNG or SVG pictures.
 //!
 //! A figure is a row of panels that share one legend below them; a label has the same colour in
 //! every panel. Names of horizontal reference lines (policies without training) stand at the right
-//! margin, so that no text covers data. The font is part of the program, so nothing has to be
-//! installed. Everything is drawn at three times the size and averaged down, because the bitmap
-//! backend does not smooth all edges.
+//! margin, so that no text covers data. The font of PNGs is part of the program, so nothing has to
+//! be installed. Everything is drawn at three times the size and PNGs are averaged down, because the
+//! bitmap backend does not smooth all edges.
 
 mod axis;
 mod canvas;
 mod chart;
 mod legend;
+mod marks;
 mod picture;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use plotters::prelude::*;
 
-use canvas::{Canvas, Drawn, FINE, Placement, averaged, provide_font, px, write};
+use canvas::{Canvas, Drawing, Drawn, Placement, PlotBackend, px, write};
 use legend::Legend;
 
 pub(crate) use picture::path;
 pub use picture::{Picture, Rgb};
 
 use crate::record;
+use crate::words::counted;
 
 /// One curve of a panel.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,8 +92,9 @@ pub struct Panel {
 pub enum Error {
     /// The picture is too small to hold the panels, or larger than the limit.
     #[error(
-        "cannot draw {panels} panel(s) on {width} x {height} pixels; each panel needs at least \
-         {MIN_PANEL} x {MIN_PANEL}, the whole at most {MAX_SIDE} x {MAX_SIDE}"
+        "cannot draw {} on {width} x {height} pixels; each panel needs at least {MIN_PANEL} x {MIN_PANEL}, the whole at \
+         most {MAX_SIDE} x {MAX_SIDE}",
+        counted(panels, "panel")
     )]
     Size {
         /// Requested number of panels.
@@ -100,6 +103,12 @@ pub enum Error {
         width: u32,
         /// Requested height \[pixels\].
         height: u32,
+    },
+    /// The name of the file says no format of pictures.
+    #[error("`{}` is not a picture file: give a name that ends in .png or .svg", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
     },
     /// The drawing library failed.
     #[error("cannot draw the figure")]
@@ -121,57 +130,92 @@ const TEXT: i32 = 21;
 const TICK: i32 = 19;
 
 const INK: RGBColor = RGBColor(25, 25, 25);
-/// Draws `panels` side by side under `title` and writes them as a PNG of `size` (width, height in
-/// pixels) to `path`. The file appears complete or not at all.
+
+/// File format of a picture.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Format {
+    /// Pixels.
+    #[default]
+    Png,
+    /// Lines and text, sharp at any size.
+    Svg,
+}
+
+impl Format {
+    /// Returns the format that the extension of a file name says.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for another extension or none.
+    pub fn of(path: &Path) -> Result<Self, Error> {
+        let known = [Self::Png, Self::Svg];
+        let said = |format: &Self| path.extension().is_some_and(|end| end == format.extension());
+        known.into_iter().find(said).ok_or_else(|| Error::Format { path: path.to_owned() })
+    }
+
+    /// Returns the extension of file names, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Svg => "svg",
+        }
+    }
+
+    /// Returns the name of the format in web pages.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::Svg => "image/svg+xml",
+        }
+    }
+}
+
+/// Draws `panels` side by side under `title` and writes them as a picture of `size` (width, height
+/// in pixels) to `path`, whose extension says the format. The file appears complete or not at all.
 ///
 /// Panels and series without a usable point are marked "no data".
 ///
 /// # Errors
-/// [`Error::Size`] for a size that cannot hold the panels, [`Error::Write`] if the file cannot be
-/// written.
+/// [`Error::Format`] for a name that does not end in `.png` or `.svg`, [`Error::Size`] for a size
+/// that cannot hold the panels, [`Error::Write`] if the file cannot be written.
 pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> Result<(), Error> {
+    let format = Format::of(path)?;
     let (width, height) = size;
     let least_width =
         u32::try_from(panels.len().max(1)).map_or(u32::MAX, |n| n.saturating_mul(MIN_PANEL));
     if width < least_width || height < MIN_PANEL || width > MAX_SIDE || height > MAX_SIDE {
         return Err(Error::Size { panels: panels.len(), width, height });
     }
-    save(path, size, |canvas| draw(canvas, title, panels))
+    let figure = Figure { title, panels };
+    let bytes = match format {
+        Format::Png => canvas::png(size, &figure)?,
+        Format::Svg => canvas::svg(size, &figure)?,
+    };
+    Ok(record::write_atomic(path, &bytes)?)
 }
 
-/// Lets `draw` paint on a canvas that is finer than the picture, averages it down to `size`, and
-/// writes it as PNG to `path`. The file appears complete or not at all.
-fn save(path: &Path, size: (u32, u32), draw: impl FnOnce(&Canvas) -> Drawn) -> Result<(), Error> {
-    provide_font().map_err(Error::Draw)?;
-    let fine_size = (size.0 * FINE, size.1 * FINE);
-    let mut fine = vec![u8::MAX; fine_size.0 as usize * fine_size.1 as usize * 3];
-    draw(&BitMapBackend::with_buffer(&mut fine, fine_size).into_drawing_area())
-        .map_err(|e| Error::Draw(e.into()))?;
-    let file = record::temporary_beside(path, ".png")?;
-    let mut picture = BitMapBackend::new(file.path(), size);
-    picture
-        .blit_bitmap((0, 0), size, &averaged(&fine, size.0 as usize))
-        .map_err(|e| Error::Draw(e.into()))?;
-    picture.present().map_err(|e| Error::Draw(e.into()))?;
-    drop(picture);
-    Ok(record::replace(file, path)?)
+struct Figure<'a> {
+    title: &'a str,
+    panels: &'a [Panel],
 }
 
-fn draw(canvas: &Canvas, title: &str, panels: &[Panel]) -> Drawn {
-    let (width, height) = canvas.dim_in_pixel();
-    let mut top = px(12);
-    if !title.is_empty() {
-        let middle = (width as i32 / 2, top + px(TITLE) / 2);
-        write(canvas, title, TITLE, INK, Placement::Centred, middle)?;
-        top += px(TITLE + 10);
+impl Drawing for Figure<'_> {
+    fn paint<B: PlotBackend>(&self, canvas: &Canvas<B>) -> Drawn<B> {
+        let (width, height) = canvas.dim_in_pixel();
+        let mut top = px(12);
+        if !self.title.is_empty() {
+            let middle = (width as i32 / 2, top + px(TITLE) / 2);
+            write(canvas, self.title, TITLE, INK, Placement::Centred, middle)?;
+            top += px(TITLE + 10);
+        }
+        let legend = Legend::new(self.panels);
+        let bottom = legend.draw(canvas)?;
+        let places = canvas.clone().margin(top, height as i32 - bottom, 0, 0);
+        let places = places.split_evenly((1, self.panels.len().max(1)));
+        for (place, panel) in places.iter().zip(self.panels) {
+            chart::draw(canvas, place, panel, &|label| legend.color(label))?;
+        }
+        canvas.present()
     }
-    let legend = Legend::new(panels);
-    let bottom = legend.draw(canvas)?;
-    let places = canvas.clone().margin(top, height as i32 - bottom, 0, 0);
-    for (place, panel) in places.split_evenly((1, panels.len().max(1))).iter().zip(panels) {
-        chart::draw(canvas, place, panel, &|label| legend.color(label))?;
-    }
-    canvas.present()
 }
 
 #[cfg(test)]
@@ -192,14 +236,23 @@ mod tests {
         }
     }
 
-    /// Draws a figure and returns width, height, and size in bytes of the PNG.
-    fn drawn(panels: &[Panel], size: (u32, u32)) -> (u32, u32, usize) {
+    /// Draws a figure in a format and returns the content of the file.
+    fn drawn_as(format: Format, panels: &[Panel], size: (u32, u32)) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("curve.png");
+        let path = folder.path().join("curve").with_extension(format.extension());
         figure(&path, "title", panels, size).unwrap();
-        let png = fs::read(&path).unwrap();
-        assert!(png.starts_with(b"\x89PNG\r\n\x1a\n"));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
+        fs::read(&path).unwrap()
+    }
+
+    /// Draws a figure as PNG and as SVG, and returns width, height, and size in bytes of the PNG.
+    fn drawn(panels: &[Panel], size: (u32, u32)) -> (u32, u32, usize) {
+        let svg = String::from_utf8(drawn_as(Format::Svg, panels, size)).unwrap();
+        let document = roxmltree::Document::parse(&svg).unwrap();
+        let side = |name| document.root_element().attribute(name).unwrap().parse::<u32>().unwrap();
+        assert_eq!((side("width"), side("height")), size);
+        let png = drawn_as(Format::Png, panels, size);
+        assert!(png.starts_with(b"\x89PNG\r\n\x1a\n"));
         let number = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
         (number(16), number(20), png.len())
     }
@@ -212,6 +265,34 @@ mod tests {
             drawn(&[panel(curve.clone(), Some(band)), panel(curve, None)], (640, 320));
         assert_eq!((width, height), (640, 320));
         assert!(bytes > 5_000, "{bytes} bytes hold no picture");
+    }
+
+    #[test]
+    fn an_svg_contains_each_text_once() {
+        let mut shown = panel(vec![(0.0, 0.25), (1.0, 0.75)], None);
+        shown.title = "a < b".to_owned();
+        let svg = String::from_utf8(drawn_as(Format::Svg, &[shown], (640, 320))).unwrap();
+        let document = roxmltree::Document::parse(&svg).unwrap();
+        let texts = document.descendants().filter(|node| node.has_tag_name("text"));
+        let texts: Vec<&str> = texts.filter_map(|node| node.text()).map(str::trim).collect();
+        for wanted in ["title", "a < b", "steps", "reward", "a", "full", "throttle"] {
+            assert_eq!(
+                texts.iter().filter(|text| **text == wanted).count(),
+                1,
+                "{wanted}: {texts:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_name_says_the_format_and_others_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["curve.pdf", "curve", "curve.png.txt", "png"] {
+            let path = folder.path().join(name);
+            let error = figure(&path, "", &[], (280, 280)).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains(".png or .svg"), "{error}");
+            assert!(!path.exists());
+        }
     }
 
     #[test]

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use plotters::prelude::*;
 
-use super::canvas::{Canvas, Drawn, FINE, Placement, write};
-use super::{Error, save};
+use super::Error;
+use super::canvas::{self, Canvas, Drawing, Drawn, FINE, Placement, PlotBackend, write};
 use crate::markup::escape as escaped;
+use crate::record;
 
 /// Length of the longer side of the drawing \[pixels\].
 const SIDE: f64 = 1200.0;
@@ -153,7 +154,8 @@ impl Picture {
     /// [`Error::Write`] if the file cannot be written, [`Error::Draw`] if drawing fails.
     pub fn png(&self, path: &Path) -> Result<(), Error> {
         let (size, marks) = self.marks();
-        save(path, size.map(|length| length.ceil() as u32).into(), |canvas| draw(canvas, &marks))
+        let bytes = canvas::png(size.map(|length| length.ceil() as u32).into(), &Marks(marks))?;
+        Ok(record::write_atomic(path, &bytes)?)
     }
 }
 
@@ -165,43 +167,47 @@ enum Mark {
     Text([f64; 2], String),
 }
 
-fn draw(canvas: &Canvas, marks: &[(Rgb, Mark)]) -> Drawn {
-    let fine = |[x, y]: [f64; 2]| {
-        ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
-    };
-    for ([r, g, b], mark) in marks {
-        let color = RGBColor(*r, *g, *b);
-        let area = |points: &[[f64; 2]]| {
-            let corners: Vec<_> = points.iter().map(|&point| fine(point)).collect();
-            canvas.draw(&Polygon::new(corners, color.filled()))
+struct Marks(Vec<(Rgb, Mark)>);
+
+impl Drawing for Marks {
+    fn paint<B: PlotBackend>(&self, canvas: &Canvas<B>) -> Drawn<B> {
+        let fine = |[x, y]: [f64; 2]| {
+            ((x * f64::from(FINE)).round() as i32, (y * f64::from(FINE)).round() as i32)
         };
-        match mark {
-            Mark::Text(at, text) => {
-                write(canvas, text, LETTERS, color, Placement::RightOf, fine(*at))?;
-            }
-            Mark::Area(points) => area(points)?,
-            // Thick lines are drawn as areas with round joints.
-            Mark::Line(points, width) => {
-                let half = width / 2.0;
-                for pair in points.windows(2) {
-                    let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
-                    let length = (x1 - x0).hypot(y1 - y0).max(f64::MIN_POSITIVE);
-                    let (dx, dy) = (half * (y1 - y0) / length, half * (x0 - x1) / length);
-                    area(&[
-                        [x0 + dx, y0 + dy],
-                        [x1 + dx, y1 + dy],
-                        [x1 - dx, y1 - dy],
-                        [x0 - dx, y0 - dy],
-                    ])?;
+        for ([r, g, b], mark) in &self.0 {
+            let color = RGBColor(*r, *g, *b);
+            let area = |points: &[[f64; 2]]| {
+                let corners: Vec<_> = points.iter().map(|&point| fine(point)).collect();
+                canvas.draw(&Polygon::new(corners, color.filled()))
+            };
+            match mark {
+                Mark::Text(at, text) => {
+                    write(canvas, text, LETTERS, color, Placement::RightOf, fine(*at))?;
                 }
-                let radius = (half * f64::from(FINE)) as i32;
-                for &joint in points.iter().skip(1).take(points.len().saturating_sub(2)) {
-                    canvas.draw(&Circle::new(fine(joint), radius, color.filled()))?;
+                Mark::Area(points) => area(points)?,
+                // Thick lines are drawn as areas with round joints.
+                Mark::Line(points, width) => {
+                    let half = width / 2.0;
+                    for pair in points.windows(2) {
+                        let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
+                        let length = (x1 - x0).hypot(y1 - y0).max(f64::MIN_POSITIVE);
+                        let (dx, dy) = (half * (y1 - y0) / length, half * (x0 - x1) / length);
+                        area(&[
+                            [x0 + dx, y0 + dy],
+                            [x1 + dx, y1 + dy],
+                            [x1 - dx, y1 - dy],
+                            [x0 - dx, y0 - dy],
+                        ])?;
+                    }
+                    let radius = (half * f64::from(FINE)) as i32;
+                    for &joint in points.iter().skip(1).take(points.len().saturating_sub(2)) {
+                        canvas.draw(&Circle::new(fine(joint), radius, color.filled()))?;
+                    }
                 }
             }
         }
+        canvas.present()
     }
-    canvas.present()
 }
 
 /// Returns the length of the scale bar: a round number of metres, at most a fifth of the picture.

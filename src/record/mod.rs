@@ -73,9 +73,17 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     if is_stream(path) {
         return std::fs::write(path, bytes).map_err(Error::io("write", path));
     }
-    let mut file = temporary_beside(path, "")?;
+    let mut file = temporary_beside(path)?;
     file.as_file_mut().write_all(bytes).map_err(Error::io("write", path))?;
-    replace(file, path)
+    file.as_file().sync_all().map_err(Error::io("write", path))?;
+    let place = followed(path);
+    file.persist(&place).map_err(|e| Error::io("replace", path)(e.error))?;
+    // The rename survives a power cut only once the folder is on disk; not every file system
+    // supports that.
+    if let Ok(folder) = File::open(folder_of(&place)) {
+        let _ = folder.sync_all();
+    }
+    Ok(())
 }
 
 /// Checks whether [`write_atomic`] could write to `path` now, without writing.
@@ -86,7 +94,7 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
         return Err(Error::io("write", path)(io::ErrorKind::IsADirectory.into()));
     }
-    if is_stream(path) { Ok(()) } else { temporary_beside(path, "").map(drop) }
+    if is_stream(path) { Ok(()) } else { temporary_beside(path).map(drop) }
 }
 
 /// Returns whether `path` exists and is neither a file nor a folder.
@@ -100,37 +108,21 @@ fn followed(path: &Path) -> PathBuf {
     linked.unwrap_or_else(|| path.to_owned())
 }
 
-/// Creates an empty temporary file in the folder of `path`. The file is deleted on drop;
-/// [`replace`] renames it to `path`.
-pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFile, Error> {
+/// Creates an empty temporary file in the folder of `path`. The file is deleted on drop.
+fn temporary_beside(path: &Path) -> Result<NamedTempFile, Error> {
     tempfile::Builder::new()
-        .suffix(suffix)
         // Temporary files are private by default; these get the usual permissions of a new file
         // (minus the umask).
         .permissions(Permissions::from_mode(0o666))
         .tempfile_in(folder_of(&followed(path)))
-        .map_err(Error::io("create", path))
+        .map_err(|error| Error::io("create", path)(without_path(error)))
 }
 
-/// Forces `file` to disk and renames it to `path`, which replaces an existing file in one step.
-pub(crate) fn replace(file: NamedTempFile, path: &Path) -> Result<(), Error> {
-    if is_stream(path) {
-        let bytes = std::fs::read(file.path()).map_err(Error::io("write", path))?;
-        return std::fs::write(path, bytes).map_err(Error::io("write", path));
-    }
-    file.as_file().sync_all().map_err(Error::io("write", path))?;
-    let place = followed(path);
-    file.persist(&place).map_err(|e| Error::Io {
-        action: "replace",
-        path: path.to_owned(),
-        source: e.error,
-    })?;
-    // The rename survives a power cut only once the folder is on disk; not every file system
-    // supports that.
-    if let Ok(folder) = File::open(folder_of(&place)) {
-        let _ = folder.sync_all();
-    }
-    Ok(())
+/// Returns a system error without the path of the temporary file, which `tempfile` adds to it.
+fn without_path(error: io::Error) -> io::Error {
+    let cause = error.get_ref().and_then(std::error::Error::source);
+    let cause = cause.and_then(|cause| cause.downcast_ref::<io::Error>());
+    cause.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
 }
 
 /// Returns the folder that contains `path`; `.` for a bare file name.
@@ -249,6 +241,8 @@ mod tests {
         for error in [write_atomic(&path, b"x").unwrap_err(), JsonLines::create(&path).unwrap_err()]
         {
             assert!(error.to_string().contains("no/such/file"), "{error}");
+            let source = std::error::Error::source(&error).unwrap().to_string();
+            assert_eq!(source, "No such file or directory (os error 2)");
             assert!(
                 matches!(error, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
             );

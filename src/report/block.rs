@@ -106,20 +106,11 @@ impl Row<'_> {
     }
 
     /// Returns mean and interval of a metric. Bounds are infinite where the unit gives none (a
-    /// single seed, with seeds as the unit); bounds of rates stay between 0 and 100 %.
+    /// single seed, with seeds as the unit).
     pub(super) fn estimate(&self, metric: &Metric, unit: Unit) -> Option<Estimate> {
         let values = self.values(metric);
         match unit {
-            Unit::Seeds => {
-                let e = Estimate::t(&values)?;
-                let (low, high) = match metric.range() {
-                    Some((least, most)) if e.low.is_finite() => {
-                        (e.low.max(least), e.high.min(most))
-                    }
-                    _ => (e.low, e.high),
-                };
-                Some(Estimate { low, high, ..e })
-            }
+            Unit::Seeds => Some(metric.possible(Estimate::t(&values)?)),
             Unit::Episodes => {
                 let mut finished = self.finished();
                 let (only, None) = (finished.next()?, finished.next()) else { return None };

@@ -8,6 +8,7 @@ use base64::Engine as _;
 
 use super::Error;
 use crate::markup::escape as escaped;
+use crate::plot::Format;
 use crate::record;
 
 /// A document; see the module.
@@ -105,9 +106,10 @@ impl Document {
                     let bytes = std::fs::read(file).map_err(record::Error::io("read", file))?;
                     let data = base64::engine::general_purpose::STANDARD.encode(bytes);
                     let text = escaped(text);
+                    let kind = Format::of(file)?.media_type();
                     writeln!(
                         out,
-                        "<figure><img src=\"data:image/png;base64,{data}\" alt=\"{text}\">\
+                        "<figure><img src=\"data:{kind};base64,{data}\" alt=\"{text}\">\
                          <figcaption>{text}</figcaption></figure>"
                     )
                 }

@@ -6,6 +6,8 @@
 //! places of the horizontal axis (numbers of vehicles, ranges) follow Agarwal et al. (2021), see
 //! [`crate::stats::aggregate`].
 
+#![cfg(feature = "learn")]
+
 mod block;
 mod document;
 mod export;
@@ -15,7 +17,7 @@ mod tables;
 use std::path::{Path, PathBuf};
 
 use crate::metrics::{EvaluationResult, Shown};
-use crate::plot;
+use crate::plot::{self, Format};
 use crate::provenance::Training;
 use crate::record::{self, write_atomic};
 use crate::sweep::{self, Cell, Sweep};
@@ -27,13 +29,19 @@ fn training(cell: &Cell, found: Option<&EvaluationResult>) -> Option<Training> {
     cell.run().training().or_else(|| found?.run.clone())
 }
 
-/// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures, `summary.json`
-/// (the metrics of every run) and `marl_eval.json` (the format of InstaDeep's marl-eval). Returns
-/// the paths of the written files.
+/// Writes the report of a sweep into a folder: `report.md`, `report.html`, figures in the given
+/// format, `summary.json` (the metrics of every run) and `marl_eval.json` (the format of InstaDeep's
+/// marl-eval). Returns the paths of the written files.
 ///
 /// # Errors
 /// If no cell is evaluated yet, or a file cannot be read or written.
-pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write(
+    sweep: &Sweep,
+    command: &str,
+    out: &Path,
+    format: Format,
+) -> Result<Vec<PathBuf>, Error> {
+    let figure = |name: &str| out.join(format!("{name}.{}", format.extension()));
     for cell in &sweep.cells {
         cell.check()?;
     }
@@ -54,7 +62,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
     tables::introduce(&mut document, sweep, command);
     for block in blocks.iter().filter(|block| found(block)) {
         document.heading(2, &heading(sweep, block));
-        let file = out.join(format!("{}.png", block.evaluate.name));
+        let file = figure(&block.evaluate.name);
         figures::results(&file, sweep, block)?;
         let all: Vec<&str> = block.metrics(Shown::InFigures).map(|metric| metric.title).collect();
         let shown =
@@ -72,7 +80,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
         tables::knowledge(&mut document, block);
         if block.categories.len() > 1 && block.series.len() > 1 {
             tables::aggregates(&mut document, block);
-            let file = out.join(format!("{}_profile.png", block.evaluate.name));
+            let file = figure(&format!("{}_profile", block.evaluate.name));
             if figures::profile(&file, block)? {
                 document
                     .figure(&file, "Performance profile: share of runs above each success rate");
@@ -80,7 +88,7 @@ pub fn write(sweep: &Sweep, command: &str, out: &Path) -> Result<Vec<PathBuf>, E
             }
         }
     }
-    let file = out.join("learning_curves.png");
+    let file = figure("learning_curves");
     if figures::learning_curves(&file, &blocks[0])? {
         document.heading(2, "Learning curves");
         document.figure(&file, "Success in validation against environment steps, mean over seeds");

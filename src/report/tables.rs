@@ -10,6 +10,7 @@ use crate::stats::aggregate::{
 };
 use crate::stats::{self, Estimate};
 use crate::sweep::{State, Sweep};
+use crate::words::counted;
 
 /// Adds the command that makes the report, and the numbers of runs that are finished, trained and
 /// failed.
@@ -18,7 +19,7 @@ pub(super) fn introduce(document: &mut Document, sweep: &Sweep, command: &str) {
     let states: Vec<State> =
         sweep.cells.iter().map(|cell| cell.state(&sweep.evaluations)).collect();
     let finished = states.iter().filter(|state| **state == State::Finished).count();
-    let mut text = format!("{finished} of {} runs are finished", states.len());
+    let mut text = format!("{finished} of {} are finished", counted(states.len(), "run"));
     let trained = states.iter().filter(|state| matches!(state, State::Trained(_))).count();
     if trained > 0 {
         let _ = write!(text, ", {trained} more are trained, with evaluations missing");
@@ -238,9 +239,8 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let missing = block.series.len() - lines.len();
     document.heading(3, "Aggregated success");
     if missing > 0 {
-        document.text(format!(
-            "{missing} lines are left out because not all of their runs are finished."
-        ));
+        let left_out = counted(missing, "line");
+        document.text(format!("Left out, because not all runs are finished: {left_out}."));
     }
     document.text(
         "Aggregates over all runs and all values of the horizontal axis, as in rliable: interquartile mean (IQM), median and \

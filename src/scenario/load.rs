@@ -130,9 +130,12 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
     let range = AgentRange::read(&element, "")?;
     let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
     let refuse = |key, allowed: String| Err(element.reader.value(element.node, key, allowed));
+    let places = "the number of places of the largest net";
+    if range.min > largest {
+        return refuse("min", format!("1 to {largest}, {places}"));
+    }
     if range.max < range.min || range.max > largest {
-        let places = "the number of places of the largest net";
-        return refuse("max", format!("{} to {largest}, {places}", range.min));
+        return refuse("max", format!("{} (`min`) to {largest}, {places}", range.min));
     }
     if !(range.min..=range.max).contains(&range.default) {
         return refuse("default", format!("whole number from {} to {}", range.min, range.max));

@@ -70,11 +70,11 @@ impl<'a, 'input> Element<'a, 'input> {
     pub(super) fn refuse(&self, name: &str) -> Error {
         let kind = self.schema.attribute(name).map(|known| &known.kind);
         let value = self.node.attribute(name).unwrap_or_default();
-        self.reader.value(
-            self.node,
-            name,
-            kind.map(|kind| kind.instead_of(value)).unwrap_or_default(),
-        )
+        let mut allowed = kind.map(|kind| kind.instead_of(value)).unwrap_or_default();
+        if matches!(kind, Some(Kind::Number { .. } | Kind::List { .. })) {
+            allowed += limit(value);
+        }
+        self.reader.value(self.node, name, allowed)
     }
 
     /// Checks the element and all elements in it against the schema.
@@ -189,8 +189,9 @@ impl<'a, 'input> Reader<'a, 'input> {
         allowed: &str,
         valid: impl Fn(f64) -> bool,
     ) -> Result<f64, Error> {
-        let number = finite(self.text(node, key)?).filter(|&v| valid(v));
-        number.ok_or_else(|| self.value(node, key, allowed))
+        let text = self.text(node, key)?;
+        let number = finite(text).filter(|&v| valid(v));
+        number.ok_or_else(|| self.value(node, key, format!("{allowed}{}", limit(text))))
     }
 
     /// Returns the place of a byte offset.
@@ -252,6 +253,12 @@ impl<'a, 'input> Reader<'a, 'input> {
         let value = node.attribute(key).unwrap_or_default();
         Error::value(self.place(node, key), node.tag_name().name(), key, value, allowed)
     }
+}
+
+/// Returns the limit of all numbers, in words, if one of the numbers in a text is beyond it.
+fn limit(text: &str) -> &'static str {
+    let beyond = |word: &str| word.parse::<f64>().is_ok_and(|v| v.abs() > MAX_NUMBER);
+    if text.split_whitespace().any(beyond) { ", at most 1e9 in magnitude" } else { "" }
 }
 
 pub(super) fn finite(text: &str) -> Option<f64> {

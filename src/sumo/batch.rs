@@ -12,7 +12,8 @@ use super::{
     Error,
     codec::{Reader, Value, Writer},
     constants::{self as c, Domain},
-    domain::{Argument as _, SubscriptionArgument, VariableId, VariableWith},
+    value::Argument as _,
+    variable::{SubscriptionArgument, VariableId, VariableWith},
 };
 
 /// The part of a reply that follows the status of a command that SUMO carried out.

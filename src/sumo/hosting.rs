@@ -5,6 +5,7 @@ use std::{ffi::OsString, fmt, str::FromStr, thread, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use super::{Error, Simulation, SimulationConfig, TraciSimulation, fleet::Fleet};
+use crate::words::counted;
 
 /// The way in which this program talks to SUMO.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,10 +121,12 @@ impl Hosting {
 
     /// Describes the hosting of this number of worlds in words.
     pub fn describe(&self, worlds: usize) -> String {
-        match (self.backend, self.hosts(worlds)) {
-            (Backend::Libsumo, _) => format!("{worlds} worlds in one libsumo, in process"),
-            (Backend::Traci, 1) => format!("{worlds} worlds in one SUMO process (TraCI)"),
-            (Backend::Traci, hosts) => format!("{worlds} worlds in {hosts} SUMO processes (TraCI)"),
+        let hosts = self.hosts(worlds);
+        let worlds = counted(worlds, "world");
+        match (self.backend, hosts) {
+            (Backend::Libsumo, _) => format!("{worlds} in one libsumo, in process"),
+            (Backend::Traci, 1) => format!("{worlds} in one SUMO process (TraCI)"),
+            (Backend::Traci, hosts) => format!("{worlds} in {hosts} SUMO processes (TraCI)"),
         }
     }
 

@@ -22,12 +22,14 @@ pub mod replies;
 pub mod reply;
 mod simulation;
 mod traci;
+mod value;
+mod variable;
 
 pub use batch::{Batch, CallResult};
 pub use client::{Client, ClientBatch, Version};
 pub use codec::Value;
 pub use constants::Domain;
-pub use domain::{FromValue, Scope, Ticket, Variable, VariableId, VariableWith};
+pub use domain::{Scope, Ticket};
 pub use error::Error;
 pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
 #[cfg(feature = "libsumo")]
@@ -39,3 +41,5 @@ pub use simulation::{
     SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;
+pub use value::FromValue;
+pub use variable::{Variable, VariableId, VariableWith};

@@ -25,6 +25,8 @@
 //! The progress of a sweep follows only from the files in the cells' folders, so that a sweep can
 //! be interrupted at any moment, divided over machines, and continued.
 
+#![cfg(feature = "learn")]
+
 mod base;
 mod cell;
 mod error;

@@ -89,8 +89,23 @@ impl RunDir {
         training_of(&self.read_meta()?)
     }
 
+    /// Returns the content of `meta.json`; `None`, with a warning unless the file is missing, if it
+    /// cannot be read.
     pub(super) fn read_meta(&self) -> Option<Value> {
-        serde_json::from_slice(&std::fs::read(self.meta()).ok()?).ok()
+        let path = self.meta();
+        let read = std::fs::read(&path).map_err(|error| {
+            (error.kind() != std::io::ErrorKind::NotFound).then(|| error.to_string())
+        });
+        let value = read.and_then(|bytes| {
+            serde_json::from_slice(&bytes).map_err(|error| Some(error.to_string()))
+        });
+        if let Err(Some(error)) = &value {
+            tracing::warn!(
+                "`{}` is damaged, so what the run was trained with is not known: {error}",
+                path.display()
+            );
+        }
+        value.ok()
     }
 
     fn write_meta(&self, meta: &Value) -> Result<(), record::Error> {

@@ -557,10 +557,13 @@ fn maps_without_a_site_are_refused() {
     let error =
         import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8, false)
             .unwrap_err();
-    assert!(error.to_string().contains("the net has no junction where"), "{error}");
+    assert!(error.to_string().contains("x.net.xml`: the map has no junction where"), "{error}");
+    assert!(error.hint().unwrap().contains("take a map that contains a junction"), "{error}");
     let paths = file("paths.osm", &no_road);
     let error = import(folder.path(), "paths", Map::Osm(&paths), None, 8, false).unwrap_err();
-    assert!(error.to_string().contains("No edges loaded"), "{error}");
+    let said = error.to_string();
+    assert!(said.contains("paths.osm`: ") && said.contains("No edges loaded"), "{said}");
+    assert!(error.hint().unwrap().contains("streets for cars"), "{error}");
     let single = file(
         "single.osm",
         &OSM.replace("way id=\"11\"><nd ref=\"4\"/>", "way id=\"11\">")
@@ -570,7 +573,8 @@ fn maps_without_a_site_are_refused() {
     assert!(error.to_string().contains("no roads for cars that lead to others"), "{error}");
     let broken = file("broken.osm", "<osm><node id='1'");
     let error = import(folder.path(), "broken", Map::Osm(&broken), None, 8, false).unwrap_err();
-    assert!(matches!(error, Error::Netconvert { .. }), "{error}");
+    assert!(matches!(error, Error::Map { .. }), "{error}");
+    assert!(!error.to_string().contains(".tmp"), "{error}");
     let error = import(folder.path(), "net", Map::Net(&broken), None, 8, false).unwrap_err();
     assert!(matches!(error, Error::Net(_)), "{error}");
     let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8, false)

@@ -186,6 +186,11 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         text(&mut iwol(&["plot", &runs[0], &runs[1], &runs[2], "--x", axis, "--out", &picture]));
         assert!(fs::metadata(&picture).expect("a picture").len() > 10_000);
     }
+    text(&mut iwol(&["plot", &name("mappo_0"), "--out", &name("curve.svg")]));
+    let svg = fs::read_to_string(name("curve.svg")).expect("a picture");
+    assert!(svg.starts_with("<svg ") && svg.contains("environment steps"), "{svg}");
+    let found = refused(&mut iwol(&["plot", &name("mappo_0"), "--out", &name("curve.pdf")]));
+    assert!(found.contains("curve.pdf") && found.contains(".png or .svg"), "{found}");
     // A run that a report kept contains only its settings and validations.
     let kept = at("kept");
     fs::create_dir(&kept).expect("a folder");
@@ -197,4 +202,10 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     fs::write(kept.join("metrics.jsonl"), validations.join("\n") + "\n").expect("written");
     text(&mut iwol(&["plot", &name("kept"), "--out", &name("kept.png")]));
     assert!(fs::metadata(name("kept.png")).expect("a picture").len() > 10_000);
+
+    // A file that says what a policy was trained with is not ignored in silence if it is damaged.
+    fs::write(at("mappo_0").join("meta.json"), "{\"steps\":").expect("written");
+    let output = iwol(&["evaluate", &name("mappo_0"), "--episodes", "1"]).output().expect("it ran");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("mappo_0/meta.json` is damaged"), "{said}");
 }

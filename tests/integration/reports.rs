@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use iwol_sumo::plot::Format;
 use iwol_sumo::report;
 use iwol_sumo::sweep::{Cell, Sweep};
 use serde_json::{Value, json};
@@ -71,7 +72,7 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
 /// Returns the report in Markdown, and `summary.json`.
 fn report(sweep: &Sweep, folder: &Path) -> (String, Value) {
     let out = folder.join("report");
-    report::write(sweep, "iwol report", &out).expect("a report");
+    report::write(sweep, "iwol report", &out, Format::Png).expect("a report");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).expect("written");
     (read("report.md"), serde_json::from_str(&read("summary.json")).expect("JSON"))
 }
@@ -89,6 +90,24 @@ fn tables(markdown: &str) -> Vec<Vec<Vec<String>>> {
     }
     tables.retain(|table| !table.is_empty());
     tables
+}
+
+#[test]
+fn figures_of_a_report_can_be_svg() {
+    let folder = folder();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).expect("a sweep");
+    results(&sweep, |_| 0.9, |_| Value::Null);
+    let out = folder.path().join("report");
+    let written = report::write(&sweep, "iwol report", &out, Format::Svg).expect("a report");
+    let figures: Vec<_> =
+        written.iter().filter(|path| path.extension().is_some_and(|end| end == "svg")).collect();
+    assert!(figures.len() > 1 && !written.iter().any(|path| path.ends_with(".png")), "{written:?}");
+    for figure in figures {
+        let text = std::fs::read_to_string(figure).expect("written");
+        roxmltree::Document::parse(&text).expect("XML");
+    }
+    let page = std::fs::read_to_string(out.join("report.html")).expect("written");
+    assert!(page.contains("data:image/svg+xml;base64,") && !page.contains("image/png"));
 }
 
 #[test]

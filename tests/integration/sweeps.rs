@@ -350,7 +350,7 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
     let alone = sweep(&file, &out, &["--cell", "mappo_agents=5/seed_0"]).output().expect("it ran");
     assert_eq!(alone.status.code(), Some(1), "{}", text(&alone.stderr));
     assert!(
-        text(&alone.stderr).contains("1 cells wait for other cells"),
+        text(&alone.stderr).contains("1 of 1 cell must wait for other cells"),
         "{}",
         text(&alone.stderr)
     );

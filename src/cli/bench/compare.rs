@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail, ensure};
 use iwol_sumo::sumo::{self, Backend, Command, Snapshot};
+use iwol_sumo::words::counted;
 use serde::{Deserialize, Serialize};
 
 use super::host::Host;
@@ -56,14 +57,13 @@ impl Client {
     fn name(&self) -> String {
         match self {
             Client::Ours(backend, worlds, processes) => {
-                let worlds =
-                    if *worlds == 1 { "1 world".to_owned() } else { format!("{worlds} worlds") };
-                let place = match (backend, *processes) {
-                    (Backend::Libsumo, _) => "in process".to_owned(),
-                    (Backend::Traci, 1) => "1 process".to_owned(),
-                    (Backend::Traci, n) => format!("{n} processes"),
+                let place = match backend {
+                    Backend::Libsumo => "in process".to_owned(),
+                    Backend::Traci => {
+                        format!("{processes} process{}", if *processes == 1 { "" } else { "es" })
+                    }
                 };
-                format!("iwol {backend}, {worlds}, {place}")
+                format!("iwol {backend}, {}, {place}", counted(worlds, "world"))
             }
             Client::Python("libsumo") => "Python libsumo".to_owned(),
             Client::Python("subscribed") => "Python traci, subscribed".to_owned(),

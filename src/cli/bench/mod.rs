@@ -1,5 +1,7 @@
 //! `iwol bench`: measures the speed of simulation, decisions and updates.
 
+#![cfg(feature = "learn")]
+
 mod act;
 mod compare;
 mod host;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use iwol_sumo::evaluate::DETERMINED;
 use iwol_sumo::metrics::{self, Better, EvaluationResult, Knowledge, Metric};
+use iwol_sumo::words::counted;
 
 /// Describes how much of the variance of a target a latent explains: of the whole target, and of
 /// the features that the observation does not determine.
@@ -61,16 +62,17 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
     if let Some(first) = rows.first() {
         let _ = writeln!(
             text,
-            "{}, {}, {} episodes, seed {}: mean [95 % interval]",
+            "{}, {}, {}, seed {}: mean [95 % interval]",
             first.scenario,
             first.learners.map_or_else(
-                || format!("{} agents", first.agents),
+                || counted(first.agents, "agent"),
                 |learners| format!(
-                    "{learners} agents among {} vehicles at spawn places",
-                    first.agents
+                    "{} among {} at spawn places",
+                    counted(learners, "agent"),
+                    counted(first.agents, "vehicle")
                 )
             ),
-            first.episodes,
+            counted(first.episodes, "episode"),
             first.seed
         );
     }

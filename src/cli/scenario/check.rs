@@ -8,6 +8,7 @@ use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::{Finding, Findings, Scenario, Severity};
 use iwol_sumo::sumo::{self, Hosting};
+use iwol_sumo::words::counted;
 use serde::Serialize;
 
 use super::Verdict;
@@ -84,7 +85,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         tell!("{}", serde_json::to_string(&report)?);
     } else {
         print(&findings, trial.as_ref());
-        tell!("{}: {errors} errors, {warnings} warnings", args.scenario.display());
+        tell!(
+            "{}: {}, {}",
+            args.scenario.display(),
+            counted(errors, "error"),
+            counted(warnings, "warning")
+        );
     }
     Ok(if errors > 0 { Verdict::Bad } else { Verdict::Good })
 }
@@ -135,10 +141,10 @@ fn print_trial(trial: &Trial) {
         );
     }
     tell!(
-        "trial: {} agents, {} steps, {} episodes ended, {:.0} steps/s of one world",
-        trial.agents,
-        trial.steps,
-        trial.episodes,
+        "trial: {}, {}, {} ended, {:.0} steps/s of one world",
+        counted(trial.agents, "agent"),
+        counted(trial.steps, "step"),
+        counted(trial.episodes, "episode"),
         trial.steps_per_second
     );
 }

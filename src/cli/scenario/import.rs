@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use iwol_sumo::scenario::author::{Candidate, Map, import};
+use iwol_sumo::words::counted;
 
 use super::Verdict;
 
@@ -48,7 +49,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("netconvert: {warning}");
     }
     if imported.warnings.len() > LISTED {
-        say!("netconvert: {} more warnings", imported.warnings.len() - LISTED);
+        say!("netconvert: {}", counted(imported.warnings.len() - LISTED, "more warning"));
     }
     say!("{:<32} {:<20} {:>5} {:>7} {:>7}", "junction", "type", "arms", "routes", "places");
     for (i, Candidate { junction, kind, arms, routes, places }) in
@@ -59,8 +60,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if imported.candidates.len() > LISTED {
         say!(
-            "and {} more junctions; choose one with --junction",
-            imported.candidates.len() - LISTED
+            "and {}; choose one with --junction",
+            counted(imported.candidates.len() - LISTED, "more junction")
         );
     }
     super::next(&imported.scenario);

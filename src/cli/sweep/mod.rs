@@ -1,5 +1,7 @@
 //! `iwol sweep`
 
+#![cfg(feature = "learn")]
+
 mod progress;
 mod slurm;
 mod work;
@@ -8,7 +10,9 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
 use anyhow::bail;
+use globset::Glob;
 use iwol_sumo::sweep::{Cell, State, Sweep};
+use iwol_sumo::words::counted;
 
 use self::progress::{table, time_left};
 use super::Verdict;
@@ -26,10 +30,11 @@ pub(super) struct Args {
     /// Run only every N-th cell, starting with the I-th, to divide the grid among N machines
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(usize, usize)>,
-    /// Run only the cells with this name or number, as `--dry-run` shows them; `*` matches any part
-    /// of a name, e.g. 'mappo*/seed_0'; may be repeated
+    /// Run only the cells with this name or number, as `--dry-run` shows them; may be repeated.
+    /// Names may be glob patterns, e.g. 'mappo*/seed_[0-4]': `*` matches any part of a name, `/`
+    /// included, `?` one character, `[0-4]` one of these, and `{a,b}` either
     #[arg(long, value_name = "CELL", conflicts_with = "shard")]
-    cell: Vec<String>,
+    cell: Vec<Glob>,
     /// Show the cells, their progress and the estimated remaining time; run nothing
     #[arg(long)]
     dry_run: bool,
@@ -55,40 +60,33 @@ fn parse_shard(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
-/// Returns whether a name matches a pattern in which `*` stands for any part of the name.
-fn matches(wanted: &str, name: &str) -> bool {
-    match wanted.split_once('*') {
-        None => wanted == name,
-        Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {
-            rest.char_indices()
-                .map(|(at, _)| at)
-                .chain([rest.len()])
-                .any(|at| matches(after, &rest[at..]))
-        }),
-    }
+/// Returns whether a pattern selects a cell, by its name or number.
+fn selects(wanted: &Glob, number: usize, name: &str) -> bool {
+    wanted.glob() == number.to_string() || wanted.compile_matcher().is_match(name)
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.out)?;
-    let named = |wanted: &str, number: usize, cell: &Cell| {
-        wanted == number.to_string() || matches(wanted, &cell.id)
-    };
     let mine = |(number, cell): &(usize, &Cell)| match args.shard {
         Some((i, n)) => number % n == i - 1,
-        None => args.cell.is_empty() || args.cell.iter().any(|wanted| named(wanted, *number, cell)),
+        None => {
+            args.cell.is_empty()
+                || args.cell.iter().any(|wanted| selects(wanted, *number, &cell.id))
+        }
     };
-    let count = sweep.cells.len();
-    let unknown = |wanted: &&String| {
-        !sweep.cells.iter().enumerate().any(|(number, cell)| named(wanted, number, cell))
+    let count = counted(sweep.cells.len(), "cell");
+    let unknown = |wanted: &&Glob| {
+        !sweep.cells.iter().enumerate().any(|(number, cell)| selects(wanted, number, &cell.id))
     };
     if let Some(wanted) = args.cell.iter().find(unknown) {
         bail!(
-            "there is no cell `{wanted}`; the sweep has {count} cells, numbered from 0; --dry-run without --cell lists them"
+            "there is no cell `{}`; the sweep has {count}, numbered from 0; --dry-run without --cell lists them",
+            wanted.glob()
         );
     }
     let cells: Vec<(usize, &Cell)> = sweep.cells.iter().enumerate().filter(mine).collect();
     if cells.is_empty() {
-        bail!("this shard contains no cell; the sweep has only {count} cells");
+        bail!("this shard contains no cell; the sweep has only {count}");
     }
     for (_, cell) in &cells {
         cell.check()?;
@@ -117,7 +115,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         }
     }
     if !failed.is_empty() {
-        say!("\n{} of {} cells failed; run them again with --retry", failed.len(), cells.len());
+        let all = counted(cells.len(), "cell");
+        say!("\n{} of {all} failed; run them again with --retry", failed.len());
     }
     if stop.load(Ordering::Relaxed) {
         say!("stopped; run the same command again to continue");
@@ -126,7 +125,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let waiting = cells.iter().filter(|(_, cell)| sweep.waits_for(cell).is_some()).count();
     if waiting > 0 {
         say!(
-            "{waiting} cells wait for other cells that failed or are not in this part of the grid; run the same command again to continue"
+            "{waiting} of {} must wait for other cells that failed or are not in this part of the grid; run the same command again to continue",
+            counted(cells.len(), "cell")
         );
         return Ok(Verdict::Bad);
     }
@@ -134,8 +134,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         states().filter(|state| !matches!(state, State::Finished | State::Failed(_))).count();
     if open > 0 {
         say!(
-            "{open} of {} cells are not finished: they were stopped, or another process works on them; run the same command again to continue",
-            cells.len()
+            "{open} of {} are not finished: they were stopped, or another process works on them; run the same command again to continue",
+            counted(cells.len(), "cell")
         );
         return Ok(Verdict::Bad);
     }
@@ -149,8 +149,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 mod tests {
     use super::*;
 
+    fn selects(wanted: &str, name: &str) -> bool {
+        super::selects(&Glob::new(wanted).expect("a pattern"), 12, name)
+    }
+
     #[test]
-    fn a_star_stands_for_any_part_of_a_name() {
+    fn a_pattern_selects_cells_by_name_or_number() {
         for wanted in [
             "mappo_agents=8/seed_0",
             "*",
@@ -160,13 +164,16 @@ mod tests {
             "*agents=8*",
             "m*p*8*0",
             "mappo_agents=8/seed_0*",
+            "12",
+            "mappo_agents=?/seed_[0-4]",
+            "{mappo,mat}_*",
         ] {
-            assert!(matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
+            assert!(selects(wanted, "mappo_agents=8/seed_0"), "{wanted}");
         }
         for wanted in
-            ["", "mappo", "*seed_1", "mappo*/seed_", "mappo_agents=8/seed_0*0", "agents=8*"]
+            ["", "mappo", "*seed_1", "mappo*/seed_", "mappo_agents=8/seed_0*0", "agents=8*", "1"]
         {
-            assert!(!matches(wanted, "mappo_agents=8/seed_0"), "{wanted}");
+            assert!(!selects(wanted, "mappo_agents=8/seed_0"), "{wanted}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use iwol_sumo::sweep::{Cell, State, Sweep};
 use iwol_sumo::train::human_duration;
+use iwol_sumo::words::counted;
 
 /// Formats one line per cell, and the time that the remaining cells will take.
 pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
@@ -35,7 +36,8 @@ pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {
         count(&|state| *state == State::Finished),
         count(&|state| matches!(state, State::Failed(_))),
     );
-    let _ = writeln!(text, "{finished} of {} cells finished, {failed} failed", cells.len());
+    let _ =
+        writeln!(text, "{finished} of {} finished, {failed} failed", counted(cells.len(), "cell"));
     if finished + failed < cells.len() {
         let left = time_left(sweep, cells).map_or_else(
             || "unknown until the first cell is trained".to_owned(),

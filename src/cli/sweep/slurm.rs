@@ -8,6 +8,7 @@ use std::time::SystemTime;
 use anyhow::{Context as _, bail};
 use iwol_sumo::record::write_atomic;
 use iwol_sumo::sweep::{Cell, State, Sweep};
+use iwol_sumo::words::counted;
 
 use super::Args;
 use crate::cli::Verdict;
@@ -53,14 +54,14 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr);
         bail!(
-            "sbatch refused `{}`: {} ({} tasks; the cluster's MaxArraySize, 1001 by default, limits their number: see --shard)",
+            "sbatch refused `{}`: {} ({}; the cluster's MaxArraySize, 1001 by default, limits their number: see --shard)",
             path.display(),
             why.trim(),
-            numbers.len()
+            counted(numbers.len(), "task")
         );
     }
     let job = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-    say!("{} cells submitted with {}", numbers.len(), path.display());
+    say!("{} submitted with {}", counted(numbers.len(), "cell"), path.display());
     say!("watch them with: squeue --job {job}; iwol sweep {} --dry-run", args.file.display());
     tell!("{job}");
     Ok(Verdict::Good)

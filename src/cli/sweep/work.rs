@@ -12,6 +12,7 @@ use anyhow::Context as _;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use iwol_sumo::sweep::{Cell, Job, State, Sweep};
 use iwol_sumo::train::human_duration;
+use iwol_sumo::words::counted;
 
 use super::super::INTERRUPTED;
 use super::time_left;
@@ -35,7 +36,7 @@ pub(super) fn run(
     });
     let queue: Mutex<VecDeque<&Cell>> = Mutex::new(open.map(|(_, cell)| *cell).collect());
     let count = queue.lock().expect("no worker panics").len();
-    say!("{count} of {} cells to do, {jobs} at a time", cells.len());
+    say!("{count} of {} to do, {jobs} at a time", counted(cells.len(), "cell"));
     let screen = Screen::new(count, jobs);
     // Number of cells in work; cells that wait for one of them may still become ready.
     let busy = AtomicUsize::new(0);

@@ -13,7 +13,7 @@ const HARD: f64 = 6.0;
 const CLOSE: f64 = 1.5;
 /// Upper limit of times to collision and post-encroachment times \[s\]. Vehicles further apart in
 /// time do not affect each other.
-const HORIZON: f64 = 5.0;
+pub const MAX_TIME_APART: f64 = 5.0;
 
 /// What is recorded about one background vehicle.
 #[derive(Debug, Clone, Copy, Default)]
@@ -62,8 +62,8 @@ impl Effects {
             road_users: vec![RoadUser::default(); road_users],
             passes: vec![NOT_YET; agents * road_users],
             left: [left(), left()],
-            ttc: HORIZON,
-            pet: HORIZON,
+            ttc: MAX_TIME_APART,
+            pet: MAX_TIME_APART,
         }
     }
 
@@ -72,7 +72,7 @@ impl Effects {
         self.road_users.fill(RoadUser::default());
         self.passes.fill(NOT_YET);
         self.left.iter_mut().for_each(Vec::clear);
-        (self.ttc, self.pet) = (HORIZON, HORIZON);
+        (self.ttc, self.pet) = (MAX_TIME_APART, MAX_TIME_APART);
     }
 
     /// Stores the record of a vehicle or pedestrian (`walks`) that has left the road, so that its
@@ -177,14 +177,14 @@ fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
 }
 
 /// Returns the time until two vehicles touch if both keep their speeds and headings, at most
-/// [`HORIZON`] \[s\].
+/// [`MAX_TIME_APART`] \[s\].
 fn time_to_collision(a: &Slot, b: &Slot) -> f64 {
     let reach = (a.size[0] + a.size[1] + b.size[0] + b.size[1]) / 2.0;
-    if a.pose.distance(&b.pose) > reach + HORIZON * (a.speed.abs() + b.speed.abs()) {
-        return HORIZON;
+    if a.pose.distance(&b.pose) > reach + MAX_TIME_APART * (a.speed.abs() + b.speed.abs()) {
+        return MAX_TIME_APART;
     }
     let contact = time_to_contact((&a.pose, a.size, a.speed), (&b.pose, b.size, b.speed));
-    contact.map_or(HORIZON, |time| time.min(HORIZON))
+    contact.map_or(MAX_TIME_APART, |time| time.min(MAX_TIME_APART))
 }
 
 #[cfg(test)]
@@ -232,10 +232,10 @@ mod tests {
         );
         assert_eq!(
             time_to_collision(&at(0.0, 5.0), &at(34.0, 5.0)),
-            HORIZON,
+            MAX_TIME_APART,
             "it keeps its distance"
         );
-        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(900.0, 0.0)), HORIZON, "it is far");
+        assert_eq!(time_to_collision(&at(0.0, 9.0), &at(900.0, 0.0)), MAX_TIME_APART, "it is far");
         assert_eq!(time_to_collision(&at(0.0, 9.0), &at(3.0, 9.0)), 0.0, "they overlap");
     }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::agents::{Crash, Slot, Status};
+use crate::words::counted;
 
 /// A crash counts as upstream when the first conflict point of the agent's route is farther ahead
 /// than this \[m\].
@@ -119,8 +120,9 @@ impl Failures {
         if crashed > 0 {
             let share = |count: u32| 100.0 * f64::from(count) / f64::from(crashed);
             lines.push(format!(
-                "{crashed} vehicles crashed: {:.0} % with a vehicle on a crossing route, \
+                "{} crashed: {:.0} % with a vehicle on a crossing route, \
                  {:.0} % with one on their own route, {:.0} % into a wreck",
+                counted(crashed, "vehicle"),
                 share(self.crossing),
                 share(self.rear_end),
                 share(self.wreck)
@@ -141,12 +143,12 @@ impl Failures {
             } else {
                 format!(": {}", most(&self.off_road))
             };
-            lines.push(format!("{} vehicles went off-road{routes}", self.out_of_road));
+            lines.push(format!("{} went off-road{routes}", counted(self.out_of_road, "vehicle")));
         }
         if self.unfinished > 0 {
             lines.push(format!(
-                "{} vehicles had not arrived at the end of their episode",
-                self.unfinished
+                "{} did not arrive before the end of an episode",
+                counted(self.unfinished, "vehicle")
             ));
         }
         lines
@@ -165,6 +167,8 @@ mod tests {
         second.leave("a");
         second.leave("a");
         assert_eq!(first.plus(&second).describe(), ["4 vehicles went off-road: a 2, b 2"]);
+        let one = Failures { unfinished: 1, ..Failures::default() };
+        assert_eq!(one.describe(), ["1 vehicle did not arrive before the end of an episode"]);
         let older = Failures { out_of_road: 3, ..Failures::default() };
         assert_eq!(older.describe(), ["3 vehicles went off-road"]);
     }

@@ -7,7 +7,7 @@ use super::audit::Audit;
 use super::failures::Failures;
 
 /// Metrics of one finished episode. Shares are fractions of the episode's N agents.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     /// Number of the episode in its seed stream.
     pub episode: u64,

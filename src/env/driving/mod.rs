@@ -41,6 +41,7 @@ pub(super) mod tests;
 pub use agents::Outcome;
 pub use audit::Audit;
 pub use comm::physical_mask;
+pub use effects::MAX_TIME_APART;
 pub use episode::WorldState;
 pub use error::Error;
 pub use failures::Failures;

@@ -75,12 +75,22 @@ pub enum Error {
     #[error(transparent)]
     Net(#[from] sumo::net::NetError),
     /// A map has no junction at which vehicles have to coordinate.
-    #[error("{}: {why}", path.display())]
+    #[error("`{}`: {why}", path.display())]
     NoSite {
         /// The net or map.
         path: PathBuf,
         /// What is missing.
         why: String,
+        /// What the user can do.
+        hint: &'static str,
+    },
+    /// netconvert rejects the map of an import.
+    #[error("netconvert cannot convert `{}`: {message}", path.display())]
+    Map {
+        /// The map.
+        path: PathBuf,
+        /// Error message of netconvert.
+        message: String,
     },
     /// The scenario is not valid.
     #[error(transparent)]
@@ -99,8 +109,11 @@ impl Error {
             Self::Sumo(e) => e.hint(),
             Self::Net(e) => e.hint(),
             Self::Scenario(e) => e.hint(),
-            Self::NoSite { .. } => Some(
-                "open the map in netedit to see its junctions; --junction takes the id of one of them".to_owned(),
+            Self::NoSite { hint, .. } => Some((*hint).to_owned()),
+            Self::Map { .. } => Some(
+                "--osm takes an extract of OpenStreetMap with streets for cars, as XML (.osm), as www.openstreetmap.org exports \
+                 it; --net takes a SUMO net"
+                    .to_owned(),
             ),
             _ => None,
         }

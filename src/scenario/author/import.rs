@@ -104,12 +104,17 @@ pub fn import(
             Map::Osm(file) => {
                 copy(file, &layout.file("osm.xml"))?;
                 layout.configure(&[("osm-files", format!("{name}.osm.xml"))], &OSM_OPTIONS)?;
-                let warnings = netconvert::convert(&layout.net)?;
+                // The configuration is not left behind; the user's file is the map.
+                let warnings = netconvert::convert(&layout.net).map_err(|error| match error {
+                    Error::Netconvert { message, .. } => Error::Map { path: file.into(), message },
+                    error => error,
+                })?;
                 let text = fs::read_to_string(&layout.net);
                 if !text.is_ok_and(|net| net.contains("<edge ")) {
                     return Err(Error::NoSite {
                         path: file.into(),
                         why: "the map has no roads for cars that lead to others".into(),
+                        hint: LARGER,
                     });
                 }
                 warnings
@@ -129,7 +134,8 @@ pub fn import(
             }
         };
         if chosen >= sites.len() {
-            return Err(Error::NoSite { path: net.path.clone(), why: no_site(&net, junction) });
+            let (Map::Osm(file) | Map::Net(file)) = map;
+            return Err(no_site(file, &net, junction, &sites));
         }
         let proposal = sites.remove(chosen);
         let candidates =
@@ -152,21 +158,38 @@ pub fn import(
     })
 }
 
-/// Returns why no scenario can be made of a net, or of one of its junctions.
-fn no_site(net: &Net, junction: Option<&str>) -> String {
+/// What to do about a map without a site.
+const LARGER: &str = "take a map that contains a junction of at least two streets for cars, with some 50 m of each street";
+/// What to do about a junction that is no site.
+const OTHER: &str = "choose another id with --junction, or leave the option out: the best junction is then chosen, and the others are listed";
+/// Maximum number of junctions that an error lists.
+const LISTED: usize = 5;
+
+/// Returns the error that no scenario can be made of a map, or of one of its junctions; `sites` are
+/// the junctions of which one can be made.
+fn no_site(map: &Path, net: &Net, junction: Option<&str>, sites: &[Proposal]) -> Error {
     let needed = "vehicles from two roads conflict and have room for spawn places on their lanes";
     let mut ids = net.junctions.iter().map(|junction| junction.id.as_str());
-    match junction {
-        None => format!("the net has no junction where {needed}"),
-        Some(id) if ids.any(|known| known == id) => {
-            format!("`{}` is not a junction where {needed}", shorten(id))
-        }
-        Some(id) => {
+    let why = match junction {
+        _ if sites.is_empty() => format!("the map has no junction where {needed}"),
+        Some(id) if !ids.any(|known| known == id) => {
             let ids = net.junctions.iter().map(|junction| junction.id.as_str());
             let similar = did_you_mean(nearest(id, ids));
-            format!("the net has no junction `{}`{similar}", shorten(id))
+            format!("the map has no junction `{}`{similar}", shorten(id))
         }
-    }
+        id => {
+            format!("`{}` is not a junction where {needed}", shorten(id.unwrap_or_default()))
+        }
+    };
+    let listed: Vec<String> = sites
+        .iter()
+        .take(LISTED)
+        .map(|site| format!("`{}`", shorten(&site.candidate.junction)))
+        .collect();
+    let why =
+        if sites.is_empty() { why } else { format!("{why}; possible: {}", listed.join(", ")) };
+    let hint = if sites.is_empty() { LARGER } else { OTHER };
+    Error::NoSite { path: map.into(), why, hint }
 }
 
 /// A junction with the parts of a scenario at it.

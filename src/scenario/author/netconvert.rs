@@ -126,7 +126,10 @@ pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     if !output.status.success() {
         let errors: Vec<&str> =
             lines().filter(|line| !line.starts_with("Warning")).take(LAST_LINES).collect();
-        return Err(Error::Netconvert { config, message: errors.join(" ") });
+        // The user knows the net by its own name.
+        let [temporary, own] = [name(&temporary), name(net)].map(|name| name.display().to_string());
+        let message = errors.join(" ").replace(&temporary, &own);
+        return Err(Error::Netconvert { config, message });
     }
     let text = fs::read_to_string(&temporary)
         .map_err(|source| Error::Read { path: temporary.to_path_buf(), source })?;

@@ -7,6 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::plan::{LANE_WIDTH, Plan, Space};
 use super::{Error, SPACING};
+use crate::words::counted;
 
 /// Kind of site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -162,8 +163,10 @@ impl Template {
         let needed = (FREE + SPACING * f64::from(places) + ahead).max(SHORTEST);
         let arm = sizes.arm_length.unwrap_or(needed);
         if !(needed..=5000.0).contains(&arm) {
-            let allowed =
-                format!("{needed} to 5000 m for {} agents on {starts} lanes", sizes.agents);
+            let allowed = format!(
+                "{needed} to 5000 m for {} on {starts} lanes",
+                counted(sizes.agents, "agent")
+            );
             return Err(Error::size("arm-length", &arm, allowed));
         }
         let mut plan = match self {

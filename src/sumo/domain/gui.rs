@@ -1,7 +1,7 @@
 //! Views of the graphical interface (`sumo-gui`). SUMO without a graphical interface refuses these
 //! calls.
 
-use super::value::Points;
+use crate::sumo::value::Points;
 
 /// Identifier of the view that `sumo-gui` opens at the start.
 pub const DEFAULT_VIEW: &str = "View #0";

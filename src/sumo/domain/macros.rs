@@ -262,13 +262,13 @@ macro_rules! global_setters {
 /// Gives the arguments of a call as one [`Argument`](super::Argument).
 macro_rules! arguments {
     () => {
-        crate::sumo::domain::value::Nothing
+        crate::sumo::value::Nothing
     };
     (($argument:ident)) => {
         $argument
     };
     ([]) => {
-        crate::sumo::domain::value::Empty
+        crate::sumo::value::Empty
     };
     ([$($item:ident)+]) => {
         ($($item,)+)
@@ -288,9 +288,9 @@ macro_rules! record {
             $($(#[$field_doc])* pub $field: $kind,)+
         }
 
-        impl crate::sumo::domain::value::FromFields for $name {
+        impl crate::sumo::value::FromFields for $name {
             fn from_fields(
-                fields: &mut crate::sumo::domain::Fields,
+                fields: &mut crate::sumo::value::Fields,
             ) -> Result<Self, crate::sumo::Error> {
                 Ok($name { $($field: fields.take()?,)+ })
             }
@@ -303,7 +303,7 @@ macro_rules! flat_list {
     ($($name:ident),+) => {
         $(impl crate::sumo::domain::FromValue for Vec<$name> {
             fn from_value(value: crate::sumo::Value) -> Result<Self, crate::sumo::Error> {
-                crate::sumo::domain::compound(value, crate::sumo::domain::Fields::records)
+                crate::sumo::value::compound(value, crate::sumo::value::Fields::records)
             }
         })+
     };
@@ -314,14 +314,14 @@ macro_rules! nested_list {
     ($($name:ident),+) => {
         $(impl crate::sumo::domain::FromValue for $name {
             fn from_value(value: crate::sumo::Value) -> Result<Self, crate::sumo::Error> {
-                let read = crate::sumo::domain::value::FromFields::from_fields;
-                crate::sumo::domain::compound(value, read)
+                let read = crate::sumo::value::FromFields::from_fields;
+                crate::sumo::value::compound(value, read)
             }
         }
 
         impl crate::sumo::domain::FromValue for Vec<$name> {
             fn from_value(value: crate::sumo::Value) -> Result<Self, crate::sumo::Error> {
-                crate::sumo::domain::compound(value, crate::sumo::domain::Fields::rest)
+                crate::sumo::value::compound(value, crate::sumo::value::Fields::rest)
             }
         })+
     };

@@ -76,8 +76,6 @@ use super::{Batch, Client, ClientBatch, Error, batch::Call, codec::Value, consta
 mod macros;
 #[macro_use]
 mod common;
-mod value;
-mod variable;
 
 pub mod edge;
 pub mod gui;
@@ -95,9 +93,8 @@ pub mod traffic_light;
 pub mod vehicle;
 pub mod vehicle_type;
 
-pub use value::{Argument, Color, FromValue, Highlight, RoadPosition};
-use value::{Fields, compound};
-pub use variable::{Reported, SubscriptionArgument, Variable, VariableId, VariableWith};
+pub use super::value::{Argument, Color, FromValue, Highlight, RoadPosition};
+pub use super::variable::{Reported, SubscriptionArgument, Variable, VariableId, VariableWith};
 
 /// Converts SUMO's answer to a call, the requested value or nothing, to the result of the call.
 pub type Decode<T> = fn(Option<Value>) -> Result<T, Error>;

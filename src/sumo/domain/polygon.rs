@@ -1,9 +1,6 @@
 //! Polygons.
 
-use super::{
-    Color,
-    value::{Doubles, Points},
-};
+use crate::sumo::value::{Color, Doubles, Points};
 
 domain! {
     /// Calls for polygons.

@@ -1,10 +1,12 @@
 //! The simulation as a whole.
 
-use super::{
-    Argument, RoadPosition,
-    value::{OnPlane, OnRoad, Untyped},
+use crate::sumo::{
+    Error,
+    batch::Call,
+    codec::Writer,
+    constants as c,
+    value::{Argument, Fields, FromFields, OnPlane, OnRoad, RoadPosition, Untyped},
 };
-use crate::sumo::{Error, batch::Call, codec::Writer, constants as c};
 
 domain! {
     /// Calls for the simulation as a whole. The object that the calls of all domains take is the
@@ -99,8 +101,8 @@ impl Default for Stage {
     }
 }
 
-impl super::value::FromFields for Stage {
-    fn from_fields(fields: &mut super::Fields) -> Result<Self, Error> {
+impl FromFields for Stage {
+    fn from_fields(fields: &mut Fields) -> Result<Self, Error> {
         Ok(Stage {
             kind: fields.take()?,
             vehicle_type: fields.take()?,

@@ -1,9 +1,10 @@
 //! Traffic lights.
 
-use super::{Argument, FromValue, Scope, value::FromFields};
+use super::Scope;
 use crate::sumo::{
     Client, Error,
     codec::{Value, Writer},
+    value::{Argument, Fields, FromFields, FromValue, compound},
 };
 
 domain! {
@@ -98,13 +99,13 @@ flat_list! { Constraint }
 
 impl FromValue for Phase {
     fn from_value(value: Value) -> Result<Self, Error> {
-        super::compound(value, |fields| {
+        compound(value, |fields| {
             Ok(Phase {
                 duration: fields.take()?,
                 state: fields.take()?,
                 min_dur: fields.take()?,
                 max_dur: fields.take()?,
-                next: super::compound(fields.take()?, super::Fields::rest)?,
+                next: compound(fields.take()?, Fields::rest)?,
                 name: fields.take()?,
             })
         })
@@ -113,13 +114,13 @@ impl FromValue for Phase {
 
 impl FromValue for Logic {
     fn from_value(value: Value) -> Result<Self, Error> {
-        super::compound(value, |fields| {
+        compound(value, |fields| {
             Ok(Logic {
                 program_id: fields.take()?,
                 kind: fields.take()?,
                 current_phase_index: fields.take()?,
-                phases: super::compound(fields.take()?, super::Fields::rest)?,
-                parameters: super::compound(fields.take()?, super::Fields::rest::<Vec<String>>)?
+                phases: compound(fields.take()?, Fields::rest)?,
+                parameters: compound(fields.take()?, Fields::rest::<Vec<String>>)?
                     .into_iter()
                     .map(|pair| {
                         let mut pair = pair.into_iter();
@@ -133,7 +134,7 @@ impl FromValue for Logic {
 
 impl FromValue for Vec<Logic> {
     fn from_value(value: Value) -> Result<Self, Error> {
-        super::compound(value, super::Fields::rest)
+        compound(value, Fields::rest)
     }
 }
 
@@ -150,7 +151,7 @@ impl FromValue for Link {
 struct Links(Vec<Link>);
 
 impl FromFields for Links {
-    fn from_fields(fields: &mut super::Fields) -> Result<Self, Error> {
+    fn from_fields(fields: &mut Fields) -> Result<Self, Error> {
         let count: i32 = fields.take()?;
         Ok(Links((0..count).map(|_| fields.take()).collect::<Result<_, _>>()?))
     }
@@ -158,7 +159,7 @@ impl FromFields for Links {
 
 impl FromValue for Vec<Vec<Link>> {
     fn from_value(value: Value) -> Result<Self, Error> {
-        let signals: Vec<Links> = super::compound(value, super::Fields::records)?;
+        let signals: Vec<Links> = compound(value, Fields::records)?;
         Ok(signals.into_iter().map(|links| links.0).collect())
     }
 }

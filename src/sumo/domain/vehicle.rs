@@ -1,10 +1,10 @@
 //! Vehicles.
 
-use super::{
-    Color, Scope,
-    value::{Nothing, OnRoad, Untyped},
+use super::Scope;
+use crate::sumo::{
+    batch::Call,
+    value::{Color, Nothing, OnRoad, Untyped},
 };
-use crate::sumo::batch::Call;
 
 mod changes;
 mod filters;

@@ -7,7 +7,8 @@ use crate::sumo::{
     batch::{Batch, Call},
     codec::Writer,
     constants::CMD_ADD_SUBSCRIPTION_FILTER,
-    domain::{Argument, Scope, done, value::Nothing},
+    domain::{Scope, done},
+    value::{Argument, Nothing},
 };
 
 const LANES: u8 = 0x01;

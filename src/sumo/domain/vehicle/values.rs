@@ -3,7 +3,7 @@
 use crate::sumo::{
     Error,
     codec::{Value, Writer},
-    domain::{Argument, FromValue, compound, value::FromFields},
+    value::{Argument, FromFields, FromValue, compound},
 };
 
 record! {

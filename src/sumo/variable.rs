@@ -2,8 +2,8 @@
 
 use std::{fmt, marker::PhantomData};
 
-use super::{Argument, FromValue};
-use crate::sumo::constants::Domain;
+use super::constants::Domain;
+use super::value::{Argument, FromValue};
 
 /// A variable that can be subscribed to, with the type of its value.
 pub struct Variable<T> {
@@ -12,7 +12,7 @@ pub struct Variable<T> {
 }
 
 /// A variable that can be subscribed to only with an argument of type `A`, see
-/// [`Vehicle::subscribe_with`](super::vehicle::Vehicle::subscribe_with). SUMO 1.15 accepts
+/// [`Vehicle::subscribe_with`](super::domain::vehicle::Vehicle::subscribe_with). SUMO 1.15 accepts
 /// arguments only for the variables that are constants of this type.
 pub struct VariableWith<A, T> {
     variable: Variable<T>,

@@ -2,7 +2,7 @@
 
 use std::vec;
 
-use crate::sumo::{
+use super::{
     Error,
     codec::{Value, Writer},
     constants as c,
