@@ -275,7 +275,7 @@ mod tests {
         let document = roxmltree::Document::parse(&svg).unwrap();
         let texts = document.descendants().filter(|node| node.has_tag_name("text"));
         let texts: Vec<&str> = texts.filter_map(|node| node.text()).map(str::trim).collect();
-        for wanted in ["title", "a < b", "steps", "reward", "a", "full", "throttle"] {
+        for wanted in ["title", "a < b", "steps", "reward", "a", "full throttle"] {
             assert_eq!(
                 texts.iter().filter(|text| **text == wanted).count(),
                 1,

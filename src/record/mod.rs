@@ -120,9 +120,10 @@ fn temporary_beside(path: &Path) -> Result<NamedTempFile, Error> {
 
 /// Returns a system error without the path of the temporary file, which `tempfile` adds to it.
 fn without_path(error: io::Error) -> io::Error {
-    let cause = error.get_ref().and_then(std::error::Error::source);
-    let cause = cause.and_then(|cause| cause.downcast_ref::<io::Error>());
-    cause.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
+    match error.to_string().rsplit_once(" at path ") {
+        Some((cause, _)) => io::Error::new(error.kind(), cause.to_owned()),
+        None => error,
+    }
 }
 
 /// Returns the folder that contains `path`; `.` for a bare file name.

@@ -316,7 +316,7 @@ fn values_out_of_range_are_refused() {
     insta::assert_snapshot!(mistake("max=\"48\"", "max=\"49\""), @"task.xml:12:21: `49` is not a valid max of <agents>, allowed: 4 (`min`) to 48, the number of places of the largest net");
     insta::assert_snapshot!(mistake("min=\"4\" max=\"48\"", "min=\"9\" max=\"8\""), @"task.xml:12:21: `8` is not a valid max of <agents>, allowed: 9 (`min`) to 48, the number of places of the largest net");
     insta::assert_snapshot!(mistake("min=\"4\" max=\"48\"", "min=\"49\" max=\"48\""), @"task.xml:12:13: `49` is not a valid min of <agents>, allowed: 1 to 48, the number of places of the largest net");
-    insta::assert_snapshot!(mistake("wreckTime=\"2.5\"", "wreckTime=\"1e300\""), @"task.xml:70:39: `1e300` is not a valid wreckTime of <termination>, allowed: number of at least 0, at most 1e9 in magnitude");
+    insta::assert_snapshot!(mistake("wreckTime=\"2.5\"", "wreckTime=\"1e300\""), @"task.xml:71:33: `1e300` is not a valid wreckTime of <termination>, allowed: number of at least 0, at most 1e9 in magnitude");
     insta::assert_snapshot!(mistake("default=\"8\"", "default=\"3\""), @"task.xml:12:30: `3` is not a valid default of <agents>, allowed: whole number from 4 to 48");
     insta::assert_snapshot!(mistake("cooperation=\"0.06\"", "cooperation=\"1.5\""), @"task.xml:68:78: `1.5` is not a valid cooperation of <reward>, allowed: number from 0 to 1");
     insta::assert_snapshot!(mistake("0.5:10.2", "0.2:10.2"), @"task.xml:59:72: `0.3:8.2 0.2:10.2 1:14.7` is not a valid brake of <control>, allowed: pairs magnitude:deceleration with numbers above 0, magnitudes that ascend to 1, and decelerations that do not decrease");

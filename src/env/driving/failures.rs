@@ -147,7 +147,7 @@ impl Failures {
         }
         if self.unfinished > 0 {
             lines.push(format!(
-                "{} did not arrive before the end of an episode",
+                "{} had not arrived at the end of the episode",
                 counted(self.unfinished, "vehicle")
             ));
         }
@@ -168,7 +168,7 @@ mod tests {
         second.leave("a");
         assert_eq!(first.plus(&second).describe(), ["4 vehicles went off-road: a 2, b 2"]);
         let one = Failures { unfinished: 1, ..Failures::default() };
-        assert_eq!(one.describe(), ["1 vehicle did not arrive before the end of an episode"]);
+        assert_eq!(one.describe(), ["1 vehicle had not arrived at the end of the episode"]);
         let older = Failures { out_of_road: 3, ..Failures::default() };
         assert_eq!(older.describe(), ["3 vehicles went off-road"]);
     }
