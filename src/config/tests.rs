@@ -363,7 +363,7 @@ fn mistakes_in_the_scenario_name_place_path_and_what_is_allowed() {
     ] {
         let text = said(&[&format!("scenario.{set}")]);
         assert!(text.starts_with(&format!("--set scenario.{set}: bad value")), "{text}");
-        assert!(text.ends_with(why), "{text}");
+        assert!(text.contains(why), "{text}");
     }
     assert!(
         message("[scenario.traffic]\nfiles = ['a']\n", &[]).starts_with("c.toml:2:1: bad value")
