@@ -11,6 +11,7 @@ use super::{
     Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError, Problem,
     nearest, shorten, xml,
 };
+use crate::markup;
 
 /// Maximum size of a net file \[bytes\].
 const MAX_BYTES: u64 = 256 << 20;
@@ -30,7 +31,7 @@ const MAX_NUMBER: f64 = 1e9;
 impl Net {
     /// Returns the text of a net file.
     pub(in crate::sumo) fn text(path: &FilePath) -> Result<String, NetError> {
-        let text = xml::read(path, MAX_BYTES)
+        let text = markup::read(path, MAX_BYTES)
             .map_err(|source| error(path, None, Problem::Read { source }))?;
         text.ok_or_else(|| error(path, None, Problem::TooLarge { limit: MAX_BYTES }))
     }
