@@ -36,6 +36,6 @@ pub use process::{find_program, find_sumo, sumo_version, traci_version};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, Simulation,
-    SimulationConfig, Snapshot, VehicleState, VehicleType,
+    RouteStop, SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;
