@@ -333,7 +333,7 @@ impl Adviser<'_, '_, '_> {
 
     /// Warns of route files of which nobody departs within an episode.
     fn nobody(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
-        let empty = !maps.is_empty() && maps.iter().all(|(_, map)| map.plan.sources.is_empty());
+        let empty = !maps.is_empty() && maps.iter().all(|(_, map)| map.plan.wanted == 0);
         let first = demand.first_departure().filter(|_| empty)?;
         let begin = self.scenario.traffic.begin.0;
         let end =
@@ -342,7 +342,7 @@ impl Adviser<'_, '_, '_> {
             "nobody of the route files departs within an episode, from {begin} s to {end} s of the files' time: \
              their first departure is at {first} s"
         );
-        let hint = format!("set begin=\"{first}\" of <traffic>, if nobody is left out");
+        let hint = format!("set begin=\"{first}\" of <traffic>, or another time of the files");
         Some(self.warning("traffic", "files", message, &hint))
     }
 

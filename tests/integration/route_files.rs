@@ -42,7 +42,7 @@ fn watch(path: &Path, steps: usize, backend: Backend) -> Vec<Vec<OtherView>> {
 #[test]
 fn vehicles_depart_and_stop_where_the_file_says() {
     let folder = folder();
-    let stop = "<stop lane=\"west_out_0\" endPos=\"20\" duration=\"3\" until=\"25208\"/>";
+    let stop = "<stop lane=\"west_out_0\" endPos=\"20\" duration=\"3\" until=\"25210\"/>";
     let path = scenario(
         folder.path(),
         "begin=\"07:00:00\"",
@@ -69,7 +69,7 @@ fn vehicles_depart_and_stop_where_the_file_says() {
         .collect();
     let (from, to) = (stands[0], stands[stands.len() - 1]);
     assert!(to - from >= 30, "it stands for three seconds, from {from} to {to}");
-    assert!((78..=84).contains(&to), "and until 8 s: {to}");
+    assert!((98..=104).contains(&to), "and until 10 s: {to}");
     let front = seen[from][0].position + length / 2.0;
     assert!((18.0..=20.1).contains(&front), "{front}");
 }
@@ -103,7 +103,7 @@ fn the_check_says_what_is_left_out_and_who_never_departs() {
     let path = scenario(folder.path(), "", &format!("{good}{bad}"));
     let found = Scenario::check(&path);
     let [finding] = &found.list[..] else { panic!("{:?}", found.list) };
-    let line = "1 vehicles, persons and flows of the route files are left out: the trip `bad` (line 3: departSpeed";
+    let line = "1 of 2 vehicles, persons and flows of the route files left out: the trip `bad` (line 3: departSpeed";
     assert_eq!((finding.severity, finding.at.map(|at| at.line)), (Severity::Warning, Some(3)));
     assert!(finding.message.starts_with(line), "{finding}");
     let evaluate =

@@ -18,7 +18,7 @@ use iwol_sumo::{
     evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, FileTime, Communication, Control, Error, Intention, Jitter, Lidar,
+        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, Lidar,
         NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario, Severity,
         SpawnRow, Steering, Termination, Traffic, Vehicle,
     },

@@ -29,6 +29,8 @@ pub struct DemandPlan {
     pub sources: Vec<PlannedSource>,
     /// Vehicles, persons and flows that cannot be used, in the order of the files.
     pub left_out: Vec<LeftOut>,
+    /// Number of vehicles, persons and flows that the files let depart within the episode.
+    pub wanted: usize,
 }
 
 /// A way to depart: a route with all that belongs to it.
@@ -95,8 +97,8 @@ impl DemandPlan {
         });
         let first = first.collect::<Vec<_>>().join(", ");
         let more = if count > NAMED { ", …" } else { "" };
-        let what = "vehicles, persons and flows of the route files";
-        (count > 0).then(|| (format!("{count} {what} are left out: {first}{more}"), STRICT))
+        let what = format!("{} vehicles, persons and flows of the route files", self.wanted);
+        (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
     }
 }
 
@@ -119,6 +121,7 @@ impl Demand {
             Planner { demand: self, net, begin, plan: DemandPlan::default(), laid: HashMap::new() };
         for (index, source) in self.sources.iter().enumerate() {
             if let Some((first, number)) = source.within(begin, horizon) {
+                planner.plan.wanted += 1;
                 planner.add(index, first, number);
                 if planner.plan.routes.len() > MAX_ROUTES {
                     let message = format!(

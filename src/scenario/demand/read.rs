@@ -9,8 +9,8 @@ use super::ends::{finish, start};
 use super::times::{departures, time};
 use super::types::{named, possible, probability};
 use super::{
-    DEFAULT_TYPES, Demand, DemandRoute, Halt, Itinerary, RouteEdge, Source, Spacing, Terminal,
-    table,
+    DEFAULT_TYPES, Demand, DemandRoute, Finish, Halt, Itinerary, RouteEdge, Source, Spacing, Start,
+    Terminal, table,
 };
 use crate::sumo::net::{did_you_mean, nearest};
 
@@ -271,8 +271,11 @@ impl Demand {
             }
             (begin, end, departures(reader, node, begin, end)?)
         };
-        let (start, finish) =
-            if walks { Default::default() } else { (start(reader, node)?, finish(reader, node)?) };
+        let (start, finish) = if walks {
+            (Start::default(), Finish::default())
+        } else {
+            (start(reader, node)?, finish(reader, node)?)
+        };
         let index = |key| match node.attribute(key) {
             None => Ok(RouteEdge::End),
             Some("random") => Ok(RouteEdge::Random),

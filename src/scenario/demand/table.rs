@@ -160,8 +160,7 @@ macro_rules! vehicle {
         )
     };
 }
-const VEHICLE_IDLE: &str =
-    "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength";
+const VEHICLE_IDLE: &str = "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength";
 const VEHICLE_REFUSED: [(&str, &str); 3] = [
     ("fromTaz toTaz", ZONES),
     ("fromLonLat toLonLat viaLonLat fromXY toXY viaXY", COORDINATES),
@@ -301,11 +300,10 @@ pub fn route_files() -> String {
         "| element | taken | without effect, with a warning | refused |\n|---|---|---|---|\n",
     );
     let list = |texts: &[&str], tag: bool| {
-        let names = texts.iter().flat_map(|text| text.split_whitespace());
-        let mut names: Vec<String> =
-            names.map(|n| if tag { format!("`<{n}>`") } else { format!("`{n}`") }).collect();
-        names.sort();
-        names
+        let mut names: Vec<&str> = texts.iter().flat_map(|text| text.split_whitespace()).collect();
+        names.sort_unstable();
+        let quote = |name: &&str| if tag { format!("`<{name}>`") } else { format!("`{name}`") };
+        names.iter().map(quote).collect::<Vec<_>>()
     };
     for known in ELEMENTS {
         let refused = |list: &[(&'static str, _)]| -> Vec<&'static str> {

@@ -354,7 +354,8 @@ fn vehicles_that_cannot_be_used_are_left_out_with_their_lines() {
         assert_eq!((out.id.as_str(), out.place.line, plan.sources.len()), ("v", 3, 1));
         let (message, _) = plan.warning().unwrap();
         assert!(
-            message.starts_with("1 vehicles") && message.contains("`v` (line 3: "),
+            message.starts_with("1 of 2 vehicles, persons and flows of the route files left out: ")
+                && message.contains("`v` (line 3: "),
             "{message}"
         );
     }

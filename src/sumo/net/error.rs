@@ -205,6 +205,9 @@ impl NetError {
             Problem::Read { source } if source.kind() == io::ErrorKind::NotFound => {
                 "build the net (`iwol scenario build`), or correct the file name".into()
             }
+            Problem::Read { source } if source.kind() == io::ErrorKind::InvalidData => {
+                "name the file's encoding in its first line, as in <?xml version=\"1.0\" encoding=\"ISO-8859-1\"?>".into()
+            }
             Problem::NotNet { .. } => {
                 "give the .net.xml that netconvert writes, not its sources".into()
             }
