@@ -41,7 +41,7 @@ pub(super) fn advise(
     adviser.unused(&mut findings);
     adviser.without_effect(&mut findings);
     findings.extend(unused(demand));
-    findings.extend(adviser.left_out(&sound));
+    findings.extend(left_out(&sound));
     findings.extend(adviser.nobody(&sound, demand));
     findings
 }
@@ -323,14 +323,6 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// Warns of vehicles that are left out, of those in the net that lacks most.
-    fn left_out(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
-        let plans = maps.iter().map(|(_, map)| &map.plan);
-        let plan = plans.max_by_key(|plan| plan.left_out.len())?;
-        let (message, hint) = plan.warning()?;
-        Some(Finding::warning(plan.left_out[0].place.clone(), message, hint))
-    }
-
     /// Warns of route files of which nobody departs within an episode.
     fn nobody(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
         let empty = !maps.is_empty() && maps.iter().all(|(_, map)| map.plan.wanted == 0);
@@ -375,6 +367,14 @@ impl Adviser<'_, '_, '_> {
             }
         }
     }
+}
+
+/// Warns of vehicles that are left out, of those in the net that lacks most.
+fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
+    let plans = maps.iter().map(|(_, map)| &map.plan);
+    let plan = plans.max_by_key(|plan| plan.left_out.len())?;
+    let (message, hint) = plan.warning()?;
+    Some(Finding::warning(plan.left_out[0].place.clone(), message, hint))
 }
 
 /// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO

@@ -299,7 +299,7 @@ impl Planner<'_> {
         let path = self.net.route_path_for(edges, None, classes).map_err(|error| reason(&error));
         let path = match lane {
             None => path,
-            Some(lane) => path.and_then(|_| self.from_lane(edges, lane, classes)),
+            Some(lane) => path.and_then(|_| self.path_from(edges, lane, classes)),
         };
         let laid = path.map(|path| self.route(Laid { id: id.into(), path, edges: edges.to_vec() }));
         self.laid.insert(key, laid.clone());
@@ -317,7 +317,7 @@ impl Planner<'_> {
     }
 
     /// Returns the path along edges that can be driven from some lane, from this one.
-    fn from_lane(&self, edges: &[String], lane: u32, classes: &[&str]) -> Result<Path, String> {
+    fn path_from(&self, edges: &[String], lane: u32, classes: &[&str]) -> Result<Path, String> {
         let edge = self.net.edge_index(&edges[0]).map(|index| &self.net.edges[index]);
         let lanes = edge.map_or(0..0, |edge| edge.lanes.clone());
         let (name, count) = (shorten(&edges[0]), lanes.len());

@@ -80,19 +80,16 @@ impl Demand {
         for child in node.children().filter(Node::is_element) {
             let weight = probability(reader, child)?;
             let id = child.attribute("id").or(node.attribute("id")).unwrap_or("route");
-            match child.attribute("refId") {
-                Some(_) => {
-                    self.expect(reader, child, &table::ROUTE)?;
-                    routes.extend(self.known_route(reader, child, "refId", weight)?);
-                }
-                None => {
-                    let route = self.route(reader, child, id)?;
-                    if child.has_attribute("id") {
-                        self.name(reader, child, "route", vec![(route, 1.0)])?;
-                    }
-                    routes.push((route, weight));
-                }
+            if child.has_attribute("refId") {
+                self.expect(reader, child, &table::ROUTE)?;
+                routes.extend(self.known_route(reader, child, "refId", weight)?);
+                continue;
             }
+            let route = self.route(reader, child, id)?;
+            if child.has_attribute("id") {
+                self.name(reader, child, "route", vec![(route, 1.0)])?;
+            }
+            routes.push((route, weight));
         }
         for (id, weight) in named(reader, node, "routes")? {
             let known = self

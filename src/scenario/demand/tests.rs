@@ -363,14 +363,11 @@ fn vehicles_that_cannot_be_used_are_left_out_with_their_lines() {
 
 #[test]
 fn equal_paths_are_one_route() {
-    let trips: String = (0..3000)
-        .map(|i| {
-            format!(
-                "<trip id=\"t{i}\" depart=\"{}\" from=\"west_in\" to=\"east_out\"/>\n",
-                f64::from(i) / 40.0
-            )
-        })
-        .collect();
+    let trip = |i| {
+        let depart = f64::from(i) / 40.0;
+        format!("<trip id=\"t{i}\" depart=\"{depart}\" from=\"west_in\" to=\"east_out\"/>\n")
+    };
+    let trips = (0..3000).map(trip).collect::<Vec<_>>().concat();
     let many = plan(&trips);
     assert_eq!((many.routes.len(), many.sources.len(), many.left_out.len()), (1, 3000, 0));
     let parts = plan(

@@ -63,12 +63,11 @@ impl Demand {
             None => max_speed,
             Some(_) => reader.number(node, "maxSpeed", "number above 0", |v| v > 0.0)?,
         };
-        let scale = match node.attribute("scale") {
-            None => 1.0,
-            Some(_) => {
-                let allowed = format!("number from 0 to {MAX_SCALE}");
-                reader.number(node, "scale", &allowed, |v| (0.0..=MAX_SCALE).contains(&v))?
-            }
+        let scale = if node.has_attribute("scale") {
+            let allowed = format!("number from 0 to {MAX_SCALE}");
+            reader.number(node, "scale", &allowed, |v| (0.0..=MAX_SCALE).contains(&v))?
+        } else {
+            1.0
         };
         let kind = VehicleKind {
             id: id.into(),
