@@ -1,7 +1,12 @@
-//! Writing of XML: escaping, which also suits HTML and SVG, and a writer of indented documents.
+//! XML as text: reading of files, escaping, which also suits HTML and SVG, and a writer of indented
+//! documents.
+
+mod read;
 
 use std::borrow::Cow;
 use std::fmt::{Display, Write as _};
+
+pub(crate) use read::read;
 
 /// Escapes text for the content of an element.
 pub(crate) fn escape(text: &str) -> Cow<'_, str> {

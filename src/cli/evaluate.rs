@@ -82,6 +82,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let setup = Setup::new(args)?;
     let Setup { task, hosting, .. } = &setup;
+    if let Some(line) = task.left_out() {
+        say!("{line}");
+    }
     let trained = setup.controller();
     if let Some((name, controller)) = &trained {
         policies.insert(0, ((*name).to_owned(), Policy::Learned(&**controller)));

@@ -145,6 +145,19 @@ impl Trial {
         Ok(trial)
     }
 
+    /// Returns an error for each vehicle and person of the route files whom SUMO refuses.
+    ///
+    /// # Errors
+    /// [`Error`] if the scenario does not support this number of agents, or SUMO fails.
+    pub fn refused(
+        scenario: &Scenario,
+        agents: u32,
+        hosting: &Hosting,
+    ) -> Result<Vec<Finding>, Error> {
+        let refused = Task::new(scenario, agents)?.refused_departures(hosting)?;
+        Ok(refused.iter().map(|out| Finding::of(&out.error(), &out.place.path)).collect())
+    }
+
     /// Returns the errors and warnings that follow from the trial.
     pub fn findings(&self, scenario: &Scenario) -> Vec<Finding> {
         let finding = |severity, message: String, hint: &str| Finding {

@@ -41,6 +41,8 @@ pub(super) fn advise(
     adviser.unused(&mut findings);
     adviser.without_effect(&mut findings);
     findings.extend(unused(demand));
+    findings.extend(left_out(&sound));
+    findings.extend(adviser.nobody(&sound, demand));
     findings
 }
 
@@ -321,6 +323,21 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
+    /// Warns of route files of which nobody departs within an episode.
+    fn nobody(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
+        let empty = !maps.is_empty() && maps.iter().all(|(_, map)| map.plan.wanted == 0);
+        let first = demand.first_departure().filter(|_| empty)?;
+        let begin = self.scenario.traffic.begin.0;
+        let end =
+            begin + f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
+        let message = format!(
+            "nobody of the route files departs within an episode, from {begin} s to {end} s of the files' time: \
+             their first departure is at {first} s"
+        );
+        let hint = format!("set begin=\"{first}\" of <traffic>, or another time of the files");
+        Some(self.warning("traffic", "files", message, &hint))
+    }
+
     /// Warns of attributes that other values of the scenario make ineffective.
     fn without_effect(&self, findings: &mut Vec<Finding>) {
         let (s, o) = (self.scenario, &self.scenario.observation);
@@ -334,6 +351,8 @@ impl Adviser<'_, '_, '_> {
             ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
             ("traffic", "type", s.traffic.penetration >= 1.0, "penetration is 1"),
             ("traffic", "capacity", s.traffic.files.is_empty(), "there are no files"),
+            ("traffic", "begin", s.traffic.files.is_empty(), "there are no files"),
+            ("traffic", "strict", s.traffic.files.is_empty(), "there are no files"),
         ];
         for (element, key, idle, why) in rules {
             let known = describe().all().into_iter().find(|known| known.name == element);
@@ -348,6 +367,14 @@ impl Adviser<'_, '_, '_> {
             }
         }
     }
+}
+
+/// Warns of vehicles that are left out, of those in the net that lacks most.
+fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
+    let plans = maps.iter().map(|(_, map)| &map.plan);
+    let plan = plans.max_by_key(|plan| plan.left_out.len())?;
+    let (message, hint) = plan.warning()?;
+    Some(Finding::warning(plan.left_out[0].place.clone(), message, hint))
 }
 
 /// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO

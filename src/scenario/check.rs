@@ -3,7 +3,7 @@
 
 use roxmltree::Node;
 
-use super::{Demand, Error, Net, Place, Route, Scenario, reader::Reader};
+use super::{Demand, DemandPlan, Error, Net, Place, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -16,6 +16,8 @@ const MOVE: &str = "move the places, lower their number, or make the longitudina
 pub(super) struct Map {
     pub(super) net: net::Net,
     pub(super) paths: Vec<Path>,
+    /// What of the route files departs in this net.
+    pub(super) plan: DemandPlan,
 }
 
 /// Result of [`files`].
@@ -49,11 +51,12 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         if paths.len() < scenario.routes.len() {
             return None;
         }
-        errors.extend(undrivable(&demand, &map));
+        let plan = scenario.plan(&demand, &map).map_err(|error| errors.push(error));
         errors.extend(no_edge(scenario, &map, reader));
         let placed = spawns(scenario, net, &map, &paths, node, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, reader));
-        placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
+        placed.map_err(|error| errors.push(error)).ok()?;
+        Some(Map { net: map, paths, plan: plan.ok()? })
     };
     let maps = scenario.nets.iter().zip(net_nodes(reader)).map(&mut check).collect();
     Checked { errors, maps, demand }
@@ -92,14 +95,6 @@ fn demand(scenario: &Scenario, reader: &Reader) -> Result<Demand, Error> {
         }
     }
     Ok(demand)
-}
-
-/// Returns an error for the first route or walk of the route files that the net does not allow.
-fn undrivable(demand: &Demand, map: &net::Net) -> Option<Error> {
-    demand.routes.iter().find_map(|route| {
-        let source = Box::new(route.lay(map).err()?);
-        Some(Error::Route { place: route.place.clone(), route: shorten(&route.id), source })
-    })
 }
 
 /// Returns an error for the first edge of `brokenLines` that the net does not have.

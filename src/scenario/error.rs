@@ -189,6 +189,9 @@ impl Error {
                  relative to the folder in which the run was started: change to that folder, or give --scenario"
                     .into(),
             ),
+            Self::Read { source, .. } if source.kind() == io::ErrorKind::InvalidData => Some(
+                "name the file's encoding in its first line, as in <?xml version=\"1.0\" encoding=\"ISO-8859-1\"?>".into(),
+            ),
             Self::Unknown { parent, valid, .. } if !valid.is_empty() => {
                 Some(format!("valid in {parent}: {}", valid.join(", ")))
             }

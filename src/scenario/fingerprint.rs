@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::Scenario;
 use crate::fnv::Fnv;
+use crate::markup;
 
 impl Scenario {
     /// Returns a hash, in hexadecimal, of the elements, attributes and texts in the scenario file
@@ -25,7 +26,7 @@ impl Scenario {
 
 impl Fnv {
     fn file(&mut self, path: &Path) {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let text = markup::read(path, u64::MAX - 1).ok().flatten().unwrap_or_default();
         let Ok(document) = roxmltree::Document::parse(&text) else { return self.text("no XML") };
         for node in document.descendants() {
             if node.is_element() {

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use super::attribute::Field;
 use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
-    AgentRange, Communication, Control, Error, Intention, Jitter, Net, Observation, Reward, Route,
-    Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
+    AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, Net,
+    Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
 };
 use crate::sumo::net::{did_you_mean, nearest, shorten};
 
@@ -59,6 +59,19 @@ impl Scenario {
             return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
         Reader { path, document: &document(text, path)? }.scenario()
+    }
+
+    /// Returns what of the route files departs in an episode in a net.
+    ///
+    /// # Errors
+    /// As [`Demand::plan`]; the first vehicle that cannot be used, if [`Traffic::strict`].
+    pub fn plan(&self, demand: &Demand, net: &crate::sumo::net::Net) -> Result<DemandPlan, Error> {
+        let horizon = f64::from(self.termination.horizon) * self.control.interval;
+        let plan = demand.plan(net, self.traffic.begin.0, horizon)?;
+        match plan.left_out.first() {
+            Some(first) if self.traffic.strict => Err(first.error()),
+            _ => Ok(plan),
+        }
     }
 
     /// Returns the smallest net with a spawn place for each of `agents` agents.

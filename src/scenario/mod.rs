@@ -21,12 +21,15 @@ mod schema;
 mod verify;
 mod write;
 
-pub use demand::{Demand, DemandRoute, Itinerary, Laid, Source, Spacing, Start, VehicleKind};
+pub use demand::{
+    Demand, DemandPlan, DemandRoute, Finish, Halt, Itinerary, Laid, LeftOut, PlannedDeparture,
+    PlannedSource, RouteEdge, Source, Spacing, Start, Terminal, VehicleKind, route_files,
+};
 pub use error::{Error, Place};
 pub use finding::{Finding, Severity};
 pub use model::{
-    AgentRange, Border, Communication, Control, Jitter, Net, Reward, Route, Scenario, SpawnPlace,
-    SpawnRow, Steering, Termination, Traffic, Vehicle,
+    AgentRange, Border, Communication, Control, FileTime, Jitter, Net, Reward, Route, Scenario,
+    SpawnPlace, SpawnRow, Steering, Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
 pub use overrides::{Overridable, Override, Refused, ScenarioFile, cannot_override, overridable};

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::Error;
-use super::attribute::{Field, Tag, element, words};
+use super::attribute::{Field, Tag, Value, element, words};
+use super::demand::seconds;
 use super::observation::Observation;
 use super::reader::Element;
 
@@ -302,12 +303,38 @@ element! {
         pub files: Vec<PathBuf>,
         /// Largest number of vehicles and pedestrians from the files on the road at a time.
         pub capacity: u32,
+        /// Time of the files at which each episode begins.
+        pub begin: FileTime,
+        /// Whether a file with vehicles that cannot be used is refused. Otherwise those vehicles
+        /// are left out.
+        pub strict: bool,
+    }
+}
+
+/// A time of route files \[s\].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FileTime(pub f64);
+
+impl Value for FileTime {
+    fn parse(text: &str) -> Option<Self> {
+        seconds(text).map(Self)
+    }
+
+    fn text(&self) -> Option<String> {
+        Some(self.0.to_string())
     }
 }
 
 impl Default for Traffic {
     fn default() -> Self {
-        Self { penetration: 1.0, kind: None, files: Vec::new(), capacity: 16 }
+        Self {
+            penetration: 1.0,
+            kind: None,
+            files: Vec::new(),
+            capacity: 16,
+            begin: FileTime(0.0),
+            strict: false,
+        }
     }
 }
 

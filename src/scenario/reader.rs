@@ -6,6 +6,7 @@ use roxmltree::{Document, Node};
 
 use super::schema::{self, MAX_NUMBER};
 use super::{Error, Place};
+use crate::markup;
 use crate::sumo::net::{nearest, shorten, xml};
 
 /// Largest file that is read \[bytes\].
@@ -26,9 +27,14 @@ pub(super) struct Reader<'a, 'input> {
 
 /// Returns the text of a scenario or route file.
 pub(super) fn text(path: &Path) -> Result<String, Error> {
+    text_up_to(path, MAX_BYTES)
+}
+
+/// Returns the text of a file of at most `limit` bytes.
+pub(super) fn text_up_to(path: &Path, limit: u64) -> Result<String, Error> {
     let text =
-        xml::read(path, MAX_BYTES).map_err(|source| Error::Read { path: path.into(), source })?;
-    text.ok_or_else(|| Error::TooLarge { path: path.into(), limit: MAX_BYTES })
+        markup::read(path, limit).map_err(|source| Error::Read { path: path.into(), source })?;
+    text.ok_or_else(|| Error::TooLarge { path: path.into(), limit })
 }
 
 /// Parses the text of a file.

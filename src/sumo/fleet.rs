@@ -22,6 +22,8 @@ struct Slot {
     known: bool,
     /// Whether the slot's last occupant is a pedestrian.
     walks: bool,
+    /// The departure of background traffic that filled the slot: its index in the configuration.
+    departure: Option<u32>,
     /// Position of the front bumper on the route's first edge at departure \[m\].
     departed: f64,
 }
@@ -165,6 +167,20 @@ impl Fleet {
             self.body(person, position, angle, 0.0);
             self.snapshot.vehicles[person] = Some(VehicleState { distance: 0.0, speed });
         }
+    }
+
+    /// Returns an error in which a vehicle or pedestrian of a route file has its own name instead
+    /// of that of its slot.
+    pub(super) fn named(&self, mut error: Error) -> Error {
+        if let Error::Refused { id, .. } = &mut error
+            && let Some(vehicle) = self.vehicle_named(id)
+            && let Some(departure) = self.slots[vehicle].departure
+            && let Some(name) =
+                self.config.others.as_ref().and_then(|o| o.names.get(departure as usize))
+        {
+            id.clone_from(name);
+        }
+        error
     }
 
     /// Whether the slot's last occupant is a pedestrian.

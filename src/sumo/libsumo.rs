@@ -129,7 +129,9 @@ impl LibsumoSimulation {
 
     /// Returns the error for a refusal.
     fn check(&self, refusal: Refusal) -> Result<(), Error> {
-        refusal.map_or(Ok(()), |(index, message)| Err(self.batch.refusal(index, &message)))
+        refusal.map_or(Ok(()), |(index, message)| {
+            Err(self.fleet.named(self.batch.refusal(index, &message)))
+        })
     }
 
     /// Sends the commands, takes one step and records the results, all in one call across the

@@ -37,8 +37,8 @@ pub use libsumo::LibsumoSimulation;
 pub use process::{find_program, find_sumo, sumo_version, traci_version};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
-    BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, Simulation,
-    SimulationConfig, Snapshot, VehicleState, VehicleType,
+    BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, RouteStop,
+    Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;
 pub use value::FromValue;

@@ -3,12 +3,12 @@
 //!
 //! A net file is untrusted input. For any content, [`Net::load`] returns either a net in which all
 //! references resolve, or an error that names file, line and column. Elements that this program
-//! does not need (traffic lights, roundabouts) are skipped. Compressed nets (`.net.xml.gz`) are not
-//! supported.
+//! does not need (traffic lights, roundabouts) are skipped.
 //!
 //! Units are SI units, coordinates are those of the net file, and angles are radians
 //! counter-clockwise from +x.
 
+mod classes;
 mod error;
 mod path;
 mod read;
@@ -24,6 +24,7 @@ use std::{
     path::{Path as FilePath, PathBuf},
 };
 
+pub use classes::Classes;
 pub use error::{NetError, Problem};
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;
@@ -78,6 +79,8 @@ pub struct Lane {
     pub cars: bool,
     /// Whether pedestrians may use the lane.
     pub pedestrians: bool,
+    /// Vehicle classes that may use the lane.
+    pub classes: Classes,
 }
 
 impl Lane {
@@ -187,13 +190,22 @@ impl Net {
         self.leaving.get(lane).into_iter().flatten().map(|&c| &self.connections[c])
     }
 
-    /// Returns the road with this id.
-    fn edge_named(&self, id: &str) -> Result<&Edge, NetError> {
-        match self.edge_index(id).map(|i| &self.edges[i]) {
-            Some(edge) if self.is_road(edge) => Ok(edge),
-            Some(_) => Err(self.error(Problem::NotRoad { edge: shorten(id) })),
-            None => Err(self.no_edge(id, self.roads())),
+    /// Returns the road with this id, which each of `classes` may use.
+    fn edge_for(&self, id: &str, classes: &[&str]) -> Result<&Edge, NetError> {
+        let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
+            return Err(self.no_edge(id, self.roads()));
+        };
+        if edge.function != EdgeFunction::Normal {
+            return Err(self.error(Problem::NotRoad { edge: shorten(id) }));
         }
+        let closed = |class: &&&str| {
+            !self.lanes[edge.lanes.clone()].iter().any(|lane| lane.classes.contain(class))
+        };
+        if let Some(class) = classes.iter().find(closed) {
+            let (edge, class) = (shorten(id), shorten(class));
+            return Err(self.error(Problem::NotAllowed { edge, class }));
+        }
+        Ok(edge)
     }
 
     /// Returns the error for an edge that the net does not have; `valid` are those that could be

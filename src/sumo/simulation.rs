@@ -69,6 +69,8 @@ pub enum Command {
         departure: u32,
         /// Index as in [`Command::Add`].
         vehicle_type: u32,
+        /// What to add to [`RouteStop::until`] for SUMO's clock, in seconds after the last step.
+        until_from_now: f64,
     },
     /// Removes the vehicle of a slot from the simulation; has no effect on an empty slot.
     Remove {
@@ -171,6 +173,24 @@ pub struct BackgroundTraffic {
     pub types: Vec<String>,
     /// Possible departures; commands refer to them by index.
     pub departures: Vec<Departure>,
+    /// What messages call the vehicle or pedestrian of each departure; a missing name is the one
+    /// that the vehicle has in SUMO.
+    pub names: Vec<String>,
+}
+
+/// A stop on a vehicle's route.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RouteStop {
+    /// Edge.
+    pub edge: String,
+    /// Lane, counted from the right and starting at 0.
+    pub lane: u32,
+    /// Where the stop begins and ends on the edge \[m\].
+    pub range: [f64; 2],
+    /// Least duration \[s\].
+    pub duration: f64,
+    /// Time before which the vehicle does not go on \[s\]; see [`Command::Depart`].
+    pub until: Option<f64>,
 }
 
 /// The departure of a vehicle or a pedestrian, in SUMO's terms.
@@ -186,6 +206,20 @@ pub enum Departure {
         pos: String,
         /// SUMO's `departSpeed`.
         speed: String,
+        /// SUMO's `arrivalLane`.
+        arrival_lane: String,
+        /// SUMO's `arrivalPos`.
+        arrival_pos: String,
+        /// SUMO's `arrivalSpeed`.
+        arrival_speed: String,
+        /// SUMO's `line`; empty: none.
+        line: String,
+        /// SUMO's `personNumber`.
+        persons: u32,
+        /// SUMO's `speedFactor`; without it, SUMO draws it as the type says.
+        speed_factor: Option<f64>,
+        /// Stops on the way, in driving order.
+        stops: Vec<RouteStop>,
     },
     /// A pedestrian.
     Walk {

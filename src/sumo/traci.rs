@@ -173,7 +173,7 @@ impl Simulation for TraciSimulation {
             {
                 self.fleet.gone(id);
             }
-            first.get_or_insert(error);
+            first.get_or_insert(self.fleet.named(error));
         }
         first.map_or(Ok(&self.fleet.snapshot), Err)
     }

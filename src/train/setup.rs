@@ -21,6 +21,9 @@ impl Trainer {
     ) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
         let mut task = Task::new(&scenario, config.agents)?;
+        if let Some(line) = task.left_out() {
+            tracing::warn!("{line}");
+        }
         let fewest = config.train.fewest_agents;
         if fewest > config.agents {
             return Err(Error::TooFew { fewest, agents: config.agents });

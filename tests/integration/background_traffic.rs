@@ -530,6 +530,10 @@ fn vehicles_are_as_large_as_sumo_has_them() {
         "moped",
         "bicycle",
         "pedestrian",
+        "trailer",
+        "custom1",
+        "custom2",
+        "ignoring",
     ];
     let types =
         classes.map(|class| format!("<vType id=\"a_{class}\" vClass=\"{class}\"/>")).concat();
@@ -552,6 +556,8 @@ fn vehicles_are_as_large_as_sumo_has_them() {
             sumo.vehicle_type().get_width(&kind.id).unwrap(),
         );
         assert_eq!(size, (kind.length, kind.width), "{}", kind.id);
+        let max_speed = sumo.vehicle_type().get_max_speed(&kind.id).unwrap();
+        assert!((max_speed - kind.max_speed).abs() < 1e-2, "{}: {max_speed}", kind.id);
     }
 }
 
@@ -622,9 +628,9 @@ fn mistakes_in_traffic_are_pointed_at() {
         ("type=\"human\"".into(), None, "a.xml:40 <traffic> lacks the attribute `files`"),
         ("files=\"none.rou.xml\"".into(), None, "a.xml:40 `"),
         (
-            files.into(),
+            format!("strict=\"true\" {files}"),
             Some(("edges=\"west_in east_out\"", "edges=\"west_in north_out\"")),
-            "humans.rou.xml:12 ",
+            "humans.rou.xml:18 the flow `from_west` cannot be used: ",
         ),
         (
             files.into(),

@@ -317,8 +317,10 @@ fn damaged_scenarios_are_read_or_refused() {
 fn damaged_route_files_are_read_or_refused() {
     let nets = root().join("sumo_nets");
     let read = |name: &str| fs::read_to_string(nets.join(name)).unwrap();
-    let trips = "<routes><trip id=\"t\" depart=\"0:01\" from=\"west_in\" to=\"east_out\" via=\"west_in\"/>\n\
-                 <flow id=\"f\" end=\"9\" number=\"3\" from=\"south_in\" to=\"north_out\"/></routes>";
+    let trips = "<routes><trip id=\"t\" depart=\"0:0:01\" from=\"west_in\" to=\"east_out\" via=\"west_in\"/>\n\
+                 <flow id=\"f\" end=\"9\" number=\"3\" from=\"south_in\" to=\"north_out\"/>\n\
+                 <routeDistribution id=\"d\"><route edges=\"west_in east_out\" repeat=\"0\"><stop lane=\"west_in_0\" endPos=\"9\" duration=\"2\"/></route></routeDistribution>\n\
+                 <vehicle id=\"v\" depart=\"1\" route=\"d\" departEdge=\"random\" departLane=\"0\" arrivalEdge=\"1\"/></routes>";
     let texts = [
         read("mixed_cross/humans.rou.xml"),
         read("pedestrians_cross/people.rou.xml"),
@@ -346,16 +348,18 @@ fn damaged_route_files_are_read_or_refused() {
         else {
             return;
         };
-        assert!(demand.sources.iter().all(|source| source.route < demand.routes.len()));
-        for route in &demand.routes {
-            match route.lay(&net) {
-                Ok(laid) => {
-                    assert!(laid.path.points.len() >= 2 && !laid.edges.is_empty());
-                    assert_finite(laid.path.points.as_flattened());
-                    assert_finite(&laid.walk.unwrap_or_default());
-                }
-                Err(error) => assert_short(&error, &path),
-            }
+        let routes = demand.sources.iter().flat_map(|source| &source.routes);
+        assert!(routes.into_iter().all(|entry| entry.0 < demand.routes.len()));
+        let plan = demand.plan(&net, 0.0, 100.0).expect("few routes");
+        for laid in &plan.routes {
+            assert!(laid.path.points.len() >= 2 && !laid.edges.is_empty());
+            assert_finite(laid.path.points.as_flattened());
+        }
+        for departure in &plan.departures {
+            assert_finite(&departure.walk.unwrap_or_default());
+        }
+        for out in &plan.left_out {
+            assert_short(&out.error(), &path);
         }
     });
 }

@@ -21,6 +21,7 @@ mod pytorch_reference;
 mod recordings;
 mod reports;
 mod resuming;
+mod route_files;
 mod scenario_files;
 mod steering;
 mod sweeps;

@@ -18,7 +18,7 @@ use iwol_sumo::{
     evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, Intention, Jitter, Lidar,
+        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, Lidar,
         NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario, Severity,
         SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
@@ -452,6 +452,8 @@ prop_compose! {
                 kind: (counts[0] > 8).then(|| "some type".into()),
                 files: ["a.rou.xml", "b/c.xml"].iter().take(1 + counts[1] % 2).map(|file| format!("some/folder/{file}").into()).collect(),
                 capacity: 1 + counts[2] as u32,
+                begin: FileTime(if counts[0] > 4 { p[9] } else { 0.0 }),
+                strict: counts[1] % 2 == 0,
             },
         }
     }

@@ -55,12 +55,22 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let trial = match &findings.scenario {
         Some(scenario) if args.steps > 0 => {
             let agents = args.agents.unwrap_or(scenario.agents.default);
-            let trial =
-                Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &Hosting::default());
+            let hosting = Hosting::default();
+            let refused = Trial::refused(scenario, agents, &hosting);
+            let trial = refused.and_then(|refused| {
+                if !refused.is_empty() {
+                    return Ok(Err(refused));
+                }
+                Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &hosting).map(Ok)
+            });
             match trial {
-                Ok(trial) => {
+                Ok(Ok(trial)) => {
                     findings.list.extend(trial.findings(scenario));
                     Some(trial)
+                }
+                Ok(Err(refused)) => {
+                    findings.list.extend(refused);
+                    None
                 }
                 Err(error) if is_fault_of_scenario(&error) => {
                     findings.list.push(failed(&error, &args.scenario));

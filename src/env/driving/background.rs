@@ -16,7 +16,7 @@ use super::metrics::BackgroundMetrics;
 use super::motion::NO_CHECKS;
 use super::task::Task;
 use crate::rng::{Rng, Seed};
-use crate::scenario::Spacing;
+use crate::scenario::{PlannedSource, Spacing};
 use crate::sumo::{Command, Snapshot};
 
 /// Departure times of a vehicle or flow of the route files.
@@ -27,6 +27,21 @@ struct Clock {
     next: f64,
     /// Number of departures left.
     left: u64,
+    /// Vehicles that are due and not on the road yet.
+    due: Option<Due>,
+}
+
+/// Vehicles of one type that depart together.
+#[derive(Debug, Clone, Copy)]
+struct Due {
+    /// Index into [`Demand::types`](crate::scenario::Demand).
+    kind: usize,
+    /// Index into the departures of the plan.
+    departure: usize,
+    /// Number of vehicles.
+    count: u64,
+    /// Time at which they are due, from the start of the episode \[s\].
+    time: f64,
 }
 
 /// The background traffic of an episode. Its slots are given to the methods as a slice without
@@ -39,7 +54,7 @@ pub(super) struct Background {
 
 impl Background {
     pub(super) fn new(task: &Task) -> Self {
-        let clocks = Vec::with_capacity(task.demand.sources.len());
+        let clocks = Vec::with_capacity(task.map.plan.sources.len());
         Self { clocks, effects: Effects::new(task.agents, task.others) }
     }
 
@@ -56,13 +71,14 @@ impl Background {
     ) {
         self.effects.begin();
         self.clocks.clear();
-        for (index, source) in task.demand.sources.iter().enumerate() {
-            let mut rng = seed.index(index as u64).rng();
+        for source in &task.map.plan.sources {
+            // The number in the files, so that departures do not depend on who is left out.
+            let mut rng = seed.index(source.source as u64).rng();
             let mut next = source.begin;
             if !matches!(source.spacing, Spacing::Equal(_)) {
                 next += gap(source.spacing, &mut rng);
             }
-            self.clocks.push(Clock { rng, next, left: source.number });
+            self.clocks.push(Clock { rng, next, left: source.number, due: None });
         }
         let mut rng = seed.child("places").rng();
         for (slot, i) in slots.iter_mut().zip(task.agents as u32..) {
@@ -125,26 +141,26 @@ impl Background {
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
-        let sources = task.demand.sources.iter().zip(&mut self.clocks).enumerate();
-        for (index, (source, clock)) in sources {
-            // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums
-            // are rounded.
-            while clock.left > 0 && clock.next <= now + 5e-4 && clock.next < source.end {
-                let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
-                let Some(i) = (task.placed..slots.len()).find(|&i| free(&slots[i])) else {
+        let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
+        let mut vacant = task.placed;
+        for (source, clock) in task.map.plan.sources.iter().zip(&mut self.clocks) {
+            while let Some(due) = clock.due(task, source, now) {
+                let Some(i) = (vacant..slots.len()).find(|&i| free(&slots[i])) else {
                     return;
                 };
-                let kind = draw(&source.types, &mut clock.rng);
-                clock.next += gap(source.spacing, &mut clock.rng);
-                clock.left -= 1;
-                let (vehicle_type, size) = task.demand_type(kind);
-                let route = task.map.demand_routes[source.route].route;
+                vacant = i + 1;
+                let due = Due { count: due.count - 1, ..due };
+                clock.due = Some(due).filter(|due| due.count > 0);
+                let (vehicle_type, size) = task.demand_type(due.kind);
+                let route = task.map.plan.departures[due.departure].route;
                 slots[i] = Slot { route, size, added: true, ..Slot::default() };
                 commands.push(Command::Depart {
                     world,
                     slot: (task.agents + i) as u32,
-                    departure: index as u32,
+                    departure: due.departure as u32,
                     vehicle_type,
+                    // The stops of a flow are timed from its first departure.
+                    until_from_now: due.time - source.begin - now,
                 });
             }
         }
@@ -230,6 +246,32 @@ impl Background {
     }
 }
 
+impl Clock {
+    /// Returns the vehicles of a vehicle or flow that are due at `now`, which it draws if none is.
+    fn due(&mut self, task: &Task, source: &PlannedSource, now: f64) -> Option<Due> {
+        // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums are
+        // rounded.
+        while self.due.is_none()
+            && self.left > 0
+            && self.next <= now + 5e-4
+            && self.next < source.end
+        {
+            let kind = draw(&task.demand.sources[source.source].types, &mut self.rng);
+            let departure = draw(&source.departures, &mut self.rng);
+            let time = self.next;
+            self.next += gap(source.spacing, &mut self.rng);
+            self.left -= 1;
+            let scale = task.demand.types[kind].scale;
+            let part = scale.fract() > 0.0 && self.rng.random::<f64>() < scale.fract();
+            let count = scale as u64 + u64::from(part);
+            if let Some(departure) = departure.filter(|_| count > 0) {
+                self.due = Some(Due { kind, departure, count, time });
+            }
+        }
+        self.due
+    }
+}
+
 /// Returns the seconds to the next departure.
 fn gap(spacing: Spacing, rng: &mut Rng) -> f64 {
     match spacing {
@@ -241,8 +283,8 @@ fn gap(spacing: Spacing, rng: &mut Rng) -> f64 {
     }
 }
 
-/// Draws an index from a list of indices and weights.
-fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
+/// Draws an entry from a list of entries and weights; the default, if the list is empty.
+fn draw<T: Copy + Default>(mix: &[(T, f64)], rng: &mut Rng) -> T {
     if let [(only, _)] = mix {
         return *only;
     }
@@ -251,7 +293,7 @@ fn draw(mix: &[(usize, f64)], rng: &mut Rng) -> usize {
         left -= weight;
         left < 0.0
     });
-    hit.or(mix.last()).map_or(0, |entry| entry.0)
+    hit.or(mix.last()).map_or_else(T::default, |entry| entry.0)
 }
 
 #[cfg(test)]

@@ -4,13 +4,15 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
+use rayon::prelude::*;
+
 use super::detour::path_around;
 use super::error::Error;
 use super::forks::Forks;
 use super::geometry::Size;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
-use crate::scenario::{Demand, Laid, Scenario};
+use crate::scenario::{Demand, DemandPlan, Scenario};
 use crate::sumo::net::{EdgeFunction, Net, Path};
 
 /// A part of a route that lies in a junction.
@@ -45,16 +47,6 @@ impl RoutePosition {
     }
 }
 
-/// A route of a route file.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct DemandRoute {
-    /// Index of the route in [`Map::routes`].
-    pub(super) route: usize,
-    /// Where a walk begins on its first edge and where it ends on its last edge \[m\]; `None` for
-    /// routes of vehicles.
-    pub(super) walk: Option<[f64; 2]>,
-}
-
 /// The net and the routes of a task.
 #[derive(Debug, Clone)]
 pub struct Map {
@@ -66,8 +58,8 @@ pub struct Map {
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
     pub(super) route_edges: Vec<Vec<String>>,
-    /// Routes of the route files.
-    pub(super) demand_routes: Vec<DemandRoute>,
+    /// Who departs from the route files, and how. The routes are indices into [`Map::routes`].
+    pub(super) plan: DemandPlan,
     /// Parts of each route that lie in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
     /// Which routes begin alike, and where they part.
@@ -100,21 +92,20 @@ impl Map {
             scenario.routes.iter().map(|route| route.id.clone()).collect();
         let mut route_edges: Vec<Vec<String>> =
             scenario.routes.iter().map(|route| route.edges.clone()).collect();
-        let mut demand_routes = Vec::with_capacity(demand.routes.len());
-        for route in &demand.routes {
-            let Laid { path, edges, walk } = route.lay(&net)?;
-            // The paths of walks have no lanes, so that walks are compared by edges and points.
-            let same = |(other, at): (&Path, &Vec<String>)| {
-                other.lanes == path.lanes
-                    && (walk.is_none() || *at == edges && other.points == path.points)
-            };
+        let mut plan = scenario.plan(demand, &net)?;
+        let mut places = Vec::with_capacity(plan.routes.len());
+        for laid in std::mem::take(&mut plan.routes) {
+            let same = |(path, edges): (&Path, &Vec<String>)| laid.is_same(path, edges);
             let known = lanes.iter().zip(&route_edges).position(same);
-            demand_routes.push(DemandRoute { route: known.unwrap_or(lanes.len()), walk });
+            places.push(known.unwrap_or(lanes.len()));
             if known.is_none() {
-                lanes.push(path);
-                route_ids.push(format!("{} of a route file", route.id));
-                route_edges.push(edges);
+                lanes.push(laid.path);
+                route_ids.push(format!("{} of a route file", laid.id));
+                route_edges.push(laid.edges);
             }
+        }
+        for departure in &mut plan.departures {
+            departure.route = places[departure.route];
         }
         let size = [scenario.vehicle.length, scenario.vehicle.width];
         let routes = lay_routes(&net, scenario, &lanes, size);
@@ -133,7 +124,7 @@ impl Map {
             routes,
             route_ids,
             route_edges,
-            demand_routes,
+            plan,
         })
     }
 
@@ -205,7 +196,7 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
         route.first_lane = lanes[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
         route
     };
-    (0..lanes.len()).map(lay).collect()
+    (0..lanes.len()).into_par_iter().map(lay).collect()
 }
 
 fn bounds(paths: &[Path]) -> [f64; 4] {

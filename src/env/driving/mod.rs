@@ -23,6 +23,7 @@ mod metrics;
 mod motion;
 mod observation;
 mod order;
+mod refusals;
 mod reward;
 pub(super) mod right_of_way;
 mod road;

@@ -3,10 +3,12 @@
 use super::error::Error;
 use super::geometry::Size;
 use super::layout::Layout;
-use super::map::{DemandRoute, Map};
+use super::map::Map;
 use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
-use crate::scenario::{Control, Demand, Scenario, Source, SpawnPlace, Start, VehicleKind};
+use crate::scenario::{
+    Control, Demand, Finish, PlannedDeparture, Scenario, SpawnPlace, Start, VehicleKind,
+};
 use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
@@ -72,8 +74,8 @@ impl Task {
         let demand = Demand::load(&scenario.traffic.files)?;
         let place_mix =
             scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
-        let capacity = if demand.sources.is_empty() { 0 } else { scenario.traffic.capacity };
         let map = Map::new(scenario, &demand, &choice.file)?;
+        let capacity = if map.plan.sources.is_empty() { 0 } else { scenario.traffic.capacity };
         let end = |route: &crate::scenario::Route| route.edges.last().cloned();
         let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
         let reserved =
@@ -107,6 +109,12 @@ impl Task {
     #[must_use]
     pub fn with_fewest(self, fewest: usize) -> Self {
         Self { fewest: fewest.clamp(1, self.agents), ..self }
+    }
+
+    /// Returns a line about vehicles and persons of the route files that are left out; `None` if
+    /// none is.
+    pub fn left_out(&self) -> Option<String> {
+        self.map.plan.warning().map(|(what, hint)| format!("{what}; {hint}"))
     }
 
     /// Returns the number of slots of a world: those of agents and of background traffic.
@@ -183,20 +191,37 @@ impl Task {
 
     /// Returns what SUMO needs to know about background traffic.
     fn road_users(&self) -> BackgroundTraffic {
-        let departure = |source: &Source| {
-            let DemandRoute { route, walk } = self.map.demand_routes[source.route];
-            let route = route as u32;
-            if let Some([pos, arrival]) = walk {
+        let departure = |planned: &PlannedDeparture| {
+            let route = planned.route as u32;
+            if let Some([pos, arrival]) = planned.walk {
                 return Departure::Walk { route, pos, arrival };
             }
+            let source = &self.demand.sources[planned.source];
             let Start { lane, pos, speed } = source.start.clone();
-            Departure::Drive { route, lane, pos, speed }
+            let Finish { lane: arrival_lane, pos: arrival_pos, speed: arrival_speed } =
+                source.finish.clone();
+            Departure::Drive {
+                route,
+                lane,
+                pos,
+                speed,
+                arrival_lane,
+                arrival_pos,
+                arrival_speed,
+                line: source.line.clone(),
+                persons: source.persons,
+                speed_factor: source.speed_factor,
+                stops: planned.stops.clone(),
+            }
         };
+        let departures = &self.map.plan.departures;
+        let name = |planned: &PlannedDeparture| self.demand.sources[planned.source].name();
         BackgroundTraffic {
             first_slot: self.agents as u32,
             definitions: self.demand.definitions.clone(),
             types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
-            departures: self.demand.sources.iter().map(departure).collect(),
+            departures: departures.iter().map(departure).collect(),
+            names: departures.iter().map(name).collect(),
         }
     }
 }

@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use super::super::Scenario;
 use super::Error;
 use super::files::{beside, show_traffic};
+use crate::markup;
 use crate::record::write_atomic;
 use crate::sumo::find_program;
 use crate::sumo::net::xml;
@@ -87,7 +88,7 @@ fn configuration(net: &Path) -> PathBuf {
 
 /// Returns the files that a configuration names as its input.
 fn sources(config: &Path) -> Result<Vec<PathBuf>, Error> {
-    let text = xml::read(config, MAX_BYTES)
+    let text = markup::read(config, MAX_BYTES)
         .map_err(|source| Error::Read { path: config.into(), source })?;
     let refused = |why: String| Error::Configuration { path: config.into(), why };
     let text = text.ok_or_else(|| refused(format!("the file is larger than {MAX_BYTES} bytes")))?;

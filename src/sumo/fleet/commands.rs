@@ -7,9 +7,11 @@ use super::{Fleet, Slot};
 use crate::sumo::{
     Batch, Command, Departure, Error, Route, SimulationConfig, constants as c,
     domain::{
+        self,
         person::Walk,
         vehicle::{Addition, Placement},
     },
+    net::tiled_id,
 };
 
 /// SUMO's lane change mode in which a vehicle never changes lanes by itself.
@@ -66,22 +68,61 @@ impl Fleet {
                 let start = self.texts.each_ref().map(String::as_str);
                 let addition = addition(self.route(world, route)?, self.kind(vehicle_type)?, start);
                 batch.vehicle().add(&self.names[vehicle], &addition);
-                self.next[vehicle] = Slot { known: true, walks: false, departed: depart_pos };
+                let departed = depart_pos;
+                self.next[vehicle] = Slot { known: true, departed, ..Slot::default() };
             }
-            Command::Depart { world, slot, departure, vehicle_type } => {
+            Command::Depart { world, slot, departure: index, vehicle_type, until_from_now } => {
                 let vehicle = self.vacant(world, slot)?;
                 let others = self.config.others.as_ref();
                 let departures = others.map_or(&[][..], |others| &others.departures);
                 let unknown = || {
                     let known = departures.len();
-                    Error::invalid(format!("there is no departure {departure}: there are {known}"))
+                    Error::invalid(format!("there is no departure {index}: there are {known}"))
                 };
-                let departure = departures.get(departure as usize).ok_or_else(unknown)?;
+                let departure = departures.get(index as usize).ok_or_else(unknown)?;
                 let route = self.route(world, departure.route())?;
                 let (name, kind) = (&self.names[vehicle], self.kind(vehicle_type)?);
                 match departure {
-                    Departure::Drive { lane, pos, speed, .. } => {
-                        batch.vehicle().add(name, &addition(route, kind, [lane, pos, speed]));
+                    Departure::Drive {
+                        route: _,
+                        lane,
+                        pos,
+                        speed,
+                        arrival_lane,
+                        arrival_pos,
+                        arrival_speed,
+                        line,
+                        persons,
+                        speed_factor,
+                        stops,
+                    } => {
+                        let addition = Addition {
+                            arrival_lane,
+                            arrival_pos,
+                            arrival_speed,
+                            line,
+                            person_number: *persons as i32,
+                            ..addition(route, kind, [lane, pos, speed])
+                        };
+                        batch.vehicle().add(name, &addition);
+                        if let Some(factor) = speed_factor {
+                            batch.vehicle().set_speed_factor(name, *factor);
+                        }
+                        for stop in stops {
+                            let edge = self.tiled(world, &stop.edge);
+                            let clock = self.snapshot.time + until_from_now;
+                            let [start_pos, end_pos] = stop.range;
+                            let until = stop.until.map(|until| (clock + until).max(0.0));
+                            let on_edge = domain::vehicle::Stop::on_edge(&edge, end_pos);
+                            let stop = domain::vehicle::Stop {
+                                lane: stop.lane as i8,
+                                duration: stop.duration,
+                                start_pos,
+                                until: until.unwrap_or(on_edge.until),
+                                ..on_edge
+                            };
+                            batch.vehicle().set_stop(name, &stop);
+                        }
                     }
                     Departure::Walk { pos, arrival, .. } => {
                         let first = route.edges.first().map_or("", String::as_str);
@@ -92,7 +133,8 @@ impl Fleet {
                 }
                 // SUMO chooses the position; the distance of a vehicle that SUMO drives is not
                 // used.
-                self.next[vehicle] = Slot { known: true, walks: route.walked, departed: 0.0 };
+                let (walks, departure) = (route.walked, Some(index));
+                self.next[vehicle] = Slot { known: true, walks, departure, departed: 0.0 };
             }
             Command::Remove { world, slot } => {
                 let vehicle = self.vehicle(world, slot)?;
@@ -165,6 +207,11 @@ impl Fleet {
             return Err(Error::invalid(format!("there is no route {route}: there are {known}")));
         }
         Ok(&self.routes[world as usize * known + route as usize])
+    }
+
+    /// Returns the id of an edge in a world's copy of the net.
+    fn tiled(&self, world: u32, edge: &str) -> String {
+        if self.config.worlds == 1 { edge.to_owned() } else { tiled_id(world, edge) }
     }
 
     /// Returns the id of a vehicle type, given by its index.

@@ -38,7 +38,8 @@ fn commands_that_are_refused_do_not_make_a_pedestrian_of_a_vehicle() {
     let (world, slot) = (0, 0);
     let speed = |speed| Command::SetSpeed { world, slot, speed };
     let before = message(&mut fleet, &[speed(1.0)]).unwrap();
-    let departure = Command::Depart { world, slot, departure: 0, vehicle_type: 0 };
+    let departure =
+        Command::Depart { world, slot, departure: 0, vehicle_type: 0, until_from_now: 0.0 };
     assert!(message(&mut fleet, &[departure, speed(f64::NAN)]).is_err());
     assert_eq!(message(&mut fleet, &[speed(1.0)]).unwrap(), before);
     // The commands after a departure concern the pedestrian.

@@ -108,11 +108,30 @@ pub enum Problem {
         /// A similar edge that the net has.
         nearest: Option<String>,
     },
-    /// A route names an edge that is part of a junction or that cars cannot use.
+    /// A route names an edge that is part of a junction.
     #[error("the edge `{edge}` is not a road, so no route can name it")]
     NotRoad {
         /// The id.
         edge: String,
+    },
+    /// A route names an edge that vehicles of a class may not use.
+    #[error("vehicles of class `{class}` may not use the edge `{edge}`")]
+    NotAllowed {
+        /// The id.
+        edge: String,
+        /// SUMO's vehicle class.
+        class: String,
+    },
+    /// A trip names a junction that the net does not have, or that has no road of the direction
+    /// that the trip needs.
+    #[error("the net has no junction `{junction}` with a road {direction} it{}", did_you_mean(nearest.as_deref()))]
+    NoJunction {
+        /// The id.
+        junction: String,
+        /// `from` or `to`.
+        direction: &'static str,
+        /// A similar junction that the net has.
+        nearest: Option<String>,
     },
     /// No lane of an edge leads to the route's next edge.
     #[error("the edge `{from}` does not lead to `{to}`")]
@@ -186,8 +205,8 @@ impl NetError {
             Problem::Read { source } if source.kind() == io::ErrorKind::NotFound => {
                 "build the net (`iwol scenario build`), or correct the file name".into()
             }
-            Problem::Read { .. } if self.path.extension().is_some_and(|e| e == "gz") => {
-                "compressed nets are not read; unpack it with gunzip".into()
+            Problem::Read { source } if source.kind() == io::ErrorKind::InvalidData => {
+                "name the file's encoding in its first line, as in <?xml version=\"1.0\" encoding=\"ISO-8859-1\"?>".into()
             }
             Problem::NotNet { .. } => {
                 "give the .net.xml that netconvert writes, not its sources".into()

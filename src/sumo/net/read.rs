@@ -7,10 +7,12 @@ use std::{
 
 use roxmltree::{Document, Node};
 
+use super::classes::{CARS, Classes, PEDESTRIANS};
 use super::{
     Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError, Problem,
     nearest, shorten, xml,
 };
+use crate::markup;
 
 /// Maximum size of a net file \[bytes\].
 const MAX_BYTES: u64 = 256 << 20;
@@ -18,19 +20,13 @@ const MAX_BYTES: u64 = 256 << 20;
 /// Minimum length of a lane as SUMO counts it \[m\]; keeps ratios of lengths finite.
 const MIN_LENGTH: f64 = 1e-3;
 
-/// SUMO's vehicle class of the vehicles in this program.
-const CARS: &str = "passenger";
-
-/// SUMO's vehicle class of pedestrians.
-const PEDESTRIANS: &str = "pedestrian";
-
 /// Maximum magnitude of any number in a net; keeps sums and products finite.
 const MAX_NUMBER: f64 = 1e9;
 
 impl Net {
     /// Returns the text of a net file.
     pub(in crate::sumo) fn text(path: &FilePath) -> Result<String, NetError> {
-        let text = xml::read(path, MAX_BYTES)
+        let text = markup::read(path, MAX_BYTES)
             .map_err(|source| error(path, None, Problem::Read { source }))?;
         text.ok_or_else(|| error(path, None, Problem::TooLarge { limit: MAX_BYTES }))
     }
@@ -171,6 +167,7 @@ impl Reader<'_, '_> {
     }
 
     fn lane(&self, node: Node, edge: usize) -> Result<Lane, NetError> {
+        let classes = Classes::of(node.attribute("allow"), node.attribute("disallow"));
         Ok(Lane {
             id: self.text(node, "id")?.into(),
             edge,
@@ -182,8 +179,9 @@ impl Reader<'_, '_> {
                 Some(_) => self.number(node, "width", 0.0)?,
             },
             shape: self.points(node, 2)?,
-            cars: allows(node, CARS),
-            pedestrians: allows(node, PEDESTRIANS),
+            cars: classes.contain(CARS),
+            pedestrians: classes.contain(PEDESTRIANS),
+            classes,
         })
     }
 
@@ -280,12 +278,6 @@ impl Reader<'_, '_> {
     fn duplicate(&self, node: Node, kind: &'static str, id: &str) -> NetError {
         self.error_at(node, "id", Problem::Duplicate { kind, id: shorten(id) })
     }
-}
-
-/// Whether a vehicle class may use a lane.
-fn allows(lane: Node, class: &str) -> bool {
-    let named = |list: &str| list.split_whitespace().any(|name| name == "all" || name == class);
-    lane.attribute("allow").is_none_or(named) && !lane.attribute("disallow").is_some_and(named)
 }
 
 fn elements<'a, 'i>(

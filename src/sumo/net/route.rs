@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
+use super::classes::CARS;
 use super::{Connection, Edge, EdgeFunction, MAX_POINTS, Net, NetError, Path, Problem, shorten};
 
 impl Net {
@@ -13,7 +14,8 @@ impl Net {
     ///
     /// # Errors
     /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`],
-    /// [`Problem::NotConnected`], [`Problem::LaneChange`] or [`Problem::LongRoute`].
+    /// [`Problem::NotAllowed`], [`Problem::NotConnected`], [`Problem::LaneChange`] or
+    /// [`Problem::LongRoute`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
         self.route_path_from(edges, None)
     }
@@ -25,7 +27,21 @@ impl Net {
     /// As [`Net::route_path`], with [`Problem::LaneChange`] if the route cannot be driven from
     /// that lane.
     pub fn route_path_from(&self, edges: &[String], lane: Option<u32>) -> Result<Path, NetError> {
-        let lanes = self.route_lanes(edges, lane)?;
+        self.route_path_for(edges, lane, &[CARS])
+    }
+
+    /// Returns the path of a route on lanes that vehicles of all `classes` (SUMO's names) may use;
+    /// `lane` as for [`Net::route_path_from`].
+    ///
+    /// # Errors
+    /// As [`Net::route_path_from`].
+    pub fn route_path_for(
+        &self,
+        edges: &[String],
+        lane: Option<u32>,
+        classes: &[&str],
+    ) -> Result<Path, NetError> {
+        let lanes = self.route_lanes(edges, lane, classes)?;
         let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
         if points > MAX_POINTS {
             return Err(self.error(Problem::LongRoute { points, limit: MAX_POINTS }));
@@ -35,22 +51,27 @@ impl Net {
 
     /// Returns the lanes of a route in driving order, with the internal lanes between those of its
     /// edges.
-    fn route_lanes(&self, edges: &[String], first: Option<u32>) -> Result<Vec<usize>, NetError> {
+    fn route_lanes(
+        &self,
+        edges: &[String],
+        first: Option<u32>,
+        classes: &[&str],
+    ) -> Result<Vec<usize>, NetError> {
         let Some(last) = edges.len().checked_sub(1) else {
             return Err(self.error(Problem::EmptyRoute));
         };
         let route: Vec<&Edge> =
-            edges.iter().map(|id| self.edge_named(id)).collect::<Result<_, _>>()?;
+            edges.iter().map(|id| self.edge_for(id, classes)).collect::<Result<_, _>>()?;
         // From the last edge to the first: for each lane, the best connection from which the
         // route's end can be reached.
         let mut onward: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
             let mut connected = false;
-            for lane in route[i].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
+            for lane in route[i].lanes.clone().filter(|&lane| self.is_open(lane, classes)) {
                 let connections = self
                     .connections_from(lane)
-                    .filter(|c| next.contains(&c.to) && self.lanes[c.to].cars)
+                    .filter(|c| next.contains(&c.to) && self.is_open(c.to, classes))
                     .inspect(|_| connected = true);
                 let reaches_end = |c: &&Connection| {
                     onward.get(i + 1).is_none_or(|later| later.contains_key(&c.to))
@@ -66,7 +87,7 @@ impl Net {
         }
         let lane_change = || self.error(Problem::LaneChange { route: shorten(&edges.join(" ")) });
         let wanted = |lane: usize| {
-            self.lanes[lane].cars && first.is_none_or(|first| self.lanes[lane].index == first)
+            self.is_open(lane, classes) && first.is_none_or(|first| self.lanes[lane].index == first)
         };
         let good = |lane: &usize| {
             wanted(*lane) && onward.first().is_none_or(|first| first.contains_key(lane))
@@ -80,6 +101,11 @@ impl Net {
             lanes.push(lane);
         }
         Ok(lanes)
+    }
+
+    /// Whether vehicles of all these classes may use a lane.
+    pub fn is_open(&self, lane: usize, classes: &[&str]) -> bool {
+        classes.iter().all(|class| self.lanes[lane].classes.contain(class))
     }
 
     /// Returns the first lane of a path from which several connections lead to the next road.

@@ -3,28 +3,36 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use super::{EdgeFunction, Net, NetError, Problem, shorten};
+use super::{EdgeFunction, Net, NetError, Problem, nearest, shorten};
 
 /// A lane, and the number of the trip's edges that have been reached there.
 type Node = (usize, usize);
 
 impl Net {
-    /// Returns the edges of the fastest route at the speed limits that begins on the first of
-    /// `stages`, passes all of them in order and ends on the last, without lane changes.
+    /// Returns the edges of the fastest route at the speed limits that begins on an edge of the
+    /// first of `stages`, passes an edge of each in order and ends on one of the last, without lane
+    /// changes. Vehicles of all `classes` (SUMO's names) may drive it.
     ///
     /// # Errors
-    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`], or
-    /// [`Problem::NoTrip`] if no such route exists.
-    pub fn trip(&self, stages: &[String]) -> Result<Vec<String>, NetError> {
-        let mut edges: Vec<usize> =
-            stages.iter().map(|id| self.road(id)).collect::<Result<_, _>>()?;
+    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`],
+    /// [`Problem::NotAllowed`], or [`Problem::NoTrip`] if no such route exists.
+    pub fn trip(&self, stages: &[Vec<String>], classes: &[&str]) -> Result<Vec<String>, NetError> {
+        let road = |id: &String| {
+            self.edge_for(id, classes)?;
+            self.edge_index(id).ok_or_else(|| self.error(Problem::EmptyRoute))
+        };
+        let mut edges: Vec<Vec<usize>> = stages
+            .iter()
+            .map(|ids| ids.iter().map(road).collect::<Result<_, _>>())
+            .collect::<Result<_, _>>()?;
         edges.dedup();
-        let Some(&first) = edges.first() else {
+        let Some(first) = edges.first() else {
             return Err(self.error(Problem::EmptyRoute));
         };
         let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
         let mut open = BinaryHeap::new();
-        for lane in self.edges[first].lanes.clone().filter(|&lane| self.lanes[lane].cars) {
+        let lanes = first.iter().flat_map(|&edge| self.edges[edge].lanes.clone());
+        for lane in lanes.filter(|&lane| self.is_open(lane, classes)) {
             before.insert((lane, 1), (0, (lane, 1)));
             open.push(Reverse((0, (lane, 1))));
         }
@@ -36,9 +44,9 @@ impl Net {
             if before[&node].0 < time {
                 continue;
             }
-            for connection in self.connections_from(lane).filter(|c| self.lanes[c.to].cars) {
+            for connection in self.connections_from(lane).filter(|c| self.is_open(c.to, classes)) {
                 let to = &self.lanes[connection.to];
-                let reached = reached + usize::from(to.edge == edges[reached]);
+                let reached = reached + usize::from(edges[reached].contains(&to.edge));
                 // Whole milliseconds are integers, which the heap can order.
                 let later = time + (1e3 * to.length / to.speed.max(0.1)) as u64 + 1;
                 let next = (connection.to, reached);
@@ -48,13 +56,37 @@ impl Net {
                 }
             }
         }
-        let (from, to) = (shorten(&stages[0]), shorten(&stages[stages.len() - 1]));
+        let name = |stage: &Vec<String>| shorten(&stage.join(" "));
+        let (from, to) = (name(&stages[0]), name(&stages[stages.len() - 1]));
         Err(self.error(Problem::NoTrip { from, to }))
     }
 
-    fn road(&self, id: &str) -> Result<usize, NetError> {
-        self.edge_named(id)?;
-        self.edge_index(id).ok_or_else(|| self.error(Problem::EmptyRoute))
+    /// Returns the roads that leave a junction, or those that lead to it, and that vehicles of all
+    /// `classes` may use.
+    ///
+    /// # Errors
+    /// [`Problem::NoJunction`] if there is none.
+    pub fn roads_at(
+        &self,
+        junction: &str,
+        leaving: bool,
+        classes: &[&str],
+    ) -> Result<Vec<String>, NetError> {
+        let at = |edge: &&super::Edge| {
+            let end = if leaving { &edge.from } else { &edge.to };
+            edge.function == EdgeFunction::Normal
+                && end.as_deref() == Some(junction)
+                && edge.lanes.clone().any(|lane| self.is_open(lane, classes))
+        };
+        let roads: Vec<String> = self.edges.iter().filter(at).map(|edge| edge.id.clone()).collect();
+        if roads.is_empty() {
+            let known = self.junctions.iter().map(|known| known.id.as_str());
+            let nearest = nearest(junction, known.filter(|id| *id != junction)).map(Into::into);
+            let direction = if leaving { "from" } else { "to" };
+            let junction = shorten(junction);
+            return Err(self.error(Problem::NoJunction { junction, direction, nearest }));
+        }
+        Ok(roads)
     }
 
     /// Returns the edges of the route to a node, in driving order.
@@ -78,8 +110,9 @@ mod tests {
     fn the_fastest_route_passes_all_stages() {
         let net = Net::load(std::path::Path::new("sumo_nets/intersection_turns/one_lane.net.xml"))
             .expect("the net");
-        let trip =
-            |stages: &[&str]| net.trip(&stages.iter().map(|&id| id.into()).collect::<Vec<_>>());
+        let trip = |stages: &[&str]| {
+            net.trip(&stages.iter().map(|&id| vec![id.into()]).collect::<Vec<_>>(), &["passenger"])
+        };
         let ids: Vec<&str> = net.roads().map(|edge| edge.id.as_str()).collect();
         let mut longest = 0;
         for from in &ids {
@@ -100,11 +133,9 @@ mod tests {
         // This net has no turns, so no route leads round a corner.
         let net = Net::load(std::path::Path::new("sumo_nets/intersection/arm42.net.xml"))
             .expect("the net");
-        let stages = |to: &str| ["west_in".to_owned(), to.to_owned()];
-        assert_eq!(net.trip(&stages("east_out")).expect("straight on"), stages("east_out"));
-        assert!(matches!(
-            net.trip(&stages("north_out")),
-            Err(NetError { problem: Problem::NoTrip { .. }, .. })
-        ));
+        let stages = |to: &str| ["west_in", to].map(|id| vec![id.to_owned()]);
+        let trip = |to: &str| net.trip(&stages(to), &["passenger"]);
+        assert_eq!(trip("east_out").expect("straight on"), stages("east_out").concat());
+        assert!(matches!(trip("north_out"), Err(NetError { problem: Problem::NoTrip { .. }, .. })));
     }
 }

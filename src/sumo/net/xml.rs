@@ -1,7 +1,4 @@
-//! Reader of untrusted XML files, that is, nets and scenarios, with limits on size, memory and
-//! time.
-
-use std::{fs::File, io, io::Read as _, path::Path};
+//! Parser of untrusted XML files, that is, nets and scenarios, with limits on memory and time.
 
 use roxmltree::{Document, TextPos};
 
@@ -28,22 +25,6 @@ pub enum XmlError {
         /// Greatest number of items.
         limit: usize,
     },
-}
-
-/// Returns the text of a file; `None` if the file is longer than `limit` bytes.
-///
-/// # Errors
-/// The operating system's error, or the line and column of the first byte that is not UTF-8.
-pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Option<String>> {
-    let mut bytes = Vec::new();
-    if File::open(path)?.take(limit + 1).read_to_end(&mut bytes)? as u64 > limit {
-        return Ok(None);
-    }
-    String::from_utf8(bytes).map(Some).map_err(|error| {
-        let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
-        let TextPos { row, col } = position(&valid, valid.len());
-        io::Error::new(io::ErrorKind::InvalidData, format!("not UTF-8 at line {row}, column {col}"))
-    })
 }
 
 /// Parses a text.

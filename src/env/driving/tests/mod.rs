@@ -78,9 +78,7 @@ impl Rails {
                     );
                     let vehicle = &mut self.vehicles[slot as usize];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
-                    let route = self.task.map.demand_routes
-                        [self.task.demand.sources[departure as usize].route]
-                        .route;
+                    let route = self.task.map.plan.departures[departure as usize].route;
                     *vehicle = Some((route, 5.0, 10.0));
                 }
                 Command::MoveTo { .. } => panic!("nobody steers here"),

@@ -1,0 +1,61 @@
+//! Lets everyone of the route files depart once, alone, to find those whom SUMO refuses.
+
+use super::error::Error;
+use super::task::Task;
+use crate::scenario::LeftOut;
+use crate::sumo::{self, Backend, Command, Hosting};
+
+impl Task {
+    /// Returns the vehicles and persons of the route files whom SUMO refuses, each with SUMO's
+    /// reason.
+    ///
+    /// # Errors
+    /// [`Error::Sumo`] if SUMO fails.
+    pub fn refused_departures(&self, hosting: &Hosting) -> Result<Vec<LeftOut>, Error> {
+        let plan = &self.map.plan;
+        let mut refused: Vec<LeftOut> = Vec::new();
+        if plan.departures.is_empty() {
+            return Ok(refused);
+        }
+        let failed = |source| Error::Sumo { world: 0, episode: 0, step: 0, source };
+        let config = self.simulation_config(0, 1, hosting);
+        let mut simulation = sumo::start(Backend::Traci, config).map_err(failed)?;
+        let mut exchange = |command| {
+            simulation.send(&[command])?;
+            match simulation.receive() {
+                Ok(_) => Ok(None),
+                Err(sumo::Error::Refused { message, .. }) => Ok(Some(message)),
+                Err(error) => Err(error),
+            }
+        };
+        let (world, slot) = (0, (self.agents + self.placed) as u32);
+        for (index, planned) in plan.departures.iter().enumerate() {
+            let source = &self.demand.sources[planned.source];
+            for &(kind, _) in source.types.iter().filter(|entry| entry.1 > 0.0) {
+                let (vehicle_type, _) = self.demand_type(kind);
+                let departure = index as u32;
+                let until_from_now = -source.begin;
+                let depart =
+                    Command::Depart { world, slot, departure, vehicle_type, until_from_now };
+                let reason = match exchange(depart).map_err(failed)? {
+                    None => {
+                        let gone = exchange(Command::Remove { world, slot }).map_err(failed)?;
+                        gone.map(|_| "SUMO drops it when it departs".to_owned())
+                    }
+                    Some(message) => {
+                        // It may be on the road if SUMO refused one of its stops.
+                        exchange(Command::Remove { world, slot }).map_err(failed)?;
+                        Some(format!("SUMO refuses it: {}", message.trim()))
+                    }
+                };
+                if let Some(reason) = reason
+                    && refused.last().is_none_or(|last| last.place != source.place)
+                {
+                    let (id, element) = (source.id.clone(), source.element);
+                    refused.push(LeftOut { id, element, place: source.place.clone(), reason });
+                }
+            }
+        }
+        Ok(refused)
+    }
+}

@@ -1,0 +1,327 @@
+//! Which elements and attributes of SUMO's route files are taken, have no effect, or are refused.
+//! The reader decides by this table, and the documentation is made from it.
+
+use std::fmt::Write as _;
+
+use roxmltree::Node;
+
+use super::super::Error;
+use super::super::reader::Reader;
+use super::Demand;
+use crate::sumo::net::shorten;
+
+/// An element of route files. Names in a text are separated by spaces.
+pub(super) struct Known {
+    pub(super) name: &'static str,
+    /// Attributes that are taken.
+    pub(super) taken: &'static str,
+    /// Attributes that have no effect here, which a warning counts.
+    pub(super) idle: &'static str,
+    /// Attributes that are refused, and what to do instead.
+    pub(super) refused: &'static [(&'static str, &'static str)],
+    /// Elements within it that are taken.
+    pub(super) children: &'static str,
+    /// Elements within it that have no effect here, which a warning counts.
+    pub(super) idle_children: &'static str,
+    /// Elements within it that are refused, and what to do instead.
+    pub(super) refused_children: &'static [(&'static str, &'static str)],
+}
+
+const ZONES: &str = "zones are not taken: make trips or routes of the zones with SUMO's duarouter \
+    (or od2trips), and name that file";
+const COORDINATES: &str =
+    "places by coordinates are not taken: make routes of them with SUMO's duarouter";
+const BY_JUNCTIONS: &str = "name edges to pass in `via`, or make routes with SUMO's duarouter";
+const STOPPING_PLACES: &str = "stops at stopping places are not taken: give `lane` and `endPos`";
+const WAITING: &str =
+    "stops that wait for persons, containers or vehicles are not taken: give a `duration`";
+const CONTAINERS: &str = "containers are not taken: delete the element";
+const ONE_WALK: &str = "a person has one <walk> here: delete the element, or split the person";
+
+const NOTHING: Known = Known {
+    name: "",
+    taken: "",
+    idle: "",
+    refused: &[],
+    children: "",
+    idle_children: "",
+    refused_children: &[],
+};
+
+/// All elements of route files but those within the types of vehicles.
+pub(super) const ELEMENTS: [&Known; 14] = [
+    &ROOT,
+    &TYPE,
+    &CAR_FOLLOWING,
+    &TYPES,
+    &ROUTE,
+    &ROUTES,
+    &VEHICLE,
+    &TRIP,
+    &FLOW,
+    &INTERVAL,
+    &STOP,
+    &PERSON,
+    &PERSON_FLOW,
+    &WALK,
+];
+
+pub(super) const ROOT: Known = Known {
+    name: "routes",
+    children: "vType vTypeDistribution route routeDistribution vehicle trip flow interval person personFlow",
+    // What else SUMO's additional files contain.
+    idle_children: "busStop trainStop containerStop chargingStation parkingArea overheadWire \
+        overheadWireSegment overheadWireClamp tractionSubstation e1Detector inductionLoop e2Detector \
+        laneAreaDetector e3Detector entryExitDetector instantInductionLoop edgeData laneData \
+        routeProbe vTypeProbe timedEvent poi poly polygon location type taz tazs param",
+    refused_children: &[
+        ("include", "name the file in `files` of <traffic> instead"),
+        ("container containerFlow", CONTAINERS),
+        (
+            "calibrator rerouter vaporizer variableSpeedSign tlLogic WAUT wautJunction \
+          railSignalConstraints",
+            "what changes traffic while it runs is not taken: delete the element",
+        ),
+    ],
+    ..NOTHING
+};
+
+/// Types of vehicles and persons, of which SUMO reads the whole element. SUMO ignores attributes
+/// that it does not know in silence; here a warning counts them.
+pub(super) const TYPE: Known = Known {
+    name: "vType",
+    taken: "Mbegin Mflatness accel actionStepLength adaptFactor adaptTime apProb apparentDecel \
+        applyDriverState boardingDuration c1 carFollowModel cc1 cc2 cc3 cc4 cc5 cc6 cc7 cc8 cc9 \
+        ccAccel ccDecel ccoolness collisionAvoidanceGainGap collisionAvoidanceGainGapDot \
+        collisionAvoidanceGainSpace collisionAvoidanceGainSpeed collisionAvoidanceOverride \
+        collisionMinGapFactor color constSpacing containerCapacity decel delta desiredMaxSpeed \
+        emergencyDecel emissionClass epsilonacc estimation flatbedD flatbedH flatbedKa flatbedKp \
+        flatbedKv gapClosingControlGainGap gapClosingControlGainGapDot gapClosingControlGainSpace \
+        gapClosingControlGainSpeed gapControlGainGap gapControlGainGapDot gapControlGainSpace \
+        gapControlGainSpeed guiShape hasDriverState height id imgFile impatience jerkmax \
+        jmCrossingGap jmDriveAfterRedTime jmDriveAfterYellowTime jmDriveRedSpeed jmIgnoreFoeProb \
+        jmIgnoreFoeSpeed jmIgnoreJunctionFoeProb jmIgnoreKeepClearTime jmSigmaMinor jmStoplineGap \
+        jmTimegapMinor k kp lambda laneChangeModel lanesCount latAlignment lcAccelLat lcAssertive \
+        lcCooperative lcCooperativeRoundabout lcCooperativeSpeed lcImpatience lcKeepRight \
+        lcKeepRightAcceptanceTime lcLaneDiscipline lcLookaheadLeft lcMaxDistLatStanding \
+        lcMaxSpeedLatFactor lcMaxSpeedLatStanding lcOpposite lcOvertakeDeltaSpeedFactor \
+        lcOvertakeRight lcPushy lcPushyGap lcSigma lcSpeedGain lcSpeedGainLookahead lcSpeedGainRight \
+        lcStrategic lcSublane lcTimeToImpatience lcTurnAlignmentDistance length loadingDuration \
+        maneuverAngleTimes maxSpeed maxSpeedLat maxvehpreview minGap minGapLat omegaN osgFile \
+        personCapacity phi ploegH ploegKd ploegKp probability scale security sigma sigmaStep \
+        sigmaerror sigmagap sigmaleader speedControlGain speedControlGainCACC speedControlMinGap \
+        speedDev speedFactor startupDelay stepping tPersDrive tPersEstimate taccmax tau \
+        tauCACCToACC tauEngine tauLast timeToTeleport timeToTeleportBidi tpreview trainType \
+        treaction vClass vehdynamics width xi",
+    children: "param carFollowing-IDM carFollowing-IDMM carFollowing-EIDM carFollowing-Krauss \
+        carFollowing-KraussPS carFollowing-KraussOrig1 carFollowing-SmartSK carFollowing-Daniel1 \
+        carFollowing-PWagner2009 carFollowing-BKerner carFollowing-Wiedemann carFollowing-W99 \
+        carFollowing-ACC carFollowing-CACC carFollowing-CC",
+    ..NOTHING
+};
+
+/// Parameters of a car-following model within a type: attributes of types.
+pub(super) const CAR_FOLLOWING: Known = Known { name: "carFollowing-*", ..TYPE };
+
+pub(super) const TYPES: Known = Known {
+    name: "vTypeDistribution",
+    taken: "id vTypes probabilities",
+    idle: "deterministic",
+    children: "vType",
+    ..NOTHING
+};
+
+pub(super) const ROUTE: Known = Known {
+    name: "route",
+    taken: "id edges repeat probability refId",
+    idle: "color exitTimes cost savings cycleTime routeLength reason replacedOnEdge replacedOnIndex \
+        replacedAtTime",
+    children: "stop",
+    idle_children: "param",
+    ..NOTHING
+};
+
+pub(super) const ROUTES: Known = Known {
+    name: "routeDistribution",
+    taken: "id routes probabilities",
+    idle: "last",
+    children: "route",
+    ..NOTHING
+};
+
+/// Attributes of vehicles, trips and flows.
+macro_rules! vehicle {
+    ($more:literal) => {
+        concat!(
+            "id type route from to via fromJunction toJunction departLane departPos departSpeed \
+             departEdge arrivalLane arrivalPos arrivalSpeed arrivalEdge line personNumber \
+             speedFactor",
+            $more
+        )
+    };
+}
+const VEHICLE_IDLE: &str = "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength";
+const VEHICLE_REFUSED: [(&str, &str); 3] = [
+    ("fromTaz toTaz", ZONES),
+    ("fromLonLat toLonLat viaLonLat fromXY toXY viaXY", COORDINATES),
+    ("viaJunctions", BY_JUNCTIONS),
+];
+
+pub(super) const VEHICLE: Known = Known {
+    name: "vehicle",
+    taken: vehicle!(" depart"),
+    idle: VEHICLE_IDLE,
+    refused: &VEHICLE_REFUSED,
+    children: "route routeDistribution stop",
+    idle_children: "param",
+    ..NOTHING
+};
+
+pub(super) const TRIP: Known = Known { name: "trip", ..VEHICLE };
+
+pub(super) const FLOW: Known = Known {
+    name: "flow",
+    taken: vehicle!(" begin end number period vehsPerHour perHour probability"),
+    ..VEHICLE
+};
+
+pub(super) const INTERVAL: Known =
+    Known { name: "interval", taken: "begin end", children: "flow", ..NOTHING };
+
+pub(super) const STOP: Known = Known {
+    name: "stop",
+    taken: "lane edge startPos endPos friendlyPos duration until parking",
+    idle: "posLat index arrival extension expected permitted expectedContainers actType tripId line \
+        priorEdges priorEdgesLength started ended onDemand actualArrival depart collision",
+    refused: &[
+        ("busStop trainStop containerStop chargingStation parkingArea", STOPPING_PLACES),
+        ("triggered containerTriggered split join", WAITING),
+        ("speed", "waypoints are not taken: delete the stop"),
+    ],
+    ..NOTHING
+};
+
+pub(super) const PERSON: Known = Known {
+    name: "person",
+    taken: "id type depart departPos",
+    idle: "color arrival arrivalPos modes vTypes speedFactor",
+    children: "walk",
+    idle_children: "param",
+    refused_children: &[("personTrip ride stop", ONE_WALK)],
+    ..NOTHING
+};
+
+pub(super) const PERSON_FLOW: Known = Known {
+    name: "personFlow",
+    taken: "id type departPos begin end number period personsPerHour perHour probability",
+    ..PERSON
+};
+
+pub(super) const WALK: Known = Known {
+    name: "walk",
+    taken: "edges from to arrivalPos",
+    idle: "speed duration departPos departPosLat departLane cost routeLength exitTimes started ended",
+    refused: &[
+        ("fromTaz toTaz", ZONES),
+        (
+            "busStop trainStop containerStop chargingStation parkingArea",
+            "give `edges` and `arrivalPos`",
+        ),
+        ("fromJunction toJunction viaJunctions route", "give `edges`, or `from` and `to`"),
+    ],
+    ..NOTHING
+};
+
+/// Returns the reason why a name is refused.
+fn reason(refused: &[(&str, &'static str)], name: &str) -> Option<&'static str> {
+    let named = |(names, _): &&(&str, _)| names.split_whitespace().any(|known| known == name);
+    refused.iter().find(named).map(|(_, why)| *why)
+}
+
+impl Demand {
+    /// Checks that an element has only the attributes and child elements that the table has for
+    /// it, and counts those without effect.
+    pub(super) fn expect(
+        &mut self,
+        reader: &Reader,
+        node: Node,
+        known: &'static Known,
+    ) -> Result<(), Error> {
+        let element = node.tag_name().name();
+        for attribute in node.attributes().filter(|a| a.namespace().is_none()) {
+            let name = attribute.name();
+            if let Some(why) = reason(known.refused, name) {
+                let message = format!("{name} of <{element}> is not taken: {why}");
+                return Err(reader.invalid(attribute.range().start, message));
+            }
+            if known.idle.split_whitespace().any(|idle| idle == name) {
+                self.count(reader, node, name);
+            }
+        }
+        let names = |texts: [&'static str; 2]| texts.into_iter().flat_map(str::split_whitespace);
+        let valid: Vec<_> = names([known.taken, known.idle]).collect();
+        reader.expect_attributes(node, &valid)?;
+        self.expect_children(reader, node, known)
+    }
+
+    /// As [`Demand::expect`], for the child elements only.
+    pub(super) fn expect_children(
+        &mut self,
+        reader: &Reader,
+        node: Node,
+        known: &'static Known,
+    ) -> Result<(), Error> {
+        for child in node.children().filter(Node::is_element) {
+            let (element, name) = (node.tag_name().name(), child.tag_name().name());
+            if let Some(why) = reason(known.refused_children, name) {
+                let message = format!("<{name}> in <{element}> is not taken: {why}");
+                return Err(reader.invalid(child.range().start, message));
+            }
+            if known.idle_children.split_whitespace().any(|idle| idle == name) {
+                let entry = self.unused.entry((element.into(), format!("<{}>", shorten(name))));
+                entry.or_insert_with(|| (0, reader.at(child.range().start))).0 += 1;
+            }
+        }
+        let all = [known.children, known.idle_children];
+        let valid: Vec<_> = all.into_iter().flat_map(str::split_whitespace).collect();
+        reader.expect_children(node, &valid, false)
+    }
+
+    /// Counts an attribute without effect.
+    pub(super) fn count(&mut self, reader: &Reader, node: Node, key: &str) {
+        let entry = self.unused.entry((node.tag_name().name().into(), shorten(key)));
+        entry.or_insert_with(|| (0, reader.place(node, key))).0 += 1;
+    }
+}
+
+/// Returns the table as Markdown.
+pub fn route_files() -> String {
+    let mut out = String::from(
+        "| element | taken | without effect, with a warning | refused |\n|---|---|---|---|\n",
+    );
+    let list = |texts: &[&str], tag: bool| {
+        let mut names: Vec<&str> = texts.iter().flat_map(|text| text.split_whitespace()).collect();
+        names.sort_unstable();
+        let quote = |name: &&str| if tag { format!("`<{name}>`") } else { format!("`{name}`") };
+        names.iter().map(quote).collect::<Vec<_>>()
+    };
+    for known in ELEMENTS {
+        let refused = |list: &[(&'static str, _)]| -> Vec<&'static str> {
+            list.iter().map(|entry| entry.0).collect()
+        };
+        let taken = match known.name {
+            "carFollowing-*" => vec!["attributes of `<vType>`".to_owned()],
+            _ => list(&[known.taken], false),
+        };
+        let children = if known.name == "carFollowing-*" { "" } else { known.children };
+        let cells = [
+            [taken, list(&[children], true)].concat(),
+            [list(&[known.idle], false), list(&[known.idle_children], true)].concat(),
+            [list(&refused(known.refused), false), list(&refused(known.refused_children), true)]
+                .concat(),
+        ];
+        let cells = cells.map(|names| names.join(", "));
+        let _ = writeln!(out, "| `<{}>` | {} |", known.name, cells.join(" | "));
+    }
+    out
+}

@@ -1,0 +1,144 @@
+//! SUMO's route files as background traffic on the real SUMO: where vehicles depart and stop, what
+//! is left out, and whom SUMO refuses.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use iwol_sumo::env::{OtherView, Task, VecEnv};
+use iwol_sumo::scenario::{FileTime, Scenario, Severity};
+use iwol_sumo::sumo::{Backend, Hosting};
+
+use crate::support::{agents_drive, folder, iwol, root, turn};
+
+/// Writes a scenario with a route file of these elements; returns its path.
+fn scenario(folder: &Path, traffic: &str, elements: &str) -> PathBuf {
+    let text = fs::read_to_string(root().join("scenarios/mixed_cross.xml")).expect("the scenario");
+    let (head, rest) = text.split_once("<traffic ").expect("it has traffic");
+    let (_, tail) = rest.split_once("/>").expect("an element");
+    let nets = root().join("sumo_nets/intersection").display().to_string();
+    let text = format!("{head}<traffic files=\"a.rou.xml\" {traffic}/>{tail}")
+        .replace("../sumo_nets/intersection", &nets);
+    fs::write(folder.join("a.rou.xml"), format!("<routes>\n{elements}</routes>")).expect("a file");
+    let path = folder.join("a.xml");
+    fs::write(&path, text).expect("a file");
+    path
+}
+
+/// Returns the background vehicles after each step in which the agents stand.
+fn watch(path: &Path, steps: usize, backend: Backend) -> Vec<Vec<OtherView>> {
+    let _turn = turn(backend);
+    let task = Arc::new(Task::new(&Scenario::load(path).expect("a scenario"), 4).expect("a task"));
+    let hosting = Hosting { backend, ..Hosting::default() };
+    let mut env = VecEnv::new(&task, &agents_drive(1, 7, hosting)).expect("SUMO runs");
+    let mut seen = Vec::new();
+    for _ in 0..steps {
+        env.step(&vec![-1.0; task.agents]).expect("a step");
+        seen.push(env.worlds().next().expect("one world").others().collect());
+    }
+    seen
+}
+
+#[test]
+fn vehicles_depart_and_stop_where_the_file_says() {
+    let folder = folder();
+    let stop = "<stop lane=\"west_out_0\" endPos=\"20\" duration=\"3\" until=\"25210\"/>";
+    let path = scenario(
+        folder.path(),
+        "begin=\"07:00:00\"",
+        &format!(
+            "<route id=\"r\" edges=\"east_in west_out\"/>\
+             <trip id=\"early\" depart=\"25100\" from=\"east_in\" to=\"west_out\"/>\
+             <vehicle id=\"v\" depart=\"07:00:00.5\" departEdge=\"1\" departPos=\"6\" speedFactor=\"1\" route=\"r\">{stop}</vehicle>"
+        ),
+    );
+    let mut backends = vec![Backend::Traci];
+    backends.extend(iwol_sumo::sumo::available().filter(|backend| *backend != Backend::Traci));
+    let mut all = backends.into_iter().map(|backend| watch(&path, 150, backend));
+    let seen = all.next().expect("over TraCI");
+    assert!(all.all(|other| other == seen), "the backends have the same bits");
+    let departed = seen.iter().position(|others| !others.is_empty()).expect("it departs");
+    assert!((4..=7).contains(&departed), "{departed}");
+    assert!(seen.iter().all(|others| others.len() <= 1), "the early one is not there");
+    // The front bumper departs at 6 m of the second edge; the position is the vehicle's centre.
+    let first = &seen[departed][0];
+    let length = first.size[0];
+    assert!((first.position + length / 2.0 - 6.0).abs() < 0.5, "{first:?}");
+    let stands: Vec<usize> = (departed + 10..seen.len())
+        .filter(|&step| seen[step].first().is_some_and(|other| other.speed < 0.01))
+        .collect();
+    let (from, to) = (stands[0], stands[stands.len() - 1]);
+    assert!(to - from >= 30, "it stands for three seconds, from {from} to {to}");
+    assert!((98..=104).contains(&to), "and until 10 s: {to}");
+    let front = seen[from][0].position + length / 2.0;
+    assert!((18.0..=20.1).contains(&front), "{front}");
+}
+
+#[test]
+fn types_have_a_scale_and_routes_are_drawn() {
+    let folder = folder();
+    let path = scenario(
+        folder.path(),
+        "capacity=\"40\"",
+        "<vType id=\"none\" scale=\"0\"/><vType id=\"two\" scale=\"2\"/>\
+         <routeDistribution id=\"d\"><route edges=\"east_in west_out\"/><route edges=\"north_in south_out\"/></routeDistribution>\
+         <flow id=\"n\" type=\"none\" period=\"1\" route=\"d\"/>\
+         <flow id=\"t\" type=\"two\" period=\"1\" number=\"6\" route=\"d\" departPos=\"random_free\"/>",
+    );
+    let seen = watch(&path, 80, Backend::Traci);
+    let most = seen.iter().map(Vec::len).max().expect("steps");
+    assert!((6..=12).contains(&most), "{most}");
+    let mut routes: Vec<usize> = seen.iter().flatten().map(|other| other.route).collect();
+    routes.sort_unstable();
+    routes.dedup();
+    assert_eq!(routes.len(), 2);
+}
+
+#[test]
+fn the_check_says_what_is_left_out_and_who_never_departs() {
+    let folder = folder();
+    let good = "<trip id=\"good\" depart=\"1\" from=\"east_in\" to=\"west_out\"/>";
+    let bad =
+        "\n<trip id=\"bad\" depart=\"1\" from=\"east_in\" to=\"west_out\" departSpeed=\"99\"/>";
+    let path = scenario(folder.path(), "", &format!("{good}{bad}"));
+    let found = Scenario::check(&path);
+    let [finding] = &found.list[..] else { panic!("{:?}", found.list) };
+    let line = "1 of 2 vehicles, persons and flows of the route files left out: the trip `bad` (line 3: departSpeed";
+    assert_eq!((finding.severity, finding.at.map(|at| at.line)), (Severity::Warning, Some(3)));
+    assert!(finding.message.starts_with(line), "{finding}");
+    let evaluate =
+        ["evaluate", "--policy", "throttle:-1", "--episodes", "1", "--agents", "4", "--scenario"];
+    let output = iwol(&evaluate).arg(&path).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success() && said.contains(line), "{said}");
+    let strict = scenario(folder.path(), "strict=\"true\"", &format!("{good}{bad}"));
+    let message = Scenario::load(&strict).unwrap_err().to_string();
+    assert!(
+        message.contains("a.rou.xml:3:1: the trip `bad` cannot be used: departSpeed"),
+        "{message}"
+    );
+    let late = scenario(folder.path(), "", &good.replace("\"1\"", "\"25201\""));
+    let found = Scenario::check(&late);
+    let [finding] = &found.list[..] else { panic!("{:?}", found.list) };
+    assert!(
+        finding.message.contains("nobody of the route files departs within an episode"),
+        "{finding}"
+    );
+    let mut scenario = Scenario::load(&late).expect("a scenario");
+    scenario.traffic.begin = FileTime(25_200.0);
+    let task = Task::new(&scenario, 4).expect("a task");
+    assert!(task.others > 0 && task.left_out().is_none());
+}
+
+#[test]
+fn the_check_names_those_whom_sumo_refuses() {
+    let folder = folder();
+    // SUMO lets it be added, and drops it where the junction is too close for its speed.
+    let fast =
+        "\n<trip id=\"fast\" depart=\"1\" from=\"east_in\" to=\"west_out\" departSpeed=\"50\"/>";
+    let path = scenario(folder.path(), "", fast);
+    let output = iwol(&["scenario", "check"]).arg(&path).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("a.rou.xml:3:1: error: the trip `fast` cannot be used: SUMO"), "{said}");
+}
