@@ -159,8 +159,9 @@ impl Trial {
 
     /// Returns the errors and warnings that follow from the trial.
     pub fn findings(&self, scenario: &Scenario) -> Vec<Finding> {
-        let finding = |severity, message: String, hint: &str| Finding {
+        let finding = |severity, kind, message: String, hint: &str| Finding {
             severity,
+            kind,
             file: scenario.path.clone(),
             at: None,
             message,
@@ -170,6 +171,7 @@ impl Trial {
         if !self.collided_at_once.is_empty() {
             findings.push(finding(
                 Severity::Error,
+                "collision-at-start",
                 format!("vehicles of {} collide where they begin", list(&self.collided_at_once)),
                 "move the places of rows on lanes that cross or run close to each other",
             ));
@@ -177,8 +179,12 @@ impl Trial {
         if self.lost > 0 {
             findings.push(finding(
                 Severity::Error,
-                format!("SUMO lost vehicles in {} episodes: they left its roads before they arrived", self.lost),
-                "look at the routes' last edges and arrivalPos, and at lanes that lead to several lanes",
+                "lost-vehicles",
+                format!(
+                    "SUMO lost vehicles in {} episodes: they left its roads before they arrived",
+                    self.lost
+                ),
+                "look at the last edges of the routes and at arrivalPos",
             ));
         }
         for (what, ranges) in [("observation", &self.observation), ("state", &self.state)] {
@@ -194,6 +200,7 @@ impl Trial {
             if !strange.is_empty() {
                 findings.push(finding(
                     Severity::Error,
+                    "out-of-range",
                     format!("{what}: these features were outside of their range, or not finite: {}", list(&strange)),
                     "a defect of this program, or a net with extreme coordinates; please report it with the scenario",
                 ));
@@ -203,6 +210,7 @@ impl Trial {
         if !seen.groups.nearest() && seen.conflict_streams < self.meetings {
             findings.push(finding(
                 Severity::Warning,
+                "conflict-streams",
                 format!("a route crosses or joins {} others, of which agents observe {}", self.meetings, seen.conflict_streams),
                 "raise conflictStreams in <observation>, up to 16, or use groups=\"both\", which adds the nearest vehicles",
             ));
@@ -211,6 +219,7 @@ impl Trial {
         if played > 0 && unharmed == played && self.agents > 1 {
             findings.push(finding(
                 Severity::Warning,
+                "little-to-coordinate",
                 format!("no vehicle crashed in any of {played} episodes at full throttle, so there is little to coordinate"),
                 "add vehicles, or move places so that vehicles reach conflict points at the same time; more --steps play more episodes",
             ));
@@ -219,6 +228,7 @@ impl Trial {
         if !constant.is_empty() {
             findings.push(finding(
                 Severity::Warning,
+                "constant-features",
                 format!("observation: these features never changed: {}", list(&constant)),
                 "observe fewer streams, vehicles or neighbours in <observation>; more --steps may show more",
             ));
