@@ -155,7 +155,10 @@ fn spawns(
     reader: &Reader,
 ) -> Result<(), Error> {
     let refuse = |place: Place, message| Error::Invalid { place, message, hint: Some(MOVE) };
-    let body = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
+    // The jitter is in SUMO's metres, as the places are.
+    let half_on = |lane: usize| {
+        scenario.vehicle.length / 2.0 * map.lanes[lane].stretch() + scenario.jitter.longitudinal
+    };
     let mut taken = Vec::new();
     for (row, spawn) in net.spawns.iter().zip(node.children().filter(Node::is_element)) {
         // All routes of a row begin on one lane, so that the nearest finish line limits the places.
@@ -171,7 +174,7 @@ fn spawns(
             let id = &scenario.routes[other].id;
             return Err(Error::value(place, "spawn", "route", id, allowed));
         }
-        let (length, half) = (map.lanes[lane].length, body * map.lanes[lane].stretch());
+        let (length, half) = (map.lanes[lane].length, half_on(lane));
         let ends =
             row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
                 _ if route.edges.len() > 1 => length,
@@ -194,7 +197,7 @@ fn spawns(
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let needed = |lane: usize| 2.0 * body * map.lanes[lane].stretch();
+    let needed = |lane: usize| 2.0 * half_on(lane);
     let close =
         taken.windows(2).find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed(w[0].0) - SLACK);
     let Some([(lane, first, a), (_, second, b)]) = close else {

@@ -223,10 +223,8 @@ fn a_file_that_is_not_utf8_is_refused_with_the_place() {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), b"<net>\n \xc3\xa9\xe9</net>").unwrap();
     let error = Net::load(file.path()).unwrap_err();
-    assert_eq!(
-        std::error::Error::source(&error).unwrap().to_string(),
-        "not UTF-8 at line 2, column 3"
-    );
+    let source = std::error::Error::source(&error).unwrap().to_string();
+    assert!(source.starts_with("not UTF-8 at line 2, column 3;"), "{source}");
 }
 
 #[test]
