@@ -160,8 +160,9 @@ impl Trial {
 
     /// Returns the errors and warnings that follow from the trial.
     pub fn findings(&self, scenario: &Scenario) -> Vec<Finding> {
-        let finding = |severity, message: String, hint: &str| Finding {
+        let finding = |severity, kind, message: String, hint: &str| Finding {
             severity,
+            kind,
             file: scenario.path.clone(),
             at: None,
             message,
@@ -171,6 +172,7 @@ impl Trial {
         if !self.collided_at_once.is_empty() {
             findings.push(finding(
                 Severity::Error,
+                "collision-at-start",
                 format!("vehicles of {} collide where they begin", list(&self.collided_at_once)),
                 "move the places of rows on lanes that cross or run close to each other",
             ));
@@ -178,8 +180,9 @@ impl Trial {
         if self.lost > 0 {
             findings.push(finding(
                 Severity::Error,
+                "lost-vehicles",
                 format!("SUMO lost vehicles in {}: they left its roads before they arrived", counted(self.lost, "episode")),
-                "look at the routes' last edges and arrivalPos, and at lanes that lead to several lanes",
+                "look at the last edges of the routes and at arrivalPos",
             ));
         }
         for (what, ranges) in [("observation", &self.observation), ("state", &self.state)] {
@@ -195,6 +198,7 @@ impl Trial {
             if !strange.is_empty() {
                 findings.push(finding(
                     Severity::Error,
+                    "out-of-range",
                     format!("{what}: these features were outside of their range, or not finite: {}", list(&strange)),
                     "a defect of this program, or a net with extreme coordinates; please report it with the scenario",
                 ));
@@ -204,6 +208,7 @@ impl Trial {
         if !seen.groups.nearest() && seen.conflict_streams < self.meetings {
             findings.push(finding(
                 Severity::Warning,
+                "conflict-streams",
                 format!("a route crosses or joins {}, of which agents observe {}", counted(self.meetings, "other"), seen.conflict_streams),
                 "raise conflictStreams in <observation>, up to 16, or use groups=\"both\", which adds the nearest vehicles",
             ));
@@ -212,6 +217,7 @@ impl Trial {
         if played > 0 && unharmed == played && self.agents > 1 {
             findings.push(finding(
                 Severity::Warning,
+                "little-to-coordinate",
                 format!("no vehicle crashed in {} at full throttle, so there is little to coordinate", counted(played, "episode")),
                 "add vehicles, or move places so that vehicles reach conflict points at the same time; more --steps play more episodes",
             ));
@@ -220,6 +226,7 @@ impl Trial {
         if !constant.is_empty() {
             findings.push(finding(
                 Severity::Warning,
+                "constant-features",
                 format!("observation: these features never changed: {}", list(&constant)),
                 "observe fewer streams, vehicles or neighbours in <observation>; more --steps may show more",
             ));

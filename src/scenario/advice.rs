@@ -29,7 +29,6 @@ pub(super) fn advise(
         adviser.junctions(net, map, &mut findings);
         adviser.internal_lanes(net, map, &mut findings);
         adviser.limits(net, map, &mut findings);
-        adviser.forks(net, map, &mut findings);
     }
     for net in &scenario.nets {
         findings.extend(adviser.sources(net));
@@ -53,22 +52,34 @@ struct Adviser<'a, 'doc, 'input> {
 
 impl Adviser<'_, '_, '_> {
     /// Returns a warning about the attribute `key` of the first element called `element`.
-    fn warning(&self, element: &'static str, key: &str, message: String, hint: &str) -> Finding {
-        Finding::warning(self.reader.place_in(element, key), message, hint)
+    fn warning(
+        &self,
+        kind: &'static str,
+        [element, key]: [&'static str; 2],
+        message: String,
+        hint: &str,
+    ) -> Finding {
+        Finding::warning(kind, self.reader.place_in(element, key), message, hint)
     }
 
-    fn net_warning(&self, net: &Net, message: String, hint: &str) -> Finding {
+    fn net_warning(&self, kind: &'static str, net: &Net, message: String, hint: &str) -> Finding {
         let index = self.scenario.nets.iter().position(|other| std::ptr::eq(other, net));
         let node = index.and_then(|index| net_nodes(self.reader).get(index).copied());
         let place = node.map_or_else(|| self.reader.at(0), |node| self.reader.place(node, "file"));
-        Finding::warning(place, message, hint)
+        Finding::warning(kind, place, message, hint)
     }
 
     /// Returns a warning about a route with the index `route`.
-    fn route_warning(&self, route: usize, message: String, hint: &str) -> Finding {
+    fn route_warning(
+        &self,
+        kind: &'static str,
+        route: usize,
+        message: String,
+        hint: &str,
+    ) -> Finding {
         let node = self.reader.all("route").nth(route);
         let place = node.map_or_else(|| self.reader.at(0), |node| self.reader.place(node, "id"));
-        Finding::warning(place, message, hint)
+        Finding::warning(kind, place, message, hint)
     }
 
     /// Warns of junctions with rules that do not suit agents, which observe neither signals nor
@@ -85,16 +96,18 @@ impl Adviser<'_, '_, '_> {
         };
         for junction in map.net.junctions.iter().filter(|junction| passed(&junction.id)) {
             let id = shorten(&junction.id);
-            if junction.kind == "unregulated" {
+            if junction.is_unregulated() {
                 findings.push(self.net_warning(
+                    "unregulated-junction",
                     net,
-                    format!("junction `{id}` is of type `unregulated`, where SUMO detects no collisions"),
+                    format!("junction `{id}` is of type `{}`, where SUMO detects no collisions", junction.kind),
                     "set the type `priority` or `right_before_left` in the net's sources and run `iwol scenario build`; otherwise SUMO \
                      cannot confirm the collisions that this program detects",
                 ));
             }
             if junction.kind.starts_with("traffic_light") || junction.kind == "rail_signal" {
                 findings.push(self.net_warning(
+                    "signals",
                     net,
                     format!("junction `{id}` has signals, which agents do not observe"),
                     "set the type `priority` in the net's sources, or netconvert's option `tls.discard-loaded`, and run `iwol scenario build`",
@@ -110,32 +123,11 @@ impl Adviser<'_, '_, '_> {
         let jumps = |path: &&Path| path.lanes.windows(2).any(|pair| road(pair[0]) && road(pair[1]));
         if map.paths.iter().any(|path| jumps(&path)) {
             findings.push(self.net_warning(
+                "no-internal-lanes",
                 net,
                 "the net has no lanes over its junctions: vehicles jump from road to road".into(),
                 "build the net without netconvert's option `no-internal-links`",
             ));
-        }
-    }
-
-    /// Warns of lanes that lead to several lanes of the next road: SUMO chooses between them and
-    /// may not choose the lane of the route.
-    fn forks(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
-        if self.scenario.control.steering.is_some() {
-            return;
-        }
-        for (index, path) in map.paths.iter().enumerate() {
-            if let Some(lane) = map.net.fork(path) {
-                findings.push(self.route_warning(
-                    index,
-                    format!(
-                        "SUMO may leave the route `{}`: in {} lane `{}` leads to several lanes of the next road",
-                        shorten(&self.scenario.routes[index].id),
-                        net.file.display(),
-                        shorten(&map.net.lanes[lane].id)
-                    ),
-                    "keep one of the lane's connections in the .con.xml, and run `iwol scenario build`",
-                ));
-            }
         }
     }
 
@@ -148,8 +140,8 @@ impl Adviser<'_, '_, '_> {
         if let Some(lane) = slowest.filter(|lane| lane.speed < 0.99 * top) {
             let (id, limit) = (shorten(&lane.id), lane.speed);
             findings.push(self.warning(
-                "vehicle",
-                "maxSpeed",
+                "speed-limit",
+                ["vehicle", "maxSpeed"],
                 format!(
                     "agents may drive {top} m/s, but the speed limit of lane `{id}` of {} is {limit} m/s",
                     net.file.display()
@@ -163,11 +155,13 @@ impl Adviser<'_, '_, '_> {
     fn sources(&self, net: &Net) -> Option<Finding> {
         match state(&net.file) {
             Ok(State::OutOfDate) if net.file.exists() => Some(self.net_warning(
+                "outdated-net",
                 net,
                 format!("{} is older than its sources", net.file.display()),
                 "run `iwol scenario build` on the scenario",
             )),
             Err(error) => Some(self.net_warning(
+                "netconvert-configuration",
                 net,
                 error.to_string(),
                 "correct or delete the configuration of netconvert",
@@ -204,7 +198,7 @@ impl Adviser<'_, '_, '_> {
             "set the horizon to {:.0} steps or more, because vehicles have to wait",
             (4.0 * steps).ceil()
         );
-        let finding = self.warning("termination", "horizon", message, &hint);
+        let finding = self.warning("horizon", ["termination", "horizon"], message, &hint);
         let severity = if steps > horizon { Severity::Error } else { Severity::Warning };
         Some(Finding { severity, ..finding })
     }
@@ -224,7 +218,7 @@ impl Adviser<'_, '_, '_> {
     fn radio(&self, maps: &[(&Net, &Map)]) -> Option<Finding> {
         let range = self.scenario.communication.range;
         let warn = |message: String, hint: &str| {
-            Some(self.warning("communication", "range", message, hint))
+            Some(self.warning("range", ["communication", "range"], message, hint))
         };
         let spacings =
             self.scenario.nets.iter().flat_map(|net| &net.spawns).filter(|row| row.count > 1);
@@ -262,8 +256,8 @@ impl Adviser<'_, '_, '_> {
             && o.lidar.beams == 0;
         if blind {
             return Some(self.warning(
-                "observation",
-                "groups",
+                "blind",
+                ["observation", "groups"],
                 "agents observe no vehicle that crosses their route".into(),
                 "set one of neighbours (with groups `nearest`), conflictStreams (with groups `conflict`), encounters and lidarBeams \
                  to a number above 0",
@@ -273,8 +267,8 @@ impl Adviser<'_, '_, '_> {
         let needed = v.max_speed * v.max_speed / (2.0 * hardest) + v.max_speed * c.interval;
         (o.detection_range < needed).then(|| {
             self.warning(
-                "observation",
-                "detectionRange",
+                "sight",
+                ["observation", "detectionRange"],
                 format!(
                     "at {} m/s a vehicle needs {needed:.0} m to stop, but agents observe only {} m",
                     v.max_speed, o.detection_range
@@ -287,10 +281,10 @@ impl Adviser<'_, '_, '_> {
     /// Warns of rewards under which standing still or crashing is the best policy.
     fn reward(&self) -> Option<Finding> {
         let reward = self.scenario.reward;
-        let warn = |key: &str, message: &str| {
+        let warn = |key, message: &str| {
             Some(self.warning(
                 "reward",
-                key,
+                ["reward", key],
                 message.into(),
                 "scenarios/intersection.xml has weights with which agents learn",
             ))
@@ -315,6 +309,7 @@ impl Adviser<'_, '_, '_> {
                 .any(|row| row.routes.contains(&i));
             if !used {
                 findings.push(self.route_warning(
+                    "unused-route",
                     i,
                     format!("no spawn place uses the route `{}`", shorten(&route.id)),
                     "name the route in a <spawn>, or delete the route",
@@ -335,7 +330,7 @@ impl Adviser<'_, '_, '_> {
              their first departure is at {first} s"
         );
         let hint = format!("set begin=\"{first}\" of <traffic>, or another time of the files");
-        Some(self.warning("traffic", "files", message, &hint))
+        Some(self.warning("nobody-departs", ["traffic", "files"], message, &hint))
     }
 
     /// Warns of attributes that other values of the scenario make ineffective.
@@ -363,7 +358,8 @@ impl Adviser<'_, '_, '_> {
             if let Some(node) = self.reader.all(element).find(given).filter(|_| idle) {
                 let message = format!("{key} of <{element}> has no effect, because {why}");
                 let hint = "delete the attribute, or change the other value";
-                findings.push(Finding::warning(self.reader.place(node, key), message, hint));
+                let place = self.reader.place(node, key);
+                findings.push(Finding::warning("no-effect", place, message, hint));
             }
         }
     }
@@ -374,7 +370,7 @@ fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
     let plans = maps.iter().map(|(_, map)| &map.plan);
     let plan = plans.max_by_key(|plan| plan.left_out.len())?;
     let (message, hint) = plan.warning()?;
-    Some(Finding::warning(plan.left_out[0].place.clone(), message, hint))
+    Some(Finding::warning("left-out", plan.left_out[0].place.clone(), message, hint))
 }
 
 /// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO
@@ -383,7 +379,7 @@ fn unused(demand: &Demand) -> impl Iterator<Item = Finding> {
     demand.unused.iter().map(|((element, key), (count, place))| {
         let message = format!("{key} of <{element}> has no effect ({count} times)");
         let hint = "correct its name, or delete the attribute if the traffic does not depend on it";
-        Finding::warning(place.clone(), message, hint)
+        Finding::warning("no-effect", place.clone(), message, hint)
     })
 }
 

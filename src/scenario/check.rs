@@ -122,7 +122,8 @@ fn route(
         route: shorten(&route.id),
         source: Box::new(source),
     })?;
-    let length = path.lanes.last().map_or(0.0, |&lane| map.lanes[lane].length);
+    let last = path.lanes.last().map(|&lane| &map.lanes[lane]);
+    let (length, stretch) = last.map_or((0.0, 1.0), |lane| (lane.length, lane.stretch()));
     if route.arrival_pos.abs() > length + SLACK {
         let edge = shorten(route.edges.last().map_or("", String::as_str));
         let allowed = format!("{} to {length} m on edge `{edge}`", -length);
@@ -130,8 +131,8 @@ fn route(
     }
     // The centre must reach the finish line while the front bumper is still on the route; otherwise
     // SUMO removes the vehicle first.
-    let ahead =
-        scenario.vehicle.length / 2.0 + scenario.vehicle.max_speed * scenario.control.interval;
+    let ahead = stretch * scenario.vehicle.length / 2.0
+        + scenario.vehicle.max_speed * scenario.control.interval;
     let left =
         if route.arrival_pos < 0.0 { -route.arrival_pos } else { length - route.arrival_pos };
     if left < ahead - SLACK {
@@ -154,7 +155,10 @@ fn spawns(
     reader: &Reader,
 ) -> Result<(), Error> {
     let refuse = |place: Place, message| Error::Invalid { place, message, hint: Some(MOVE) };
-    let half = scenario.vehicle.length / 2.0 + scenario.jitter.longitudinal;
+    // The jitter is in SUMO's metres, as the places are.
+    let half_on = |lane: usize| {
+        scenario.vehicle.length / 2.0 * map.lanes[lane].stretch() + scenario.jitter.longitudinal
+    };
     let mut taken = Vec::new();
     for (row, spawn) in net.spawns.iter().zip(node.children().filter(Node::is_element)) {
         // All routes of a row begin on one lane, so that the nearest finish line limits the places.
@@ -170,7 +174,7 @@ fn spawns(
             let id = &scenario.routes[other].id;
             return Err(Error::value(place, "spawn", "route", id, allowed));
         }
-        let length = map.lanes[lane].length;
+        let (length, half) = (map.lanes[lane].length, half_on(lane));
         let ends =
             row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {
                 _ if route.edges.len() > 1 => length,
@@ -193,12 +197,13 @@ fn spawns(
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let needed = 2.0 * half;
-    let close = taken.windows(2).find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed - SLACK);
+    let needed = |lane: usize| 2.0 * half_on(lane);
+    let close =
+        taken.windows(2).find(|w| w[0].0 == w[1].0 && w[1].1 - w[0].1 < needed(w[0].0) - SLACK);
     let Some([(lane, first, a), (_, second, b)]) = close else {
         return Ok(());
     };
-    let lane = shorten(&map.lanes[*lane].id);
+    let (lane, needed) = (shorten(&map.lanes[*lane].id), needed(*lane));
     Err(refuse(
         reader.at(*a.max(b)),
         format!(

@@ -168,6 +168,20 @@ impl Error {
         }
     }
 
+    /// Returns the kind of the error as a word.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Read { .. } => "read",
+            Self::TooLarge { .. } => "size",
+            Self::Parse { .. } => "xml",
+            Self::Unknown { .. } => "unknown",
+            Self::Invalid { .. } => "value",
+            Self::Net { .. } => "net",
+            Self::Route { .. } => "route",
+            Self::Agents { .. } => "agents",
+        }
+    }
+
     /// Returns line and column of the error, both from 1, if it has a position in the file.
     pub fn position(&self) -> Option<(u32, u32)> {
         match self {

@@ -23,6 +23,8 @@ pub enum Severity {
 pub struct Finding {
     /// Severity.
     pub severity: Severity,
+    /// Name of the rule that the finding is about, such as `route` or `speed-limit`.
+    pub kind: &'static str,
     /// The scenario file.
     pub file: PathBuf,
     /// Position in the file, if the finding has one.
@@ -45,10 +47,10 @@ pub struct Position {
 
 impl Finding {
     /// Returns a warning.
-    pub(super) fn warning(place: Place, message: String, hint: &str) -> Self {
+    pub(super) fn warning(kind: &'static str, place: Place, message: String, hint: &str) -> Self {
         let Place { path: file, line, column } = place;
         let at = Some(Position { line, column });
-        Self { severity: Severity::Warning, file, at, message, hint: Some(hint.to_owned()) }
+        Self { severity: Severity::Warning, kind, file, at, message, hint: Some(hint.to_owned()) }
     }
 
     /// Converts an error to a finding about the scenario file `path`.
@@ -64,7 +66,8 @@ impl Finding {
         let message = causes.fold(text.to_owned(), |text, cause| format!("{text}: {cause}"));
         // The message may quote control characters from the file.
         let message = message.replace(char::is_control, "\u{fffd}");
-        Self { severity: Severity::Error, file: path.into(), at, message, hint: error.hint() }
+        let kind = error.kind();
+        Self { severity: Severity::Error, kind, file: path.into(), at, message, hint: error.hint() }
     }
 }
 

@@ -3,12 +3,14 @@
 //!
 //! A net file is untrusted input. For any content, [`Net::load`] returns either a net in which all
 //! references resolve, or an error that names file, line and column. Elements that this program
-//! does not need (traffic lights, roundabouts) are skipped.
+//! does not need (traffic lights, types of edges) are skipped. A net may be
+//! compressed (`.net.xml.gz`), and in any encoding that it declares.
 //!
 //! Units are SI units, coordinates are those of the net file, and angles are radians
 //! counter-clockwise from +x.
 
 mod classes;
+mod cut;
 mod error;
 mod path;
 mod read;
@@ -24,7 +26,8 @@ use std::{
     path::{Path as FilePath, PathBuf},
 };
 
-pub use classes::Classes;
+pub use classes::{CARS, Classes, PEDESTRIANS};
+pub use cut::cut;
 pub use error::{NetError, Problem};
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;
@@ -37,6 +40,10 @@ pub const DEFAULT_LANE_WIDTH: f64 = 3.2;
 
 /// Maximum number of points of all lanes of a route together.
 const MAX_POINTS: usize = 1 << 16;
+
+/// Difference between a lane's length and the length of its shape that can be netconvert's
+/// rounding \[m\].
+const ROUNDING: f64 = 0.05;
 
 /// A road network.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,8 +58,12 @@ pub struct Net {
     pub junctions: Vec<Junction>,
     /// All lane-to-lane connections.
     pub connections: Vec<Connection>,
+    /// Roundabouts.
+    pub roundabouts: Vec<Roundabout>,
     /// Lower left and upper right corner of the net \[m\].
     pub boundary: [[f64; 2]; 2],
+    /// Whether vehicles drive on the left. Lanes are then counted from the left, too.
+    pub left_hand: bool,
     edge_by_id: HashMap<String, usize>,
     /// Indices into `connections`, for each lane from which they start.
     leaving: Vec<Vec<usize>>,
@@ -65,7 +76,7 @@ pub struct Lane {
     pub id: String,
     /// Index into [`Net::edges`].
     pub edge: usize,
-    /// Index on its edge, from the right, starting at 0.
+    /// Index on its edge, from the right (in a left-hand net from the left), starting at 0.
     pub index: u32,
     /// Speed limit \[m/s\].
     pub speed: f64,
@@ -75,10 +86,6 @@ pub struct Lane {
     pub width: f64,
     /// Centre line in driving direction, at least two points \[m\].
     pub shape: Vec<[f64; 2]>,
-    /// Whether passenger cars may use the lane.
-    pub cars: bool,
-    /// Whether pedestrians may use the lane.
-    pub pedestrians: bool,
     /// Vehicle classes that may use the lane.
     pub classes: Classes,
 }
@@ -86,7 +93,19 @@ pub struct Lane {
 impl Lane {
     /// Whether the lane is for pedestrians and not for cars.
     pub fn is_sidewalk(&self) -> bool {
-        self.pedestrians && !self.cars
+        self.classes.contain(PEDESTRIANS) && !self.classes.contain(CARS)
+    }
+
+    /// Returns SUMO's metres along the lane per metre of its shape, at least 1. The positions of
+    /// places that lie a number of metres apart on the shape, and in SUMO, are so much further
+    /// apart. Differences that are netconvert's rounding count as none.
+    pub fn stretch(&self) -> f64 {
+        let metres = self
+            .shape
+            .windows(2)
+            .map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]))
+            .sum::<f64>();
+        if self.length - metres < ROUNDING { 1.0 } else { self.length / metres }
     }
 }
 
@@ -121,6 +140,15 @@ pub struct Edge {
     pub lanes: Range<usize>,
 }
 
+/// A roundabout.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Roundabout {
+    /// Ids of its junctions.
+    pub junctions: Vec<String>,
+    /// Ids of its edges.
+    pub edges: Vec<String>,
+}
+
 /// A junction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Junction {
@@ -136,6 +164,13 @@ pub struct Junction {
     pub shape: Vec<[f64; 2]>,
 }
 
+impl Junction {
+    /// Whether SUMO does not look for collisions in the junction.
+    pub fn is_unregulated(&self) -> bool {
+        matches!(self.kind.as_str(), "unregulated" | "traffic_light_unregulated")
+    }
+}
+
 /// A connection from one lane to the next.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Connection {
@@ -149,6 +184,8 @@ pub struct Connection {
     /// Direction in SUMO's notation: `s` straight, `l` left, `r` right, `t` U-turn, ...; empty if
     /// the file gives none.
     pub dir: String,
+    /// Vehicle classes that may use the connection and its internal lanes.
+    pub classes: Classes,
 }
 
 impl Net {
@@ -190,6 +227,21 @@ impl Net {
         self.leaving.get(lane).into_iter().flatten().map(|&c| &self.connections[c])
     }
 
+    /// Returns the net as it is in a mirror that swaps left and right.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let mut net = self.clone();
+        let shapes = net.lanes.iter_mut().map(|lane| &mut lane.shape);
+        let outlines = net.junctions.iter_mut().map(|junction| &mut junction.shape);
+        shapes.chain(outlines).flatten().for_each(|[_, y]| *y = -*y);
+        net.junctions.iter_mut().for_each(|junction| junction.y = -junction.y);
+        net.boundary = self.boundary.map(|[x, y]| [x, -y]);
+        let [[_, low], [_, high]] = &mut net.boundary;
+        std::mem::swap(low, high);
+        net.left_hand = !self.left_hand;
+        net
+    }
+
     /// Returns the road with this id, which each of `classes` may use.
     fn edge_for(&self, id: &str, classes: &[&str]) -> Result<&Edge, NetError> {
         let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
@@ -223,7 +275,7 @@ impl Net {
     /// Whether an edge is outside of junctions and cars may use it.
     fn is_road(&self, edge: &Edge) -> bool {
         edge.function == EdgeFunction::Normal
-            && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.cars)
+            && self.lanes[edge.lanes.clone()].iter().any(|lane| lane.classes.contain(CARS))
     }
 
     /// Returns the lanes of an edge without the sidewalks on both sides.

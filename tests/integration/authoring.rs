@@ -12,7 +12,9 @@ use iwol_sumo::env::{Driver, Task, World};
 use iwol_sumo::evaluate::Policy;
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::author::{Error, Map, Sizes, State, Template, build, create, import};
+use iwol_sumo::scenario::author::{
+    self, Choices, Error, Imported, Map, Sizes, State, Template, build, create,
+};
 use iwol_sumo::scenario::{self, Element, Finding, Scenario, Severity, SpawnRow};
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::{Hosting, Snapshot, VehicleState, find_program};
@@ -22,8 +24,20 @@ use crate::support::{folder, play, root};
 const SIZES: Sizes =
     Sizes { lanes: None, arm_length: None, agents: 8, speed: 13.889, steering: false };
 
+fn import(
+    root: &Path,
+    name: &str,
+    map: Map,
+    junction: Option<&str>,
+    agents: u32,
+    steering: bool,
+) -> Result<Imported, Error> {
+    let choices = Choices { junction, agents, steering, left_hand: false, whole_net: false };
+    author::import(root, name, map, &choices)
+}
+
 /// Runs one of SUMO's programs; returns its error output if it fails.
-fn run(program: &str, arguments: &[&str], folder: &Path) -> Result<(), String> {
+pub fn run(program: &str, arguments: &[&str], folder: &Path) -> Result<(), String> {
     let program = find_program(program).unwrap();
     let output = Command::new(program).args(arguments).current_dir(folder).output().unwrap();
     if output.status.success() {

@@ -15,6 +15,7 @@ mod dependencies;
 mod hosting;
 mod layers;
 mod learners;
+mod nets;
 mod pages;
 mod policies;
 mod pytorch_reference;

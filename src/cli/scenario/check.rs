@@ -124,7 +124,8 @@ fn is_fault_of_scenario(error: &env::Error) -> bool {
 
 fn failed(error: &env::Error, path: &Path) -> Finding {
     let message = format!("the trial failed: {}", chain(error));
-    Finding { severity: Severity::Error, file: path.into(), at: None, message, hint: error.hint() }
+    let (severity, kind) = (Severity::Error, "trial");
+    Finding { severity, kind, file: path.into(), at: None, message, hint: error.hint() }
 }
 
 /// Prints the trial first, so that the findings stand at the end.

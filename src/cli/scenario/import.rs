@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use iwol_sumo::scenario::author::{Candidate, Map, import};
+use iwol_sumo::scenario::author::{Candidate, Choices, Map, import};
 use iwol_sumo::words::counted;
 
 use super::Verdict;
@@ -10,20 +10,21 @@ use super::Verdict;
 /// Maximum number of junctions, and of warnings, that are listed.
 const LISTED: usize = 8;
 
-/// The scenario contains one junction, all routes across it that need no lane change, and spawn
-/// places on the lanes that lead to it.
+/// The scenario contains one junction or roundabout, all routes of cars across it that need no lane
+/// change, and spawn places on the lanes that lead to it. What it leaves out of the map is printed.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// OpenStreetMap extract (XML), which netconvert converts to a net.
     #[arg(long, value_name = "FILE", required_unless_present = "net", conflicts_with = "net")]
     osm: Option<PathBuf>,
-    /// SUMO net (.net.xml).
+    /// SUMO net (.net.xml or .net.xml.gz).
     #[arg(long, value_name = "FILE")]
     net: Option<PathBuf>,
     /// Name of the scenario and of its files.
     #[arg(long, value_name = "NAME")]
     out: String,
-    /// Id of the junction [default: the junction with the most arms and spawn places].
+    /// Id of the junction, or of one of a roundabout [default: the one with the most arms and spawn
+    /// places].
     #[arg(long, value_name = "ID")]
     junction: Option<String>,
     /// Default number of vehicles of the scenario, limited by its number of spawn places.
@@ -32,6 +33,14 @@ pub(super) struct Args {
     /// Let vehicles steer instead of following their lanes.
     #[arg(long)]
     steering: bool,
+    /// Let vehicles drive on the left, on a map of OpenStreetMap [default: as the map's
+    /// driving_side says, else on the right].
+    #[arg(long, conflicts_with = "net")]
+    left_hand: bool,
+    /// Keep all of a large net (from 500 kB). By default, only the roads at junctions up to 100 m
+    /// from the routes stay, so that SUMO does not simulate a whole city.
+    #[arg(long)]
+    whole_net: bool,
     /// Folder in which the folders scenarios and sumo_nets are created.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     root: PathBuf,
@@ -43,8 +52,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         (None, Some(file)) => Map::Net(file),
         (None, None) => unreachable!("one of them is required"),
     };
-    let imported =
-        import(&args.root, &args.out, map, args.junction.as_deref(), args.agents, args.steering)?;
+    let choices = Choices {
+        junction: args.junction.as_deref(),
+        agents: args.agents,
+        steering: args.steering,
+        left_hand: args.left_hand,
+        whole_net: args.whole_net,
+    };
+    let imported = import(&args.root, &args.out, map, &choices)?;
     for warning in imported.warnings.iter().take(LISTED) {
         say!("netconvert: {warning}");
     }
@@ -64,6 +79,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             counted(imported.candidates.len() - LISTED, "more junction")
         );
     }
+    imported.notes.iter().for_each(|note| say!("{note}"));
     super::next(&imported.scenario);
     Ok(Verdict::Good)
 }

@@ -95,7 +95,7 @@ impl Background {
                 slot: i,
                 route: route as u32,
                 vehicle_type,
-                depart_pos: s + size[0] / 2.0,
+                depart_pos: task.map.routes[route].path.ahead(s, size[0] / 2.0),
                 depart_speed: 0.0,
             });
         }

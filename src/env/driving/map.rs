@@ -22,8 +22,7 @@ pub(super) struct JunctionStretch {
     pub(super) from: f64,
     /// End of the part, as arc length along the route \[m\].
     pub(super) to: f64,
-    /// Whether the junction is of SUMO's type `unregulated`, in which SUMO does not look for
-    /// collisions.
+    /// Whether SUMO does not look for collisions in the junction, because of its type.
     pub(super) unregulated: bool,
 }
 
@@ -188,9 +187,13 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
         if let Some(&last) = lanes[a].lanes.last() {
             let all = net.carriageway(&net.edges[net.lanes[last].edge]);
             let width = |lanes: Range<usize>| lanes.map(|lane| net.lanes[lane].width).sum::<f64>();
-            // Lanes are counted from the right.
-            route.finish[0] -= width(all.start..last);
-            route.finish[1] += width(last + 1..all.end);
+            // Lanes are counted from the right, in left-hand nets from the left.
+            let [mut right, mut left] = [width(all.start..last), width(last + 1..all.end)];
+            if net.left_hand {
+                std::mem::swap(&mut right, &mut left);
+            }
+            route.finish[0] -= right;
+            route.finish[1] += left;
         }
         route.avoided = detoured[a].then(|| lanes[a].clone());
         route.first_lane = lanes[a].lanes.first().map_or(0, |&lane| net.lanes[lane].index);
@@ -218,7 +221,7 @@ fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {
         }
         // An internal edge's id begins with that of its junction, as in `:centre_2`.
         let name = edge.id.strip_prefix(':')?.rsplit_once('_')?.0;
-        let unregulated = net.junctions.iter().any(|j| j.id == name && j.kind == "unregulated");
+        let unregulated = net.junctions.iter().any(|j| j.id == name && j.is_unregulated());
         Some(JunctionStretch { from, to, unregulated })
     });
     stretches.collect()

@@ -12,8 +12,7 @@ pub struct RouteGeometry {
     pub path: Path,
     /// Centre line of the route's lanes, if [`RouteGeometry::path`] differs from it.
     pub avoided: Option<Path>,
-    /// Lane of the first edge on which the route begins, counted from the right and starting at 0,
-    /// as in SUMO.
+    /// SUMO's index of the lane of the first edge on which the route begins.
     pub first_lane: u32,
     /// Position that the centre of an agent must reach to arrive.
     pub arrival: f64,

@@ -59,10 +59,12 @@ pub(super) fn spawn(
             *slot = Slot::default();
             continue;
         }
-        let (route, s) = draw(i, rng);
+        let (route, place) = draw(i, rng);
         let lateral = rng::symmetric(rng) * task.scenario.jitter.lateral;
         let path = &task.map.routes[route].path;
-        let (point, heading) = path.at(path.arc(0, s).unwrap_or(s));
+        let s = path.arc(0, place).unwrap_or(place);
+        let front = path.ahead(place, half);
+        let (point, heading) = path.at(s);
         let pose = Pose::beside(point, heading, lateral);
         *slot = Slot {
             status: Status::Active,
@@ -73,7 +75,7 @@ pub(super) fn spawn(
             motion: Motion::at(pose),
             s,
             lateral,
-            held: Some(s + half),
+            held: Some(front),
             added: true,
             ..Slot::default()
         };
@@ -82,7 +84,7 @@ pub(super) fn spawn(
             slot: at,
             route: route as u32,
             vehicle_type,
-            depart_pos: s + half,
+            depart_pos: front,
             depart_speed: 0.0,
         });
         commands.push(Command::SpeedMode { world, slot: at, mode });

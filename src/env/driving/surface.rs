@@ -6,6 +6,8 @@
 //! because such a connection follows the outside of the junction. A vehicle whose centre is on no
 //! lane is off-road, too.
 //!
+//! In left-hand nets, left and right are the other way round.
+//!
 //! With [`Border::Kerb`], only the line between the two directions of a road remains, and no part
 //! of a vehicle may be beyond the kerb. Where a road ends in the net, neither a line nor a kerb
 //! crosses it: only the vehicle's centre must not be beyond the end.
@@ -128,8 +130,13 @@ pub(super) fn lay_lanes(net: &Net) -> (Vec<Strip>, Vec<End>) {
 /// Lines that end the road.
 type Lines = Vec<[Point; 2]>;
 
-/// Returns the lines of a net: a vehicle that touches one is off-road.
+/// Returns the lines of a net: a vehicle that touches one is off-road. The lines of a left-hand net
+/// are the mirror image of those of its mirror image.
 pub(super) fn draw_lines(net: &Net, termination: &Termination) -> Lines {
+    if net.left_hand {
+        let lines = draw_lines(&net.mirrored(), termination);
+        return lines.into_iter().map(|line| line.map(|[x, y]| [x, -y])).collect();
+    }
     let mut lines = Vec::new();
     match termination.border {
         Border::Line => draw_all(net, &termination.broken_lines, &mut lines),

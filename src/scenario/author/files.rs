@@ -9,7 +9,7 @@ use super::super::reference;
 use super::super::{
     AgentRange, Border, Net, ObservationGroups, Route, SCHEMA, Scenario, SpawnRow, Steering,
 };
-use super::{Error, SPACING};
+use super::Error;
 use crate::markup::Writer;
 use crate::record::write_atomic;
 use crate::sumo::net::Path as LanePath;
@@ -154,10 +154,10 @@ impl Layout {
             paths.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
         };
         let streams = paths.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
-        let spawn = |Row { routes, first, count }| SpawnRow {
+        let spawn = |Row { routes, first, spacing, count }| SpawnRow {
             routes: Arc::from(routes),
             first,
-            spacing: SPACING,
+            spacing,
             count,
         };
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
@@ -238,6 +238,8 @@ pub(super) struct Row {
     pub(super) routes: Vec<usize>,
     /// Position of the first place \[m\].
     pub(super) first: f64,
+    /// Distance between places \[m\].
+    pub(super) spacing: f64,
     pub(super) count: u32,
 }
 

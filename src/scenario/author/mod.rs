@@ -6,14 +6,16 @@ mod files;
 mod import;
 mod netconvert;
 mod plan;
+mod site;
 mod template;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use error::Error;
-pub use import::{Candidate, Imported, Map, import};
+pub use import::{Choices, Imported, Map, import};
 pub use netconvert::{Built, State, build, state};
+pub use site::Candidate;
 pub use template::{Sizes, Template};
 
 use super::Route;
@@ -71,6 +73,7 @@ pub fn create(
             Row {
                 routes,
                 first: FIRST + ahead,
+                spacing: SPACING,
                 count: if plan.single.contains(edge) { 1 } else { places },
             }
         };

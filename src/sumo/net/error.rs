@@ -133,6 +133,18 @@ pub enum Problem {
         /// A similar junction that the net has.
         nearest: Option<String>,
     },
+    /// The connections from an edge to the route's next edge are closed to a class of its vehicles.
+    #[error(
+        "no connection from the edge `{from}` to `{to}` is open to vehicles of class `{classes}`"
+    )]
+    Closed {
+        /// Edge.
+        from: String,
+        /// The route's next edge.
+        to: String,
+        /// SUMO's vehicle classes, separated by spaces.
+        classes: String,
+    },
     /// No lane of an edge leads to the route's next edge.
     #[error("the edge `{from}` does not lead to `{to}`")]
     NotConnected {
@@ -217,6 +229,9 @@ impl NetError {
             | Problem::Value { .. } => {
                 "build the net again with netconvert rather than editing it by hand".into()
             }
+            Problem::NotAllowed { .. } | Problem::Closed { .. } => {
+                "give the vType another vClass, or permit the class in the net (allow and disallow of lanes and connections)".into()
+            }
             Problem::LaneChange { .. } => {
                 "split the route, or connect the lanes that it uses".into()
             }
@@ -226,7 +241,8 @@ impl NetError {
 }
 
 /// Returns the name in `valid` that `name` was most likely meant to be, if one is similar; among
-/// equally similar names, the first in alphabetical order.
+/// equally similar names, one that differs only in upper and lower case, else the first in
+/// alphabetical order.
 pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> Option<&'v str> {
     let letters = name.chars().count();
     if letters > 100 {
@@ -235,8 +251,11 @@ pub(crate) fn nearest<'v>(name: &str, valid: impl Iterator<Item = &'v str>) -> O
     let within = (letters / 3).max(2);
     let similar = valid
         .filter(|v| v.len() <= 400 && v.chars().count().abs_diff(letters) <= within)
-        .map(|v| (strsim::osa_distance(name, v), v));
-    similar.filter(|&(distance, _)| distance <= within).min().map(|(_, v)| v)
+        .map(|v| (strsim::osa_distance(name, v), !v.eq_ignore_ascii_case(name), v));
+    let similar = similar.filter(|&(distance, other, _)| distance <= within || !other);
+    similar
+        .min_by_key(|&(distance, other, v)| (if other { distance } else { 1 }, other, v))
+        .map(|(.., v)| v)
 }
 
 /// Formats a value for a message: at most 80 characters, with control characters escaped.

@@ -208,6 +208,12 @@ impl Path {
         Some(start + scale * pos + if pos < 0.0 { *length } else { 0.0 })
     }
 
+    /// Returns the SUMO lane position \[m\] that lies `metres` of path ahead of the position `pos` on
+    /// the first edge.
+    pub fn ahead(&self, pos: f64, metres: f64) -> f64 {
+        self.arc(0, pos).map_or(pos + metres, |s| self.distance_of_arc(s + metres))
+    }
+
     /// Returns the lanes of the route, as indices into [`Net::lanes`], with the `s` where each
     /// begins and ends.
     pub fn lane_stretches(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {

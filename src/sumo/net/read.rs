@@ -7,10 +7,9 @@ use std::{
 
 use roxmltree::{Document, Node};
 
-use super::classes::{CARS, Classes, PEDESTRIANS};
 use super::{
-    Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError, Problem,
-    nearest, shorten, xml,
+    Classes, Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError,
+    Problem, Roundabout, nearest, shorten, xml,
 };
 use crate::markup;
 
@@ -25,7 +24,7 @@ const MAX_NUMBER: f64 = 1e9;
 
 impl Net {
     /// Returns the text of a net file.
-    pub(in crate::sumo) fn text(path: &FilePath) -> Result<String, NetError> {
+    pub(crate) fn text(path: &FilePath) -> Result<String, NetError> {
         let text = markup::read(path, MAX_BYTES)
             .map_err(|source| error(path, None, Problem::Read { source }))?;
         text.ok_or_else(|| error(path, None, Problem::TooLarge { limit: MAX_BYTES }))
@@ -69,7 +68,9 @@ impl Reader<'_, '_> {
             edges: Vec::new(),
             junctions: Vec::new(),
             connections: Vec::new(),
+            roundabouts: self.roundabouts(root)?,
             boundary: self.boundary(root)?,
+            left_hand: root.attribute("lefthand").is_some_and(|text| matches!(text, "true" | "1")),
             edge_by_id: HashMap::new(),
             leaving: Vec::new(),
         };
@@ -107,9 +108,25 @@ impl Reader<'_, '_> {
             let to = self.lane_end(node, &net, "to", "toLane")?;
             let dir = node.attribute("dir").unwrap_or_default().to_owned();
             net.leaving[from].push(net.connections.len());
-            net.connections.push(Connection { from, to, via, dir });
+            let classes = self.classes(node)?;
+            net.connections.push(Connection { from, to, via, dir, classes });
+        }
+        for i in 0..net.connections.len() {
+            let mut inner = Vec::new();
+            net.follow_internal(&net.connections[i], &mut inner);
+            let classes = inner.iter().map(|&lane| net.lanes[lane].classes);
+            net.connections[i].classes = classes.fold(net.connections[i].classes, Classes::and);
         }
         Ok(net)
+    }
+
+    fn roundabouts(&self, root: Node) -> Result<Vec<Roundabout>, NetError> {
+        let ids = |node, key| -> Result<Vec<String>, NetError> {
+            Ok(self.text(node, key)?.split_whitespace().map(Into::into).collect())
+        };
+        let read =
+            |node| Ok(Roundabout { junctions: ids(node, "nodes")?, edges: ids(node, "edges")? });
+        elements(root, "roundabout").map(read).collect()
     }
 
     fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
@@ -134,11 +151,13 @@ impl Reader<'_, '_> {
         let edge = net.edges.len();
         let start = net.lanes.len();
         for lane_node in elements(node, "lane") {
-            let lane = self.lane(lane_node, edge)?;
-            if lane.index as usize != net.lanes.len() - start {
+            let (mut lane, place) = (self.lane(lane_node, edge)?, net.lanes.len() - start);
+            // SUMO numbers lanes in their order. Older versions of netconvert repeat an index.
+            if lane.index as usize > place {
                 let allowed = "lanes numbered 0, 1, 2, ... in this order";
                 return Err(self.value(lane_node, "index", allowed));
             }
+            lane.index = place as u32;
             if lane_by_id.insert(lane.id.clone(), net.lanes.len()).is_some() {
                 return Err(self.duplicate(lane_node, "lane", &lane.id));
             }
@@ -167,7 +186,6 @@ impl Reader<'_, '_> {
     }
 
     fn lane(&self, node: Node, edge: usize) -> Result<Lane, NetError> {
-        let classes = Classes::of(node.attribute("allow"), node.attribute("disallow"));
         Ok(Lane {
             id: self.text(node, "id")?.into(),
             edge,
@@ -179,10 +197,14 @@ impl Reader<'_, '_> {
                 Some(_) => self.number(node, "width", 0.0)?,
             },
             shape: self.points(node, 2)?,
-            cars: classes.contain(CARS),
-            pedestrians: classes.contain(PEDESTRIANS),
-            classes,
+            classes: self.classes(node)?,
         })
+    }
+
+    /// Returns the vehicle classes that may use a lane or a connection.
+    fn classes(&self, node: Node) -> Result<Classes, NetError> {
+        let classes = Classes::of(node.attribute("allow"), node.attribute("disallow"));
+        classes.map_err(|key| self.value(node, key, "vehicle classes of SUMO, separated by spaces"))
     }
 
     /// Returns the lane to which the edge id and the lane index of a connection refer.

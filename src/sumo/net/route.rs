@@ -2,25 +2,24 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::classes::CARS;
-use super::{Connection, Edge, EdgeFunction, MAX_POINTS, Net, NetError, Path, Problem, shorten};
+use super::{CARS, Connection, Edge, MAX_POINTS, Net, NetError, Path, Problem, shorten};
 
 impl Net {
-    /// Returns the path of a route: the centre lines of its lanes from edge to edge along
+    /// Returns the path of a car's route: the centre lines of its lanes from edge to edge along
     /// connections, including internal lanes.
     ///
     /// Of the lanes from which the rest of the route can be driven without a lane change, the path
-    /// takes the rightmost one.
+    /// takes the one with the smallest index, as SUMO does where a lane leads to several lanes of
+    /// the next edge.
     ///
     /// # Errors
-    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`],
-    /// [`Problem::NotAllowed`], [`Problem::NotConnected`], [`Problem::LaneChange`] or
-    /// [`Problem::LongRoute`].
+    /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`], [`Problem::NotAllowed`],
+    /// [`Problem::NotConnected`], [`Problem::LaneChange`] or [`Problem::LongRoute`].
     pub fn route_path(&self, edges: &[String]) -> Result<Path, NetError> {
         self.route_path_from(edges, None)
     }
 
-    /// Returns the path of a route that starts on a given lane of the first edge, counted from the
+    /// Returns the path of a car's route that starts on a given lane of the first edge, counted from the
     /// right and starting at 0; `None`: on any lane, as [`Net::route_path`].
     ///
     /// # Errors
@@ -30,8 +29,8 @@ impl Net {
         self.route_path_for(edges, lane, &[CARS])
     }
 
-    /// Returns the path of a route on lanes that vehicles of all `classes` (SUMO's names) may use;
-    /// `lane` as for [`Net::route_path_from`].
+    /// Like [`Net::route_path_from`], for vehicles of all `classes` (SUMO's names): each of them may use
+    /// all lanes and connections of the path.
     ///
     /// # Errors
     /// As [`Net::route_path_from`].
@@ -67,12 +66,14 @@ impl Net {
         let mut onward: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
-            let mut connected = false;
-            for lane in route[i].lanes.clone().filter(|&lane| self.is_open(lane, classes)) {
+            let (mut connected, mut permitted) = (false, false);
+            for lane in route[i].lanes.clone() {
                 let connections = self
                     .connections_from(lane)
-                    .filter(|c| next.contains(&c.to) && self.is_open(c.to, classes))
-                    .inspect(|_| connected = true);
+                    .filter(|c| next.contains(&c.to))
+                    .inspect(|_| connected = true)
+                    .filter(|c| self.admits(c, classes))
+                    .inspect(|_| permitted = true);
                 let reaches_end = |c: &&Connection| {
                     onward.get(i + 1).is_none_or(|later| later.contains_key(&c.to))
                 };
@@ -80,9 +81,13 @@ impl Net {
                     onward[i].insert(lane, best);
                 }
             }
+            let (from, to) = (|| shorten(&edges[i]), || shorten(&edges[i + 1]));
             if !connected {
-                let (from, to) = (shorten(&edges[i]), shorten(&edges[i + 1]));
-                return Err(self.error(Problem::NotConnected { from, to }));
+                return Err(self.error(Problem::NotConnected { from: from(), to: to() }));
+            }
+            if !permitted {
+                let classes = shorten(&classes.join(" "));
+                return Err(self.error(Problem::Closed { from: from(), to: to(), classes }));
             }
         }
         let lane_change = || self.error(Problem::LaneChange { route: shorten(&edges.join(" ")) });
@@ -108,21 +113,16 @@ impl Net {
         classes.iter().all(|class| self.lanes[lane].classes.contain(class))
     }
 
-    /// Returns the first lane of a path from which several connections lead to the next road.
-    pub fn fork(&self, path: &Path) -> Option<usize> {
-        let road =
-            |lane: &usize| self.edges[self.lanes[*lane].edge].function == EdgeFunction::Normal;
-        let roads: Vec<usize> = path.lanes.iter().copied().filter(road).collect();
-        let forks = |pair: &&[usize]| {
-            let next = self.lanes[pair[1]].edge;
-            self.connections_from(pair[0]).filter(|c| self.lanes[c.to].edge == next).count() > 1
-        };
-        roads.windows(2).find(forks).map(|pair| pair[0])
+    /// Whether vehicles of all these classes may use a connection and the lanes that it joins.
+    pub fn admits(&self, connection: &Connection, classes: &[&str]) -> bool {
+        self.is_open(connection.from, classes)
+            && self.is_open(connection.to, classes)
+            && classes.iter().all(|class| connection.classes.contain(class))
     }
 
     /// Appends the internal lanes of a connection. There are several where vehicles may wait inside
     /// the junction.
-    fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
+    pub(super) fn follow_internal(&self, connection: &Connection, lanes: &mut Vec<usize>) {
         let mut via = connection.via;
         let mut passed = HashSet::new();
         while let Some(lane) = via {

@@ -99,7 +99,7 @@ fn write_element(out: &mut String, node: Node<'_, '_>, copy: Option<(u32, [f64; 
     let _ = writeln!(out, "</{name}>");
 }
 
-fn write_attribute(out: &mut String, name: &str, value: &str) {
+pub(super) fn write_attribute(out: &mut String, name: &str, value: &str) {
     let _ = write!(out, " {name}=\"{}\"", escape_attribute(value));
 }
 

@@ -44,7 +44,7 @@ impl Net {
             if before[&node].0 < time {
                 continue;
             }
-            for connection in self.connections_from(lane).filter(|c| self.is_open(c.to, classes)) {
+            for connection in self.connections_from(lane).filter(|c| self.admits(c, classes)) {
                 let to = &self.lanes[connection.to];
                 let reached = reached + usize::from(edges[reached].contains(&to.edge));
                 // Whole milliseconds are integers, which the heap can order.

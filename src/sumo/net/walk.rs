@@ -4,7 +4,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use super::{EdgeFunction, MAX_POINTS, Net, NetError, Path, Problem, shorten};
+use super::{EdgeFunction, MAX_POINTS, Net, NetError, PEDESTRIANS, Path, Problem, shorten};
 
 /// A walk through a net.
 #[derive(Debug, Clone, PartialEq)]
@@ -133,12 +133,13 @@ impl Net {
     fn sidewalk(&self, id: &str) -> Result<usize, NetError> {
         let walkable = |edge: &&super::Edge| {
             edge.function == EdgeFunction::Normal
-                && edge.lanes.clone().any(|lane| self.lanes[lane].pedestrians)
+                && edge.lanes.clone().any(|lane| self.lanes[lane].classes.contain(PEDESTRIANS))
         };
         let Some(edge) = self.edge_index(id).map(|i| &self.edges[i]) else {
             return Err(self.no_edge(id, self.edges.iter().filter(walkable)));
         };
-        let lanes = || edge.lanes.clone().filter(|&lane| self.lanes[lane].pedestrians);
+        let lanes =
+            || edge.lanes.clone().filter(|&lane| self.lanes[lane].classes.contain(PEDESTRIANS));
         let lane = lanes().find(|&lane| self.lanes[lane].is_sidewalk()).or_else(|| lanes().next());
         let lane = lane.filter(|_| edge.function == EdgeFunction::Normal);
         lane.ok_or_else(|| self.error(Problem::NoSidewalk { edge: shorten(id) }))

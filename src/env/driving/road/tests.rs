@@ -36,6 +36,26 @@ fn a_vehicle_may_stray_as_far_as_measured() {
     assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
 }
 
+/// Where vehicles drive on the left, everything is as in the mirror.
+#[test]
+fn a_left_hand_road_is_the_mirror_image() {
+    let net = net("intersection_turns/two_lanes");
+    for border in [Border::Line, Border::Kerb] {
+        let road = |net: &Net| Road::new(net, [LENGTH, WIDTH], &ends_at(border)).expect("a net");
+        let [right, left] = [road(&net), road(&net.mirrored())];
+        assert!(!right.lines.is_empty() && right.lines.len() == left.lines.len());
+        let lane = &net.lanes[net.edges[net.edge_index("west_in").unwrap()].lanes.start];
+        let x = f64::midpoint(lane.shape[0][0], lane.shape[1][0]);
+        for lateral in [0.0, 0.4, -0.7] {
+            let y = lane.shape[0][1] + lateral;
+            let [a, b] = [(&right, 1.0), (&left, -1.0)].map(|(road, side)| {
+                road.margins(&Pose { x, y: side * y, heading: side * 0.1 }, 4.0, 8.0)
+            });
+            assert_eq!(a, [b[1], b[0], b[3], b[2]]);
+        }
+    }
+}
+
 /// Margins show on which side of a vehicle a line is, and how close it is. A road with two
 /// lanes has its lines to the right of the right lane and to the left of the left lane.
 #[test]
