@@ -194,7 +194,7 @@ impl Error {
                 "run `scripts/bootstrap`, which installs SUMO with its Python module, or use --backend traci".to_owned(),
             ),
             Error::Libsumo { doing: "stand in for sumo", .. } => Some(
-                "`pip install libsumo` of the program's release, in a virtual environment of the Python that this program embeds (`iwol doctor` names it)".to_owned(),
+                "install libsumo of that release with pip, in a virtual environment of the embedded Python; over TraCI everything works without".to_owned(),
             ),
             Error::Version { .. } => {
                 Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned())

@@ -73,6 +73,7 @@ impl LibsumoSimulation {
         let place = SoleUse::take()?;
         let fleet = Fleet::new(config)?;
         let loaded = LibsumoModule::load()?;
+        loaded.warn();
         Python::attach(|py| {
             let importing = |e: PyErr| failed("import it", py, &e);
             let module = loaded.bridge(py).clone();

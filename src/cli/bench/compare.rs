@@ -152,12 +152,13 @@ pub(super) fn run(
                     }
                     (external(&mut program)?, 1)
                 }
-                Client::TraciRs(kind) => (
-                    external(
-                        Program::new(TRACI_RS).arg(kind).arg(&file).args(["--steps", &limit]),
-                    )?,
-                    1,
-                ),
+                Client::TraciRs(kind) => {
+                    let mut program = installation.command(Path::new(TRACI_RS));
+                    program.arg(kind).arg(&file).args(["--steps", &limit]);
+                    // It looks for `sumo` in PATH.
+                    program.env("PATH", installation.binary().parent().unwrap_or(Path::new("")));
+                    (external(&mut program)?, 1)
+                }
             };
             match checksums.iter().find(|(steps, ..)| *steps == played.steps) {
                 None => checksums.push((played.steps, played.checksum, client.name())),

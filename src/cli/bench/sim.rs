@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use iwol_sumo::env::Task;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Backend, Command, Meter};
@@ -103,6 +103,7 @@ pub(super) fn run(args: &Sim) -> anyhow::Result<()> {
                 Err(error) => say!("{backend} is left out: {}", chain(&error)),
             }
         }
+        ensure!(!backends.is_empty(), "no backend can be used; `iwol doctor` says more");
     }
     let mut workloads = Vec::new();
     for &agents in &args.agents {

@@ -10,7 +10,7 @@ use std::{
     fs,
     mem::MaybeUninit,
     path::{Path, PathBuf},
-    sync::OnceLock,
+    sync::{Once, OnceLock},
 };
 
 use pyo3::{ffi, prelude::*, types::PyList};
@@ -52,6 +52,18 @@ impl LibsumoModule {
         module.as_ref().map_err(failed)
     }
 
+    /// Warns once if the module differs from the program `sumo`.
+    pub(super) fn warn(&self) {
+        static WARNED: Once = Once::new();
+        if let Some(difference) = &self.difference {
+            WARNED.call_once(|| {
+                tracing::warn!(
+                    "{difference}; validations and SUMO's own driver use the program, and may differ"
+                );
+            });
+        }
+    }
+
     pub(super) fn bridge<'py>(&self, py: Python<'py>) -> &Bound<'py, PyModule> {
         self.bridge.bind(py)
     }
@@ -89,11 +101,6 @@ fn import(py: Python<'_>) -> Result<LibsumoModule, String> {
         )),
         _ => None,
     };
-    if let Some(difference) = &difference {
-        tracing::warn!(
-            "{difference}; validations and SUMO's own driver use the program, and may differ"
-        );
-    }
     Ok(LibsumoModule {
         release: found,
         file,
@@ -109,7 +116,8 @@ fn run_bridge<'py>(py: Python<'py>, folder: Option<&Path>) -> PyResult<Bound<'py
     let code = CString::new(include_str!("../../../python_bridge/libsumo_bridge.py"))?;
     let path = py.import("sys")?.getattr("path")?.cast_into::<PyList>()?;
     if let Some(folder) = folder {
-        path.insert(0, folder)?;
+        // As a string: Python passes over entries of other types.
+        path.insert(0, folder.as_os_str())?;
     }
     let module = PyModule::from_code(py, &code, c"python_bridge/libsumo_bridge.py", NAME);
     if folder.is_some() {

@@ -199,8 +199,9 @@ fn packages_below(prefix: &Path) -> Vec<PathBuf> {
 /// Returns the real program that a script of the Python package `eclipse-sumo` runs; `None` if the
 /// file is no such script.
 fn behind_script(file: &Path) -> Option<PathBuf> {
-    let mut text = String::new();
-    fs::File::open(file).ok()?.take(4096).read_to_string(&mut text).ok()?;
+    let mut start = Vec::new();
+    fs::File::open(file).ok()?.take(4096).read_to_end(&mut start).ok()?;
+    let text = String::from_utf8_lossy(&start);
     if !text.starts_with("#!") || !text.contains("from sumo import") {
         return None;
     }
