@@ -191,10 +191,10 @@ impl Error {
                 Some("use --backend traci, which takes any number of simulations".to_owned())
             }
             Error::Libsumo { doing: "import it", .. } => Some(
-                "run `scripts/bootstrap`, which installs SUMO with its Python module, or use --backend traci".to_owned(),
+                "run `scripts/bootstrap`, which installs Debian's SUMO with its Python module, or use --backend traci".to_owned(),
             ),
             Error::Libsumo { doing: "stand in for sumo", .. } => Some(
-                "install libsumo of that release with pip, in a virtual environment of the embedded Python; over TraCI everything works without".to_owned(),
+                "use --backend traci, or the SUMO whose release libsumo has".to_owned(),
             ),
             Error::Version { .. } => {
                 Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned())

@@ -1,9 +1,12 @@
 //! The Python interpreter in this process, and the module libsumo that it imports.
 //!
 //! The interpreter is the one that this program was built with. No Python that is first in `PATH`,
-//! no activated virtual environment and no variable such as `PYTHONHOME` has an influence on it. A
-//! libsumo of the Python package index is used if it is made for this interpreter and of the same
-//! release as the program `sumo`; otherwise the interpreter's own.
+//! no activated virtual environment and no variable such as `PYTHONHOME` has an influence on it.
+//!
+//! A libsumo of the Python package index is used if it is made for this interpreter and of the same
+//! release as the program `sumo`, but never beside libtorch: both contain templates of the C++
+//! library, of compilers whose objects differ, and calls of one end in the code of the other.
+//! Releases 1.18 to 1.25 crash so, and vehicles that steer move otherwise in 1.28.
 
 use std::{
     ffi::{CStr, CString},
@@ -20,6 +23,9 @@ use crate::sumo::{Error, Installation, process::sites};
 
 /// The interpreter that this program was built with (`build.rs`).
 const PYTHON: &str = env!("IWOL_PYTHON");
+
+/// Whether this program contains libtorch.
+const BESIDE_LIBTORCH: bool = cfg!(feature = "learn");
 
 /// The Python module libsumo that this process has loaded.
 #[derive(Debug)]
@@ -79,13 +85,19 @@ fn import(py: Python<'_>) -> Result<LibsumoModule, String> {
     let mut folders: Vec<PathBuf> = sumo.iter().filter_map(Installation::site).collect();
     folders.extend(sites(&|name| std::env::var_os(name)));
     let packages: Vec<Package> = folders.iter().filter_map(|folder| Package::of(folder)).collect();
-    let fitting = packages
-        .iter()
-        .find(|package| package.tag == tag && release.as_ref() == Some(&package.release));
-    let bridge = run_bridge(py, fitting.map(|package| package.folder)).map_err(|e| {
+    let fits = |package: &&Package| {
+        !BESIDE_LIBTORCH && package.tag == tag && release.as_ref() == Some(&package.release)
+    };
+    let fitting = packages.iter().find(fits).map(|package| package.folder);
+    if BESIDE_LIBTORCH
+        && let Some(site) = own_site(py)
+        && let Some(package) = Package::of(&site)
+    {
+        return Err(format!("{package} does not work in one process with libtorch"));
+    }
+    let bridge = run_bridge(py, fitting).map_err(|e| {
         let others = packages.iter().map(|package| format!("; {package} is not used"));
-        let python = format!("{PYTHON} ({tag})");
-        format!("{} (Python: {python}){}", e.value(py), others.collect::<String>())
+        format!("{} (Python: {PYTHON}, {tag}){}", e.value(py), others.collect::<String>())
     })?;
     let of_bridge = || -> PyResult<(String, PathBuf)> {
         let (_, name): (i32, String) = bridge.call_method0("version")?.extract()?;
@@ -108,6 +120,13 @@ fn import(py: Python<'_>) -> Result<LibsumoModule, String> {
         difference,
         bridge: bridge.unbind(),
     })
+}
+
+/// Returns the folder in which the interpreter itself finds libsumo.
+fn own_site(py: Python<'_>) -> Option<PathBuf> {
+    let spec = py.import("importlib.util").ok()?.call_method1("find_spec", ("libsumo",)).ok()?;
+    let file: PathBuf = spec.getattr("origin").ok()?.extract().ok()?;
+    Some(file.ancestors().nth(2)?.to_owned())
 }
 
 /// Runs the bridge's code, which imports libsumo, in `folder` first.
