@@ -97,9 +97,10 @@ pub(super) fn run(
 ) -> anyhow::Result<Vec<Line>> {
     let installation = sumo::Installation::find()?;
     let mut clients = Vec::new();
-    match installation.home().map(|home| home.join("tools")).filter(|tools| tools.is_dir()) {
-        Some(_) => clients.extend([Client::Python("traci"), Client::Python("subscribed")]),
-        None => say!("Python traci is left out: this SUMO has no folder `tools`"),
+    if installation.home().is_some_and(|home| home.join("tools/traci").is_dir()) {
+        clients.extend([Client::Python("traci"), Client::Python("subscribed")]);
+    } else {
+        say!("Python traci is left out: this SUMO has no folder `tools`");
     }
     match packages() {
         Ok(_) => clients.push(Client::Python("libsumo")),
