@@ -12,7 +12,7 @@ export PATH := $(PATH):$(HOME)/.cargo/bin
 
 # One cargo at a time, whatever -j says: they would only wait for each other's lock.
 .NOTPARALLEL:
-.PHONY: help bootstrap build demo test lint check-client bench
+.PHONY: help bootstrap build demo test matrix lint check-client bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -29,6 +29,14 @@ demo: build ## train vehicles to cross an intersection, and compare them with SU
 test: ## run every test: unit, integration (against the real SUMO) and documentation
 	@scripts/bootstrap --tests
 	$(CARGO) test --locked --features "$(FEATURES)"
+
+# Releases on the Python package index are fetched once: scripts/matrix says more.
+SUMOS ?= debian 1.20.0 newest
+
+matrix: ## compare trainings, the TraCI client and libsumo on several releases of SUMO
+	@scripts/bootstrap
+	$(CARGO) build --locked --features "$(FEATURES)" --bin iwol
+	scripts/matrix $(SUMOS)
 
 lint: bootstrap check-client ## check formatting, clippy's lints and the documentation; a warning is an error
 	$(CARGO) fmt --check

@@ -15,6 +15,17 @@ fn main() {
     if env::var_os("CARGO_FEATURE_LEARN").is_some() {
         link_libtorch();
     }
+    #[cfg(feature = "libsumo")]
+    name_python();
+}
+
+/// Sets `IWOL_PYTHON` to the Python interpreter that the program embeds.
+#[cfg(feature = "libsumo")]
+fn name_python() {
+    let Some(python) = pyo3_build_config::get().executable() else {
+        fail("pyo3 does not name the Python that it was built for: set PYO3_PYTHON to its path");
+    };
+    println!("cargo::rustc-env=IWOL_PYTHON={python}");
 }
 
 /// Tells the linker and the program where libtorch is.
@@ -35,7 +46,9 @@ fn link_libtorch() {
             libtorch.display()
         ));
     }
-    println!("cargo::rustc-link-arg=-Wl,-rpath,{}", lib.display());
+    // With the old tag the path goes before LD_LIBRARY_PATH, in which other programs may have put
+    // another libtorch.
+    println!("cargo::rustc-link-arg=-Wl,--disable-new-dtags,-rpath,{}", lib.display());
     if lib.join("libtorch_cuda.so").exists() {
         // The program uses no symbol of this library, but CUDA devices appear only if it is loaded.
         println!("cargo::rustc-link-arg=-L{}", lib.display());

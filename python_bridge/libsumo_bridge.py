@@ -6,12 +6,20 @@ come in runs of one name, as columns, which `map` feeds to libsumo's functions w
 extension module itself are used, because the ones of the package `libsumo` are Python functions around them.
 """
 
+import os
 from collections import deque
 from functools import cache
 from operator import length_hint
 
-import libsumo
-from libsumo.libsumo import _libsumo as native
+sumo_home = os.environ.get("SUMO_HOME")
+import libsumo  # noqa: E402
+
+# The import sets SUMO_HOME, by which this program finds SUMO, to a folder without programs.
+os.environ.pop("SUMO_HOME", None)
+if sumo_home is not None:
+    os.environ["SUMO_HOME"] = sumo_home
+
+from libsumo.libsumo import _libsumo as native  # noqa: E402
 
 
 def add_person(name, kind, edge, depart, position):
@@ -47,10 +55,15 @@ take_step = native.simulation_step
 Refused = libsumo.TraCIException
 
 
+def version():
+    """Returns SUMO's TraCI version and name."""
+    return libsumo.getVersion()
+
+
 def start(arguments):
     """Starts the simulation; `arguments` are those of the program `sumo`. Returns SUMO's TraCI version and name."""
     libsumo.start(["sumo", *arguments])
-    return libsumo.getVersion()
+    return version()
 
 
 def load(arguments):

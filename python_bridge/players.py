@@ -15,7 +15,6 @@ import contextlib
 import gc
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -28,11 +27,8 @@ VAR_TIME, VAR_COLLIDING_VEHICLES_NUMBER = 0x66, 0x80
 INVALID = -(2.0**30)
 
 
-def start(client, arguments):
+def start(client, binary, arguments):
     """Starts SUMO; returns the client's module and what SUMO calls its version."""
-    binary = shutil.which("sumo")
-    if binary is None:
-        raise FileNotFoundError("there is no 'sumo' on PATH")
     if client == "libsumo":
         import libsumo
 
@@ -138,9 +134,9 @@ def subscriptions(sumo):
     return read
 
 
-def play(client, workload, limit):
+def play(client, binary, workload, limit):
     """Plays the workload; returns what is to be printed."""
-    sumo, version = start(client, workload["arguments"])
+    sumo, version = start(client, binary, workload["arguments"])
     try:
         introduce(sumo, workload)
         subscribed = client == "subscribed"
@@ -182,11 +178,16 @@ def main():
     parser.add_argument("client", choices=["traci", "subscribed", "libsumo"])
     parser.add_argument("workload", type=Path)
     parser.add_argument("--steps", type=int, metavar="N", help="play only the first N timed steps")
+    parser.add_argument("--sumo", default="sumo", metavar="FILE", help="SUMO's program")
+    parser.add_argument("--packages", metavar="FOLDER", help="where to look for the module libsumo first")
     options = parser.parse_args()
+    if options.packages:
+        sys.path.insert(0, options.packages)
     try:
         # The clients write to standard output, where only the result belongs.
         with contextlib.redirect_stdout(sys.stderr):
-            result = play(options.client, json.loads(options.workload.read_text()), options.steps)
+            workload = json.loads(options.workload.read_text())
+            result = play(options.client, options.sumo, workload, options.steps)
     except Exception as error:
         sys.exit(f"players.py: {type(error).__name__}: {error}")
     print(json.dumps(result))

@@ -51,7 +51,7 @@ impl Default for Program {
 impl Program {
     /// Returns the running program, with the SUMO that it would start.
     pub fn current() -> Self {
-        let sumo = sumo::find_sumo().and_then(|binary| sumo::sumo_version(&binary));
+        let sumo = sumo::Installation::find().and_then(|found| found.version());
         let dirty = match env!("IWOL_DIRTY") {
             "true" => Some(true),
             "false" => Some(false),
@@ -61,7 +61,7 @@ impl Program {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             commit: env!("IWOL_COMMIT").to_owned(),
             dirty,
-            sumo: sumo.unwrap_or_else(|_| unknown()),
+            sumo: sumo.map_or_else(|_| unknown(), |version| version.release().to_owned()),
             libtorch: libtorch_version().unwrap_or_else(unknown),
         }
     }

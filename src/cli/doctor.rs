@@ -12,7 +12,7 @@ use iwol_sumo::provenance::Program;
 #[cfg(feature = "learn")]
 use iwol_sumo::provenance::{libtorch_version, loaded_library};
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{self, Simulation as _, SimulationConfig, TraciSimulation};
+use iwol_sumo::sumo::{self, Installation, Simulation as _, SimulationConfig, TraciSimulation};
 use iwol_sumo::words::counted;
 
 use super::chain;
@@ -92,16 +92,24 @@ fn program() -> String {
 
 fn check_sumo(findings: &mut Findings) {
     findings.row("SUMO_HOME", env::var("SUMO_HOME").unwrap_or_else(|_| "not set".to_owned()));
-    let binary = match sumo::find_sumo() {
-        Ok(binary) => binary,
+    let found = match Installation::find() {
+        Ok(found) => found,
         Err(error) => {
             findings.fault("SUMO", chain(&error), error.hint().as_deref());
             return;
         }
     };
-    match sumo::sumo_version(&binary) {
-        Ok(version) => findings.row("SUMO", format!("{version} ({})", binary.display())),
-        Err(error) => findings.fault("SUMO", chain(&error), error.hint().as_deref()),
+    findings.row("SUMO", format!("{} ({})", found.binary().display(), found.reason()));
+    let data =
+        found.home().map_or_else(|| "not found".to_owned(), |home| home.display().to_string());
+    match found.program("netconvert") {
+        Ok(program) => {
+            findings.row("netconvert", format!("{}, with the data in {data}", program.display()));
+        }
+        Err(error) => {
+            let hint = "the verbs `scenario new`, `import` and `build` need it: set SUMO_HOME to a whole installation";
+            findings.fault("netconvert", chain(&error), Some(hint));
+        }
     }
     let net = tempfile::tempdir().and_then(|folder| {
         let net = folder.path().join("doctor.net.xml");
@@ -121,8 +129,34 @@ fn check_sumo(findings: &mut Findings) {
             );
         }
     }
-    findings
-        .row("backends", sumo::available().map(sumo::Backend::name).collect::<Vec<_>>().join(", "));
+    check_libsumo(findings);
+}
+
+/// Shows libsumo. To be without it is not a fault, because everything works over TraCI, too.
+#[cfg(feature = "libsumo")]
+fn check_libsumo(findings: &mut Findings) {
+    let refused = |error: &sumo::Error| {
+        let hint = error.hint().map_or_else(String::new, |hint| format!("; hint: {hint}"));
+        format!("{}{hint}", chain(error))
+    };
+    findings.row(
+        "libsumo",
+        match sumo::LibsumoModule::load() {
+            Err(error) => format!("not usable: {}", refused(&error)),
+            Ok(module) => {
+                let usable = sumo::usable(sumo::Backend::Libsumo);
+                let rest = usable
+                    .map_or_else(|error| format!("; {}", refused(&error)), |()| String::new());
+                let (release, file) = (&module.release, module.file.display());
+                format!("{release} ({file}), in the embedded Python ({}){rest}", module.python)
+            }
+        },
+    );
+}
+
+#[cfg(not(feature = "libsumo"))]
+fn check_libsumo(findings: &mut Findings) {
+    findings.row("libsumo", "not built in");
 }
 
 /// Starts SUMO, makes one step, and returns the protocol version and the start-up time as text.

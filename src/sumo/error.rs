@@ -8,7 +8,7 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A SUMO program is neither in `SUMO_HOME` nor in `PATH`.
+    /// A program of SUMO is in none of the folders where it could be.
     #[error("{binary} was not found; looked in {}", list(looked_in))]
     NotFound {
         /// Name of the program.
@@ -38,7 +38,13 @@ pub enum Error {
         /// The TCP port.
         port: u16,
     },
-    /// SUMO did not open its port in time.
+    /// SUMO hangs while it loads its files.
+    #[error("sumo did not finish loading its files: {why}")]
+    NotLoaded {
+        /// What SUMO did, in words.
+        why: String,
+    },
+    /// No process opened the port in time.
     #[error("could not connect to sumo on port {port} ({attempts} attempts)")]
     Connect {
         /// The TCP port.
@@ -164,8 +170,18 @@ impl Error {
     pub fn hint(&self) -> Option<String> {
         match self {
             Error::NotFound { binary, .. } => Some(format!(
-                "run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"
+                "run `scripts/bootstrap`, or `pip install eclipse-sumo` in a virtual environment, or set `SUMO_HOME` to the folder whose `bin` holds `{binary}`"
             )),
+            Error::Exited { stderr_tail, .. } if stderr_tail.contains("shared libraries") => {
+                Some("SUMO loads the libraries of another program: unset LD_LIBRARY_PATH".to_owned())
+            }
+            Error::NotLoaded { .. } => Some(
+                "SUMO waits for something or is stopped; `iwol doctor` tries it on a small net"
+                    .to_owned(),
+            ),
+            Error::Timeout { .. } => Some(
+                "if the machine is busy, wait longer: `--set simulation.timeout=60`".to_owned(),
+            ),
             Error::Net(e) => e.hint(),
             Error::NotBuiltIn { .. } => Some(
                 "build with `--features libsumo` (`make build` does), or use --backend traci"
@@ -175,14 +191,17 @@ impl Error {
                 Some("use --backend traci, which takes any number of simulations".to_owned())
             }
             Error::Libsumo { doing: "import it", .. } => Some(
-                "run `scripts/bootstrap`, which installs SUMO with its Python module".to_owned(),
+                "run `scripts/bootstrap`, which installs Debian's SUMO with its Python module, or use --backend traci".to_owned(),
+            ),
+            Error::Libsumo { doing: "stand in for sumo", .. } => Some(
+                "use --backend traci, or the SUMO whose release libsumo has".to_owned(),
             ),
             Error::Version { .. } => {
                 Some("install SUMO 1.15 or later with `scripts/bootstrap`".to_owned())
             }
-            Error::PortTaken { port } => {
-                Some(format!("choose a port other than {port}, or name none"))
-            }
+            Error::PortTaken { port } => Some(format!(
+                "choose a port other than {port}, or name none; a script `sumo` must keep SUMO in its process group"
+            )),
             _ => None,
         }
     }

@@ -12,8 +12,7 @@ use crate::words::counted;
 pub enum Backend {
     /// Separate SUMO processes, over TCP.
     Traci,
-    /// SUMO within this process, through Debian's Python module `libsumo`; one simulation per
-    /// process.
+    /// SUMO within this process, through the Python module `libsumo`; one simulation per process.
     Libsumo,
 }
 
@@ -52,8 +51,8 @@ impl FromStr for Backend {
 #[cfg_attr(feature = "learn", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Choice {
-    /// The fastest available backend: libsumo on a machine with one core if this build includes it,
-    /// otherwise TraCI with one SUMO process per core.
+    /// The fastest backend: libsumo on a machine with one core if this build includes it and the
+    /// module has the release of the program `sumo`, otherwise TraCI with one SUMO process per core.
     #[default]
     Auto,
     /// Always [`Backend::Traci`].
@@ -66,9 +65,7 @@ impl Choice {
     /// Returns the backend to use.
     pub fn backend(self) -> Backend {
         match self {
-            Choice::Auto if cores() == 1 && available().any(|b| b == Backend::Libsumo) => {
-                Backend::Libsumo
-            }
+            Choice::Auto if cores() == 1 && usable(Backend::Libsumo).is_ok() => Backend::Libsumo,
             Choice::Auto | Choice::Traci => Backend::Traci,
             Choice::Libsumo => Backend::Libsumo,
         }
@@ -155,11 +152,24 @@ pub fn start(backend: Backend, config: SimulationConfig) -> Result<Box<dyn Simul
     }
 }
 
-/// Returns the backends that this build includes.
-pub fn available() -> impl Iterator<Item = Backend> {
-    Backend::ALL
-        .into_iter()
-        .filter(|backend| *backend == Backend::Traci || cfg!(feature = "libsumo"))
+/// Whether a backend works on this machine.
+///
+/// # Errors
+/// [`Error::NotFound`] without a program `sumo`; [`Error::NotBuiltIn`] and [`Error::Libsumo`] if
+/// libsumo cannot be used, or has another release than the program `sumo`.
+pub fn usable(backend: Backend) -> Result<(), Error> {
+    match backend {
+        Backend::Traci => super::Installation::find().map(drop),
+        #[cfg(feature = "libsumo")]
+        Backend::Libsumo => match &super::LibsumoModule::load()?.difference {
+            None => Ok(()),
+            Some(difference) => {
+                Err(Error::Libsumo { doing: "stand in for sumo", message: difference.clone() })
+            }
+        },
+        #[cfg(not(feature = "libsumo"))]
+        Backend::Libsumo => Err(Error::NotBuiltIn { backend }),
+    }
 }
 
 /// Returns the arguments of the program `sumo`, without the port, for a simulation of one world.

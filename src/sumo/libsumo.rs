@@ -1,14 +1,12 @@
-//! A [`Simulation`] within this process: SUMO as the library libsumo, through Debian's Python
-//! module.
+//! A [`Simulation`] within this process: SUMO as the library libsumo, through its Python module.
 //!
 //! libsumo runs one simulation per process. The worlds are therefore tiles of one net, and a second
 //! simulation is refused. One decision is one call of `python_bridge/libsumo_bridge.py`. The calls
 //! are those of the batch that would go out over TraCI, and the results are bit-identical.
 
-use std::{
-    ffi::{CStr, CString},
-    sync::atomic::{AtomicBool, Ordering},
-};
+mod module;
+
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use pyo3::{
     exceptions::PyValueError,
@@ -20,6 +18,7 @@ use super::{
     Batch, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot, Value,
     constants as c, fleet::Fleet,
 };
+pub use module::LibsumoModule;
 
 /// Index of the first refused call, and SUMO's reason.
 type Refusal = Option<(usize, String)>;
@@ -73,9 +72,11 @@ impl LibsumoSimulation {
     pub fn start(config: SimulationConfig) -> Result<Self, Error> {
         let place = SoleUse::take()?;
         let fleet = Fleet::new(config)?;
+        let loaded = LibsumoModule::load()?;
+        loaded.warn();
         Python::attach(|py| {
             let importing = |e: PyErr| failed("import it", py, &e);
-            let module = bridge(py).map_err(importing)?;
+            let module = loaded.bridge(py).clone();
             let step = module.getattr("step").map_err(importing)?.unbind();
             let names = fleet.names.iter().map(|name| PyString::new(py, name).unbind()).collect();
             let mut simulation = LibsumoSimulation {
@@ -267,17 +268,6 @@ impl Drop for LibsumoSimulation {
             let _ = self.module.bind(py).call_method0("close");
         });
     }
-}
-
-/// Returns the Python module of the bridge, which is executed once per process.
-fn bridge(py: Python<'_>) -> PyResult<Bound<'_, PyModule>> {
-    static MODULE: pyo3::sync::PyOnceLock<Py<PyModule>> = pyo3::sync::PyOnceLock::new();
-    const NAME: &CStr = c"iwol_sumo_libsumo_bridge";
-    let run = || {
-        let code = CString::new(include_str!("../../python_bridge/libsumo_bridge.py"))?;
-        PyModule::from_code(py, &code, c"python_bridge/libsumo_bridge.py", NAME).map(Bound::unbind)
-    };
-    Ok(MODULE.get_or_try_init(py, run)?.bind(py).clone())
 }
 
 fn failed(doing: &'static str, py: Python<'_>, error: &PyErr) -> Error {

@@ -31,10 +31,10 @@ pub use codec::Value;
 pub use constants::Domain;
 pub use domain::{Scope, Ticket};
 pub use error::Error;
-pub use hosting::{Backend, Choice, Hosting, arguments, available, start};
+pub use hosting::{Backend, Choice, Hosting, arguments, start, usable};
 #[cfg(feature = "libsumo")]
-pub use libsumo::LibsumoSimulation;
-pub use process::{find_program, find_sumo, sumo_version, traci_version};
+pub use libsumo::{LibsumoModule, LibsumoSimulation};
+pub use process::{Installation, find_program};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, RouteStop,

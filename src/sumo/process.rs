@@ -11,26 +11,40 @@
 //! a panic), and the kernel kills SUMO when the thread that started it ends (`PR_SET_PDEATHSIG`).
 //! For this reason one thread, which lives as long as the program, starts every SUMO process. SUMO
 //! has its own process group, so that Ctrl-C reaches only this program, which then decides when
-//! SUMO ends.
+//! SUMO ends. If the program `sumo` is a script that runs SUMO as a child, all processes of the
+//! group count as SUMO and end together.
+//!
+//! SUMO opens its port before it loads its files and answers afterwards. How long that takes
+//! depends on the size of the files and on what else the machine does. A SUMO that uses processor
+//! time is therefore waited for, and one that does nothing is not.
+
+mod group;
+mod installation;
+mod spawn;
 
 use std::{
     collections::VecDeque,
-    ffi::{OsStr, OsString},
+    ffi::OsString,
     fs, io,
     io::{Read as _, Write as _},
     net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
-    os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
-    path::{Path, PathBuf},
-    process::{Child, ChildStderr, Command, ExitStatus, Stdio},
-    sync::{Arc, Mutex, PoisonError, mpsc},
+    path::PathBuf,
+    process::{Child, ChildStderr, ExitStatus, Stdio},
+    sync::{Arc, Mutex, PoisonError},
     thread,
     time::{Duration, Instant},
 };
+
+use rustix::process::Pid;
 
 use super::{
     Error,
     client::{self, Client, Version},
 };
+use group::{Group, Loading, Patience};
+pub(super) use installation::sites;
+pub use installation::{Installation, find_program};
+use spawn::{Guard, spawn_from_lasting_thread};
 
 /// Maximum number of ports that are tried.
 const PORT_ATTEMPTS: u32 = 8;
@@ -39,6 +53,8 @@ const POLL: Duration = Duration::from_millis(1);
 /// Longest time between the end of a connection and the end of its process, and longest wait for
 /// the rest of its standard error.
 const LAST_WORDS: Duration = Duration::from_millis(500);
+/// Shortest time for which a SUMO that loads its files may do nothing.
+const LEAST_IDLE: Duration = Duration::from_secs(10);
 /// How much of SUMO's standard error is kept \[bytes\].
 const TAIL_BYTES: usize = 4096;
 /// How many lines of the kept standard error are reported.
@@ -47,15 +63,17 @@ const TAIL_LINES: usize = 10;
 /// Options for starting SUMO.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Options {
-    /// The program; `None`: the one that [`find_sumo`] finds.
+    /// The program; `None`: the one that [`Installation::find`] finds.
     pub binary: Option<PathBuf>,
     /// Arguments, without `--remote-port`.
     pub arguments: Vec<OsString>,
     /// TCP port; `None`: a free one, replaced by another if it is taken before SUMO opens it.
     pub port: Option<u16>,
-    /// Longest time that SUMO may take to load its files and open its port.
-    pub connect_timeout: Duration,
-    /// Longest time that SUMO may take to answer one message.
+    /// Longest processor time that SUMO may use to load its files, besides 10 s for each megabyte
+    /// that it reads.
+    pub load_timeout: Duration,
+    /// Longest time that SUMO may take to answer one message. A SUMO that does nothing for this
+    /// time, and for 10 s, while it loads its files has failed.
     pub reply_timeout: Duration,
 }
 
@@ -65,7 +83,7 @@ impl Default for Options {
             binary: None,
             arguments: Vec::new(),
             port: None,
-            connect_timeout: Duration::from_secs(60),
+            load_timeout: Duration::from_secs(60),
             reply_timeout: Duration::from_secs(60),
         }
     }
@@ -75,6 +93,12 @@ impl Default for Options {
 #[derive(Debug)]
 pub struct Process {
     child: Child,
+    group: Group,
+    /// How the process ended, if it has.
+    status: Option<ExitStatus>,
+    /// Only for a script, which may start processes of its own.
+    guard: Option<Guard>,
+    patience: Patience,
     port: u16,
     stderr: Arc<Mutex<VecDeque<u8>>>,
     reader: Option<thread::JoinHandle<()>>,
@@ -87,8 +111,8 @@ impl Process {
     /// # Errors
     /// [`Error::NotFound`] and [`Error::Spawn`] if SUMO cannot be found or started;
     /// [`Error::Exited`] if SUMO ends while it loads; [`Error::PortTaken`] if the given port, or
-    /// each of several free ports, is taken by another program; [`Error::Connect`] if SUMO does not
-    /// open its port in time; the errors of [`Client::handshake`].
+    /// each of several free ports, is taken by another program; [`Error::NotLoaded`] if SUMO hangs
+    /// while it loads; the errors of [`Client::handshake`].
     pub fn start(options: &Options) -> Result<(Process, Client, Version), Error> {
         Self::start_on(options, free_port)
     }
@@ -97,9 +121,9 @@ impl Process {
         options: &Options,
         mut choose: impl FnMut() -> Result<u16, Error>,
     ) -> Result<(Process, Client, Version), Error> {
-        let binary = match &options.binary {
-            Some(binary) => binary.clone(),
-            None => find_sumo()?,
+        let sumo = match &options.binary {
+            Some(binary) => Installation::at(binary, "named by the caller"),
+            None => Installation::find()?,
         };
         let mut attempt = 0;
         loop {
@@ -108,7 +132,7 @@ impl Process {
                 Some(port) => port,
                 None => choose()?,
             };
-            match Self::try_start(&binary, options, port) {
+            match Self::try_start(&sumo, options, port) {
                 Err(Error::PortTaken { port })
                     if options.port.is_none() && attempt < PORT_ATTEMPTS =>
                 {
@@ -120,7 +144,7 @@ impl Process {
     }
 
     fn try_start(
-        binary: &Path,
+        sumo: &Installation,
         options: &Options,
         port: u16,
     ) -> Result<(Process, Client, Version), Error> {
@@ -131,22 +155,37 @@ impl Process {
                 _ => Error::Io { doing: "open a port for sumo", source: e },
             });
         }
-        let mut process = Self::spawn(binary, &options.arguments, port)?;
+        let mut process = Self::spawn(sumo, options, port)?;
         match process.connect(options) {
             Ok((client, version)) => Ok((process, client, version)),
             Err(error) => Err(process.port_lost().unwrap_or(error)),
         }
     }
 
-    fn spawn(binary: &Path, arguments: &[OsString], port: u16) -> Result<Process, Error> {
-        let mut command = Command::new(binary);
-        command.args(arguments).arg("--remote-port").arg(port.to_string());
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-        let spawn_error = |source| Error::Spawn { binary: binary.to_owned(), source };
+    fn spawn(sumo: &Installation, options: &Options, port: u16) -> Result<Process, Error> {
+        let mut command = sumo.command(sumo.binary());
+        command.args(&options.arguments).arg("--remote-port").arg(port.to_string());
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        let spawn_error = |source| Error::Spawn { binary: sumo.binary().to_owned(), source };
         let mut child = spawn_from_lasting_thread(command).map_err(spawn_error)?;
         let stderr = Arc::new(Mutex::new(VecDeque::new()));
-        let pipe = child.stderr.take();
-        let mut process = Process { child, port, stderr: Arc::clone(&stderr), reader: None };
+        let (pipe, pid) = (child.stderr.take(), child.id());
+        let mut process = Process {
+            group: Group::new(Pid::from_child(&child), !sumo.is_script()),
+            child,
+            status: None,
+            guard: None,
+            patience: Patience {
+                idle: options.reply_timeout.max(LEAST_IDLE),
+                processor: options.load_timeout,
+            },
+            port,
+            stderr: Arc::clone(&stderr),
+            reader: None,
+        };
+        if sumo.is_script() {
+            process.guard = Some(Guard::of(pid).map_err(spawn_error)?);
+        }
         if let Some(pipe) = pipe {
             let reader = thread::Builder::new().name("sumo-stderr".to_owned());
             process.reader =
@@ -157,21 +196,38 @@ impl Process {
 
     fn connect(&mut self, options: &Options) -> Result<(Client, Version), Error> {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
-        let alive = || self.exited(Duration::ZERO).map_or(Ok(()), Err);
-        let stream = client::open(address, options.connect_timeout, alive)?;
+        let mut loading = Loading::begin(&self.group, self.patience);
+        let stream = client::open(address, Duration::MAX, || self.is_loading(&mut loading))?;
         let mut client = Client::new(stream, options.reply_timeout)?;
         // Only an answer proves that SUMO has accepted the connection and therefore owns its end of
         // it.
-        let answer = client.handshake();
+        let answer = client.handshake_while(|| self.is_loading(&mut loading));
         let owned = self.owns_other_end(client.stream());
         match (answer, owned) {
             (Ok(version), Ok(true)) => Ok((client, version)),
             (Ok(_), Err(source)) => {
                 Err(Error::Io { doing: "find out whose port it is that answers", source })
             }
+            // A SUMO that hangs before it accepts the connection does not own its end yet.
+            (Err(error @ Error::NotLoaded { .. }), _) => Err(error),
             (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
             (Err(error), _) => Err(self.explain(error)),
         }
+    }
+
+    /// Waits until SUMO, which has been told to load other files, has loaded them.
+    pub(super) fn loaded(&mut self, client: &mut Client) -> Result<Version, Error> {
+        let mut loading = Loading::begin(&self.group, self.patience);
+        let answer = client.handshake_while(|| self.is_loading(&mut loading));
+        answer.map_err(|error| self.explain(error))
+    }
+
+    /// Returns an error if SUMO has ended, or hangs.
+    fn is_loading(&mut self, loading: &mut Loading) -> Result<(), Error> {
+        if let Some(error) = self.exited(Duration::ZERO) {
+            return Err(error);
+        }
+        loading.fault(&self.group).map_or(Ok(()), |why| Err(Error::NotLoaded { why }))
     }
 
     /// Whether the other end of the connection belongs to the process that was started.
@@ -195,14 +251,7 @@ impl Process {
         let Some(socket) = inode.map(|inode| format!("socket:[{inode}]")) else {
             return Ok(false);
         };
-        match fs::read_dir(format!("/proc/{}/fd", self.child.id())) {
-            Ok(entries) => Ok(entries.flatten().any(|e| {
-                fs::read_link(e.path()).is_ok_and(|t| t.as_os_str() == OsStr::new(&socket))
-            })),
-            // The process has ended.
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
-            Err(e) => Err(e),
-        }
+        self.group.holds(&socket)
     }
 
     /// Returns the process identifier.
@@ -229,7 +278,20 @@ impl Process {
 
     /// Returns the error for a process that has ended or that ends within `patience`.
     fn exited(&mut self, patience: Duration) -> Option<Error> {
-        let status = wait(&mut self.child, patience)?;
+        let begin = Instant::now();
+        while self.status.is_none() {
+            if self.group.leader_has_ended() {
+                // What the leader started ends with it.
+                self.guard = None;
+                self.group.kill();
+                self.status = self.child.wait().ok();
+            } else if begin.elapsed() >= patience {
+                return None;
+            } else {
+                thread::sleep(POLL);
+            }
+        }
+        let status = self.status?;
         // The pipe closes with the process unless another process inherited it, hence the time
         // limit.
         let start = Instant::now();
@@ -267,19 +329,13 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both calls fail only if the process has already ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn wait(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
-    let start = Instant::now();
-    loop {
-        match child.try_wait() {
-            Ok(Some(status)) => return Some(status),
-            _ if start.elapsed() >= patience => return None,
-            _ => thread::sleep(POLL),
+        // The group's number may belong to others as soon as this process has ended and has been
+        // waited for.
+        self.guard = None;
+        if self.status.is_none() {
+            self.group.kill();
+            // Fails only if the process has already been waited for.
+            let _ = self.child.wait();
         }
     }
 }
@@ -306,122 +362,16 @@ fn free_port() -> Result<u16, Error> {
         .map_err(|source| Error::Io { doing: "find a free port", source })
 }
 
-type Job = (Command, mpsc::Sender<io::Result<Child>>);
-
-/// Starts a command whose process is killed when this program ends. The one thread that lives as
-/// long as the program starts it.
-fn spawn_from_lasting_thread(command: Command) -> io::Result<Child> {
-    static JOBS: Mutex<Option<mpsc::Sender<Job>>> = Mutex::new(None);
-    let mut jobs = JOBS.lock().unwrap_or_else(PoisonError::into_inner);
-    let sender = if let Some(sender) = &*jobs {
-        sender.clone()
-    } else {
-        let (sender, receiver) = mpsc::channel::<Job>();
-        let work = move || {
-            while let Ok((command, answer)) = receiver.recv() {
-                // Cannot fail, because the requesting thread waits for the answer.
-                let _ = answer.send(spawn_bound(command));
-            }
-        };
-        thread::Builder::new().name("sumo-spawner".to_owned()).spawn(work)?;
-        jobs.insert(sender).clone()
-    };
-    drop(jobs);
-    let (answer, result) = mpsc::channel();
-    let gone = |_| io::Error::other("the thread that starts sumo is gone");
-    sender.send((command, answer)).map_err(|_| gone(mpsc::RecvError))?;
-    result.recv().map_err(gone)?
-}
-
-#[allow(
-    unsafe_code,
-    reason = "the kernel's tie between parent and child can be made in the child only"
-)]
-fn spawn_bound(mut command: Command) -> io::Result<Child> {
-    let parent = std::process::id();
-    command.process_group(0);
-    // SAFETY: between fork and exec only async-signal-safe calls are allowed. The closure makes two
-    // system calls and, on failure, creates an error from a number; it neither allocates nor locks.
-    unsafe {
-        command.pre_exec(move || {
-            if libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) != 0 {
-                return Err(io::Error::last_os_error());
-            }
-            // The parent may have ended before `prctl` took effect.
-            if u32::try_from(libc::getppid()) != Ok(parent) {
-                return Err(io::Error::from_raw_os_error(libc::ESRCH));
-            }
-            Ok(())
-        });
-    }
-    command.spawn()
-}
-
-/// Finds the program `sumo` in `$SUMO_HOME/bin`, then in `PATH`.
-///
-/// # Errors
-/// [`Error::NotFound`] with the folders that were searched.
-pub fn find_sumo() -> Result<PathBuf, Error> {
-    find_program("sumo")
-}
-
-/// Finds another SUMO program, such as `netconvert`, in the same folders as [`find_sumo`].
-///
-/// # Errors
-/// As [`find_sumo`].
-pub fn find_program(binary: &str) -> Result<PathBuf, Error> {
-    find_in(binary, std::env::var_os("SUMO_HOME").as_deref(), std::env::var_os("PATH").as_deref())
-}
-
-fn find_in(binary: &str, home: Option<&OsStr>, path: Option<&OsStr>) -> Result<PathBuf, Error> {
-    let home = home.filter(|h| !h.is_empty()).map(|h| Path::new(h).join("bin"));
-    let path = path.map(|p| std::env::split_paths(p).collect::<Vec<_>>()).unwrap_or_default();
-    let looked_in: Vec<PathBuf> =
-        home.into_iter().chain(path).filter(|f| !f.as_os_str().is_empty()).collect();
-    let found = looked_in.iter().map(|folder| folder.join(binary)).find(|file| {
-        fs::metadata(file).is_ok_and(|m| m.is_file() && m.permissions().mode() & 0o111 != 0)
-    });
-    found.ok_or(Error::NotFound { binary: binary.to_owned(), looked_in })
-}
-
-/// Returns the version that a SUMO program reports, for example `1.15.0`.
-///
-/// # Errors
-/// [`Error::Spawn`] if the program cannot be run; [`Error::Exited`] if it reports no version.
-pub fn sumo_version(binary: &Path) -> Result<String, Error> {
-    let run = Command::new(binary).arg("--version").stdin(Stdio::null()).output();
-    let output = run.map_err(|source| Error::Spawn { binary: binary.to_owned(), source })?;
-    let text = String::from_utf8_lossy(&output.stdout);
-    let version = text
-        .lines()
-        .next()
-        .and_then(|line| line.split_once("Version "))
-        .map(|(_, v)| v.trim().to_owned());
-    version.filter(|v| !v.is_empty()).ok_or_else(|| Error::Exited {
-        status: output.status.to_string(),
-        stderr_tail: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
-    })
-}
-
-/// Starts SUMO on an empty net, performs the handshake, ends SUMO, and returns its version.
-///
-/// # Errors
-/// As [`Process::start`].
-pub fn traci_version() -> Result<Version, Error> {
-    let (_net, options) = empty_net()?;
-    Process::start(&options).map(|(_, _, version)| version)
-}
-
-/// Returns a net without roads, whose file exists as long as its handle, and options that start
+/// Returns a net without roads, whose file exists as long as its handle, and arguments that start
 /// SUMO with it. Without a net SUMO does not answer the handshake.
-fn empty_net() -> Result<(tempfile::NamedTempFile, Options), Error> {
+fn empty_net() -> Result<(tempfile::NamedTempFile, Vec<OsString>), Error> {
     let doing = "write a net to a temporary file";
     let mut file = tempfile::NamedTempFile::with_suffix(".net.xml")
         .map_err(|source| Error::Io { doing, source })?;
     file.write_all(b"<net version=\"1.0\"/>\n").map_err(|source| Error::Io { doing, source })?;
     let words = ["--xml-validation", "never", "--no-step-log", "--net-file"].map(OsString::from);
     let arguments = words.into_iter().chain([file.path().into()]).collect();
-    Ok((file, Options { arguments, ..Options::default() }))
+    Ok((file, arguments))
 }
 
 #[cfg(test)]

@@ -7,8 +7,6 @@
 
 mod reports;
 
-use std::time::Duration;
-
 use super::{
     Batch, Client, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
     client::Version,
@@ -22,9 +20,6 @@ use super::{
     process::{Options, Process},
 };
 pub(super) use reports::StepSink;
-
-/// Minimum time that SUMO has to load its net, even if its time for answers is shorter.
-const LEAST_START: Duration = Duration::from_secs(10);
 
 /// A simulation of one or more worlds in one SUMO process.
 #[derive(Debug)]
@@ -82,6 +77,7 @@ impl TraciSimulation {
         let arguments: Vec<String> =
             self.fleet.arguments()?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
         self.client.load(&arguments)?;
+        self.version = self.process.loaded(&mut self.client)?;
         self.introduce()
     }
 
@@ -206,8 +202,6 @@ impl Simulation for TraciSimulation {
 fn launch(fleet: &Fleet) -> Result<(Process, Client, Version), Error> {
     Process::start(&Options {
         arguments: fleet.arguments()?,
-        // Loading takes longer than a step.
-        connect_timeout: fleet.config().timeout.max(LEAST_START),
         reply_timeout: fleet.config().timeout,
         ..Options::default()
     })

@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use iwol_sumo::env::VecEnv;
-use iwol_sumo::sumo::{Hosting, Renewal, Simulation as _, TraciSimulation, find_sumo};
+use iwol_sumo::sumo::{Hosting, Installation, Renewal, Simulation as _, TraciSimulation};
 
 use crate::support::{self, agents_drive, root, task, text};
 use crate::{alone, beside_others, signal, sumo_children, wait_until};
@@ -71,7 +71,7 @@ impl Stage {
         let mut command = self.train(more);
         command
             .env("SUMO_HOME", self.path("home"))
-            .env("FAULT_REAL", find_sumo().expect("SUMO"))
+            .env("FAULT_REAL", Installation::find().expect("SUMO").binary())
             .env("FAULT_KIND", kind);
         command
             .env("FAULT_AFTER", "20")
@@ -152,13 +152,13 @@ fn a_run_whose_sumos_all_fail_ends_with_an_error_and_a_checkpoint() {
 fn a_validation_that_fails_costs_nothing_that_was_learned() {
     let _beside = beside_others();
     let stage = Stage::new();
-    // Of the processes that open a port, the third and all later ones fail: those are the ones of
-    // the validation.
+    // Of the processes that open a port, the fourth and all later ones fail: those are the ones of
+    // the validation. The first is asked for its version, the next two train.
     let script = r#"#!/bin/sh
 case "$*" in *--remote-port*)
     n=$(cat "$FAULT_STAGE/starts" 2>/dev/null || echo 0)
     echo $((n + 1)) > "$FAULT_STAGE/starts"
-    [ "$n" -lt 2 ] || { echo "Error: no fuel" >&2; exit 1; } ;;
+    [ "$n" -lt 3 ] || { echo "Error: no fuel" >&2; exit 1; } ;;
 esac
 exec "$FAULT_REAL" "$@"
 "#;
@@ -375,7 +375,7 @@ fn another_sumo_home_is_used() {
     // This `SUMO_HOME` contains only a link to the real program.
     let home = stage.path("linked/bin");
     fs::create_dir_all(&home).expect("a folder");
-    symlink(find_sumo().expect("SUMO"), home.join("sumo")).expect("a link");
+    symlink(Installation::find().expect("SUMO").binary(), home.join("sumo")).expect("a link");
     let mut train = stage.train(&["--steps", "128"]);
     let output = finish(train.env("SUMO_HOME", stage.path("linked")), 60);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));

@@ -75,7 +75,7 @@ fn a_missing_sumo_is_named() {
     2
     error: the evaluation of sumo failed: world 0, episode 0, step 0: sumo was not found; looked in `/nowhere`
 
-    hint: run `scripts/bootstrap`, or set `SUMO_HOME` to the folder whose `bin` holds `sumo`
+    hint: run `scripts/bootstrap`, or `pip install eclipse-sumo` in a virtual environment, or set `SUMO_HOME` to the folder whose `bin` holds `sumo`
     "#);
 }
 

@@ -2,6 +2,7 @@
 //! tile among others, or libsumo. The tests compare bits, over runs with crashes, arrivals and
 //! respawns, against the real SUMO.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions};
@@ -239,6 +240,89 @@ fn an_episode_of_sumos_own_driver_does_not_depend_on_the_one_before() {
     );
 }
 
+/// Returns the lines of a run's metrics, without those of time.
+fn metrics(run: &Path) -> Vec<String> {
+    let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+    let lines = metrics.lines().map(|line| {
+        let mut line: serde_json::Map<_, _> = serde_json::from_str(line).expect("a line");
+        line.retain(|key, _| !key.starts_with("time/") && key != "steps_per_second");
+        serde_json::to_string(&line).expect("a line")
+    });
+    lines.collect()
+}
+
+/// Sets variables as they are on machines of people who use other Pythons, libraries and languages.
+fn disturb(command: &mut std::process::Command, folder: &Path) {
+    use std::{fs, os::unix::fs::symlink};
+    let venv = folder.join("venv");
+    if !venv.exists() {
+        // A virtual environment of the Python that the program embeds, without packages.
+        let python = fs::canonicalize("/usr/bin/python3").expect("Python");
+        let lib = venv.join("lib").join(python.file_name().expect("a name"));
+        fs::create_dir_all(lib.join("site-packages")).expect("a folder");
+        fs::create_dir_all(venv.join("bin")).expect("a folder");
+        symlink("/usr/bin/python3", venv.join("bin/python3")).expect("a link");
+        fs::write(venv.join("pyvenv.cfg"), "home = /usr/bin\n").expect("a file");
+        // Modules and a library that cannot be loaded.
+        for module in ["libsumo.py", "traci.py", "encodings.py", "collections.py"] {
+            fs::write(folder.join(module), "raise ImportError('the wrong module')\n")
+                .expect("a file");
+        }
+        for library in ["libtorch_cpu.so", "libtorch.so", "libc10.so"] {
+            fs::write(folder.join(library), "no library").expect("a file");
+        }
+    }
+    let mut path = venv.join("bin").into_os_string();
+    path.push(":");
+    path.push(std::env::var_os("PATH").expect("PATH"));
+    command.env("PATH", path).env("VIRTUAL_ENV", &venv).env("PYTHONHOME", "/nowhere");
+    command.env("PYTHONPATH", folder).env("LD_LIBRARY_PATH", folder);
+    command.env("OMP_NUM_THREADS", "many").env("LC_ALL", "de_DE.UTF-8").env("LANG", "de_DE.UTF-8");
+}
+
+#[test]
+fn training_is_the_same_in_any_environment() {
+    use crate::support::{folder, iwol, succeeds, text, train};
+    let folder = folder();
+    let train = |name: &str, backend: &str, change: &dyn Fn(&mut std::process::Command)| {
+        let run = folder.path().join(name);
+        let settings = ["train.envs=2", "train.rollout_steps=16", "network.hidden=8"];
+        let more = ["--agents", "4", "--algorithm", "mappo", "--steps", "64"];
+        let mut command = train(&run, &settings, &more);
+        change(command.args(["--backend", backend]));
+        succeeds(&mut command);
+        metrics(&run)
+    };
+    let plain = train("plain", "traci", &|_| {});
+    let disturbed = |command: &mut std::process::Command| disturb(command, folder.path());
+    let ascii = |command: &mut std::process::Command| {
+        command.env("LC_ALL", "C").env("LANG", "C").env("OMP_NUM_THREADS", "64");
+    };
+    assert_eq!(train("disturbed", "traci", &disturbed), plain);
+    assert_eq!(train("ascii", "traci", &ascii), plain);
+    if cfg!(feature = "libsumo") {
+        assert_eq!(train("disturbed-libsumo", "libsumo", &disturbed), plain);
+        assert_eq!(train("ascii-libsumo", "libsumo", &ascii), plain);
+    }
+    let mut doctor = iwol(&["doctor"]);
+    disturb(&mut doctor, folder.path());
+    let said = text(&succeeds(&mut doctor).stdout);
+    assert!(said.contains("first in PATH"), "{said}");
+    assert!(!said.contains("not usable"), "{said}");
+}
+
+#[cfg(feature = "libsumo")]
+#[test]
+fn a_measurement_leaves_out_a_backend_that_is_not_there() {
+    use crate::support::{iwol, succeeds, text};
+    let measure = ["bench", "sim", "--agents", "4", "--worlds", "1/1", "--seconds", "0.05"];
+    let mut command = iwol(&measure);
+    let output = succeeds(command.env("PATH", "/nowhere").env_remove("SUMO_HOME"));
+    let (out, errors) = (text(&output.stdout), text(&output.stderr));
+    assert!(errors.contains("traci is left out: sumo was not found"), "{errors}");
+    assert!(out.contains("libsumo") && !out.contains("traci"), "{out}");
+}
+
 #[cfg(feature = "libsumo")]
 #[test]
 fn training_is_the_same_with_either_backend_validations_included() {
@@ -256,13 +340,7 @@ fn training_is_the_same_with_either_backend_validations_included() {
         ];
         let more = ["--agents", "4", "--algorithm", "im-iwol", "--steps", "512"];
         succeeds(train(&run, &settings, &more).args(["--backend", backend]));
-        let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
-        let lines = metrics.lines().map(|line| {
-            let mut line: serde_json::Map<_, _> = serde_json::from_str(line).expect("a line");
-            line.retain(|key, _| !key.starts_with("time/") && key != "steps_per_second");
-            serde_json::to_string(&line).expect("a line")
-        });
-        lines.collect()
+        metrics(&run)
     };
     let traci = train("traci");
     assert!(

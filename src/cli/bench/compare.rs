@@ -12,14 +12,18 @@ use iwol_sumo::sumo::{self, Backend, Command, Snapshot};
 use iwol_sumo::words::counted;
 use serde::{Deserialize, Serialize};
 
+use super::super::chain;
 use super::host::Host;
 use super::median;
 use super::workload::{EPISODE, Workload};
 
 /// Number of steps before the timed ones.
 const WARMUP: u32 = 2 * EPISODE;
-/// Debian's Python, for which Debian's libsumo module is made.
-const PYTHON: &str = "/usr/bin/python3";
+/// The Python that this program embeds, and otherwise Debian's.
+const PYTHON: &str = match option_env!("IWOL_PYTHON") {
+    Some(python) => python,
+    None => "/usr/bin/python3",
+};
 const PLAYERS: &str = include_str!("../../../python_bridge/players.py");
 /// Built separately: `cargo build --release --manifest-path benches/traci_rs/Cargo.toml`.
 const TRACI_RS: &str = "benches/traci_rs/target/release/traci-rs-player";
@@ -91,8 +95,17 @@ pub(super) fn run(
     steps: u32,
     repetitions: u32,
 ) -> anyhow::Result<Vec<Line>> {
-    let mut clients =
-        vec![Client::Python("traci"), Client::Python("subscribed"), Client::Python("libsumo")];
+    let installation = sumo::Installation::find()?;
+    let mut clients = Vec::new();
+    if installation.home().is_some_and(|home| home.join("tools/traci").is_dir()) {
+        clients.extend([Client::Python("traci"), Client::Python("subscribed")]);
+    } else {
+        say!("Python traci is left out: this SUMO has no folder `tools`");
+    }
+    match packages() {
+        Ok(_) => clients.push(Client::Python("libsumo")),
+        Err(error) => say!("Python libsumo is left out: {}", chain(&error)),
+    }
     if Path::new(TRACI_RS).exists() {
         clients.extend([Client::TraciRs("plain"), Client::TraciRs("subscribed")]);
     } else {
@@ -130,22 +143,23 @@ pub(super) fn run(
                 Client::Ours(backend, worlds, processes) => {
                     (play(workload, *backend, *worlds, *processes, steps)?, *worlds)
                 }
-                Client::Python(kind) => (
-                    external(
-                        Program::new(PYTHON)
-                            .arg(&players)
-                            .arg(kind)
-                            .arg(&file)
-                            .args(["--steps", &limit]),
-                    )?,
-                    1,
-                ),
-                Client::TraciRs(kind) => (
-                    external(
-                        Program::new(TRACI_RS).arg(kind).arg(&file).args(["--steps", &limit]),
-                    )?,
-                    1,
-                ),
+                Client::Python(kind) => {
+                    // Isolated: without the variables and packages of the user's own Python.
+                    let mut program = installation.command(Path::new(PYTHON));
+                    program.arg("-I").arg(&players).arg(kind).arg(&file).args(["--steps", &limit]);
+                    program.arg("--sumo").arg(installation.binary());
+                    if *kind == "libsumo" {
+                        program.arg("--packages").arg(packages()?);
+                    }
+                    (external(&mut program)?, 1)
+                }
+                Client::TraciRs(kind) => {
+                    let mut program = installation.command(Path::new(TRACI_RS));
+                    program.arg(kind).arg(&file).args(["--steps", &limit]);
+                    // It looks for `sumo` in PATH.
+                    program.env("PATH", installation.binary().parent().unwrap_or(Path::new("")));
+                    (external(&mut program)?, 1)
+                }
             };
             match checksums.iter().find(|(steps, ..)| *steps == played.steps) {
                 None => checksums.push((played.steps, played.checksum, client.name())),
@@ -212,6 +226,19 @@ fn play(
         }
     }
     Ok(Played { steps, seconds: begin.elapsed().as_secs_f64(), checksum })
+}
+
+/// Returns the folder of Python packages with libsumo.
+#[cfg(feature = "libsumo")]
+fn packages() -> Result<std::path::PathBuf, sumo::Error> {
+    sumo::usable(Backend::Libsumo)?;
+    let file = &sumo::LibsumoModule::load()?.file;
+    Ok(file.ancestors().nth(2).unwrap_or(file).to_owned())
+}
+
+#[cfg(not(feature = "libsumo"))]
+fn packages() -> Result<std::path::PathBuf, sumo::Error> {
+    Err(sumo::Error::NotBuiltIn { backend: Backend::Libsumo })
 }
 
 fn external(program: &mut Program) -> anyhow::Result<Played> {

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use iwol_sumo::env::Task;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{self, Backend, Command, Meter};
 use serde::Serialize;
 
+use super::super::chain;
 use super::host::Host;
 use super::workload::{Control, EPISODE, Workload};
 use super::{compare, median};
@@ -21,7 +22,7 @@ pub(super) struct Sim {
     /// Numbers of vehicles per world.
     #[arg(long, value_delimiter = ',', default_value = "8,48")]
     agents: Vec<u32>,
-    /// Interfaces to SUMO [default: all that are built in].
+    /// Interfaces to SUMO [default: all that this machine has].
     #[arg(long, value_delimiter = ',')]
     backend: Vec<Backend>,
     /// How commands move the vehicles.
@@ -94,8 +95,16 @@ struct Row {
 
 pub(super) fn run(args: &Sim) -> anyhow::Result<()> {
     let scenario = Scenario::load(&args.scenario)?;
-    let backends =
-        if args.backend.is_empty() { sumo::available().collect() } else { args.backend.clone() };
+    let mut backends = args.backend.clone();
+    if backends.is_empty() {
+        for backend in Backend::ALL {
+            match sumo::usable(backend) {
+                Ok(()) => backends.push(backend),
+                Err(error) => say!("{backend} is left out: {}", chain(&error)),
+            }
+        }
+        ensure!(!backends.is_empty(), "no backend can be used; `iwol doctor` says more");
+    }
     let mut workloads = Vec::new();
     for &agents in &args.agents {
         workloads.push(Workload::new(Task::new(&scenario, agents)?, args.control, args.audit));

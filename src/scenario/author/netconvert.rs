@@ -4,14 +4,13 @@
 use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 use super::super::Scenario;
 use super::Error;
 use super::files::{beside, show_traffic};
 use crate::markup;
 use crate::record::write_atomic;
-use crate::sumo::find_program;
+use crate::sumo::Installation;
 use crate::sumo::net::xml;
 
 /// Largest configuration that is read \[bytes\].
@@ -108,18 +107,19 @@ pub(super) fn convert(net: &Path) -> Result<Vec<String>, Error> {
     let config = configuration(net);
     let folder =
         net.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let program = find_program("netconvert")?;
+    let sumo = Installation::find()?;
+    let program = sumo.program("netconvert")?;
     let temporary = tempfile::Builder::new().suffix(".net.xml").tempfile_in(folder);
     let temporary =
         temporary.map_err(|source| Error::Write { path: folder.into(), source })?.into_temp_path();
     let name = |path: &Path| path.file_name().map(OsString::from).unwrap_or_default();
-    let output = Command::new(&program)
+    let output = sumo
+        .command(&program)
         .arg("--configuration-file")
         .arg(name(&config))
         .arg("--output-file")
         .arg(name(&temporary))
         .current_dir(folder)
-        .stdin(Stdio::null())
         .output()
         .map_err(|source| crate::sumo::Error::Spawn { binary: program, source })?;
     let said = String::from_utf8_lossy(&output.stderr);

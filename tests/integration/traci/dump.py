@@ -6,11 +6,12 @@ case.
 """
 import inspect
 import json
+import os
 import re
 import struct
 import sys
 
-sys.path.append("/usr/share/sumo/tools")
+sys.path.insert(0, os.path.join(os.environ["SUMO_HOME"], "tools"))
 import traci  # noqa: E402
 from traci.domain import Domain  # noqa: E402
 

@@ -1,10 +1,10 @@
 //! Compares the TraCI client with SUMO's Python client: every variable of every object of a small
 //! world has the same value, and no call of the Python client is missing.
 
-use std::{collections::BTreeMap, process::Command};
+use std::{collections::BTreeMap, path::Path};
 
 use iwol_sumo::sumo::{
-    Batch, Domain, Error, Replies, Ticket, Value, Variable,
+    Batch, Domain, Error, Installation, Replies, Ticket, Value, Variable,
     domain::{
         simulation::{IntermodalQuery, RouteQuery},
         vehicle::Side,
@@ -255,8 +255,11 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
 /// Returns what the Python client reads in the same world, and the list of its calls.
 fn theirs(world: &World) -> (BTreeMap<String, Json>, Json) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/integration/traci/dump.py");
-    let output = Command::new("/usr/bin/python3")
-        .args([script, &SECONDS.to_string(), "sumo"])
+    let sumo = Installation::find().unwrap();
+    let output = sumo
+        .command(Path::new("/usr/bin/python3"))
+        .args(["-I", script, &SECONDS.to_string()])
+        .arg(sumo.binary())
         .args(world.arguments())
         .output();
     let output = output.unwrap();

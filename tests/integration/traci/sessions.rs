@@ -11,7 +11,7 @@ use std::{
 use iwol_sumo::sumo::{
     Batch, Client, Domain, Error, Value, Variable, Version,
     domain::vehicle,
-    find_sumo,
+    find_program,
     process::{Options, Process},
 };
 
@@ -121,7 +121,7 @@ impl Drop for Owned {
 #[test]
 fn two_clients_take_turns() {
     let port = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port();
-    let mut sumo = Command::new(find_sumo().unwrap());
+    let mut sumo = Command::new(find_program("sumo").unwrap());
     sumo.args(["--net-file", NET, "--num-clients", "2", "--remote-port", &port.to_string()]);
     let _sumo = Owned(sumo.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));

@@ -20,9 +20,8 @@ use iwol_sumo::sumo::{
         simulation,
         vehicle::{self, Addition},
     },
-    find_sumo,
-    process::{Options, Process},
-    sumo_version, traci_version,
+    find_program,
+    process::{Installation, Options, Process},
 };
 
 const LENGTH: f64 = 4.515;
@@ -51,8 +50,9 @@ fn net() -> &'static Path {
             <edge id="south_in" from="s" to="c" speed="30"/><edge id="north_out" from="c" to="n" speed="30"/></edges>"#,
         );
         let path = folder.path().join("cross.net.xml");
-        let sumo = find_sumo().unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
-        let output = Program::new(sumo.with_file_name("netconvert"))
+        let netconvert = find_program("netconvert")
+            .unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
+        let output = Program::new(netconvert)
             .args(["--offset.disable-normalization", "true", "--xml-validation", "never", "-n"])
             .arg(nodes)
             .arg("-e")
@@ -150,9 +150,8 @@ fn the_handshake_names_the_version_and_connecting_is_quick() {
         assert!(simulation.version().software.starts_with("SUMO"));
     }
     println!("from nothing to the first answer: {times:?} ms");
-    let version = traci_version().unwrap();
-    let program = sumo_version(&find_sumo().unwrap()).unwrap();
-    assert_eq!(version.software, format!("SUMO {program}"));
+    let version = Installation::find().unwrap().version().unwrap();
+    assert_eq!(version.software, format!("SUMO {}", version.release()));
 }
 
 #[test]

@@ -5,7 +5,7 @@
 use std::{path::PathBuf, process::Command};
 
 use iwol_sumo::sumo::{
-    Client, find_sumo,
+    Client, find_program,
     process::{Options, Process},
 };
 
@@ -71,9 +71,9 @@ impl World {
         for (kind, text) in files {
             std::fs::write(world.file(&format!("n.{kind}.xml")), text).unwrap();
         }
-        let sumo =
-            find_sumo().unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
-        let output = Command::new(sumo.with_file_name("netconvert"))
+        let netconvert = find_program("netconvert")
+            .unwrap_or_else(|e| panic!("{e}; hint: {}", e.hint().unwrap_or_default()));
+        let output = Command::new(netconvert)
             .args(["-n", "n.nod.xml", "-e", "n.edg.xml", "-o", "n.net.xml", "--proj.utm"])
             .args(["--sidewalks.guess", "--crossings.guess", "--tls.default-type", "actuated"])
             .current_dir(world.folder.path())
