@@ -83,10 +83,10 @@ impl Adviser<'_, '_, '_> {
         };
         for junction in map.net.junctions.iter().filter(|junction| passed(&junction.id)) {
             let id = shorten(&junction.id);
-            if junction.kind == "unregulated" {
+            if junction.is_unregulated() {
                 findings.push(self.net_warning(
                     net,
-                    format!("junction `{id}` is of type `unregulated`, where SUMO detects no collisions"),
+                    format!("junction `{id}` is of type `{}`, where SUMO detects no collisions", junction.kind),
                     "set the type `priority` or `right_before_left` in the net's sources and run `iwol scenario build`; otherwise SUMO \
                      cannot confirm the collisions that this program detects",
                 ));

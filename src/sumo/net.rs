@@ -74,6 +74,8 @@ pub struct Lane {
     pub width: f64,
     /// Centre line in driving direction, at least two points \[m\].
     pub shape: Vec<[f64; 2]>,
+    /// Height of each point of the shape \[m\]; empty if the file gives none.
+    pub heights: Vec<f64>,
     /// Whether passenger cars may use the lane.
     pub cars: bool,
     /// Whether pedestrians may use the lane.
@@ -114,6 +116,9 @@ pub struct Edge {
     pub to: Option<String>,
     /// Function of the edge.
     pub function: EdgeFunction,
+    /// Edge of the opposite direction on the same strip of road (SUMO's `bidi`), index into
+    /// [`Net::edges`].
+    pub bidi: Option<usize>,
     /// Range of its lanes in [`Net::lanes`]; never empty.
     pub lanes: Range<usize>,
 }
@@ -131,6 +136,13 @@ pub struct Junction {
     pub y: f64,
     /// Outline \[m\]; empty if the file gives none.
     pub shape: Vec<[f64; 2]>,
+}
+
+impl Junction {
+    /// Whether SUMO knows of no conflicts in the junction and does not look for collisions there.
+    pub fn is_unregulated(&self) -> bool {
+        ["unregulated", "traffic_light_unregulated"].contains(&self.kind.as_str())
+    }
 }
 
 /// A connection from one lane to the next.

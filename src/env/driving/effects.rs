@@ -106,7 +106,13 @@ impl Effects {
             if agent.status != Status::Active {
                 continue;
             }
-            let ttc = time_to_collision(agent, other);
+            let contact = |time: f64| {
+                let at = |slot: &Slot| slot.s + slot.speed * time;
+                let lengths = agent.size[0] + other.size[0];
+                !map.routes[agent.route].passes_over(at(agent), other.route, at(other), lengths)
+            };
+            let ttc = Some(time_to_collision(agent, other)).filter(|time| contact(*time));
+            let ttc = ttc.unwrap_or(HORIZON);
             self.ttc = self.ttc.min(ttc);
             self.road_users[road_user].close |= ttc < CLOSE;
             let Some(met) = map.routes[agent.route].conflict_with(other.route) else { continue };

@@ -7,6 +7,8 @@ use std::path::PathBuf;
 use super::detour::path_around;
 use super::error::Error;
 use super::forks::Forks;
+use super::lane_routes::LaneRoutes;
+use super::levels::Levels;
 use super::geometry::Size;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
@@ -20,8 +22,8 @@ pub(super) struct JunctionStretch {
     pub(super) from: f64,
     /// End of the part, as arc length along the route \[m\].
     pub(super) to: f64,
-    /// Whether the junction is of SUMO's type `unregulated`, in which SUMO does not look for
-    /// collisions.
+    /// Whether the junction is of SUMO's type `unregulated` or `traffic_light_unregulated`, in which
+    /// SUMO does not look for collisions.
     pub(super) unregulated: bool,
 }
 
@@ -62,6 +64,11 @@ pub struct Map {
     pub routes: Vec<RouteGeometry>,
     /// Corners of the bounding box of all routes: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
+    /// Number of the routes that vehicles are given; those behind them lie on other lanes of the
+    /// same edges, and background vehicles come to be on them by changing lanes.
+    pub(super) given: usize,
+    /// The routes by lane, for background vehicles.
+    pub(super) lane_routes: LaneRoutes,
     /// Ids of the routes.
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
@@ -116,6 +123,18 @@ impl Map {
                 route_edges.push(edges);
             }
         }
+        let given = lanes.len();
+        let mut bases: Vec<usize> = Vec::new();
+        if scenario.traffic.penetration < 1.0 {
+            bases.extend(0..scenario.routes.len());
+        }
+        let driven = demand_routes.iter().filter(|of_file| of_file.walk.is_none());
+        bases.extend(driven.map(|of_file| of_file.route));
+        let lane_routes = LaneRoutes::new(&net, &bases, &route_edges, &mut lanes);
+        for &route in &lane_routes.like {
+            route_ids.push(route_ids[route].clone());
+            route_edges.push(route_edges[route].clone());
+        }
         let size = [scenario.vehicle.length, scenario.vehicle.width];
         let routes = lay_routes(&net, scenario, &lanes, size);
         let several = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
@@ -127,6 +146,8 @@ impl Map {
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
             junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
+            given,
+            lane_routes,
             several_lanes: lanes.iter().any(|path| path.lanes.iter().any(several)),
             road: road.transpose()?,
             net_file: net_file.to_owned(),
@@ -187,10 +208,11 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
             (*path, *detoured) = (around, true);
         }
     }
+    let levels = Levels::new(net);
     let lay = |a: usize| {
         // Vehicles of route files arrive where SUMO removes them: at the end of the route.
         let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
-        let mut route = geometry(&driven, &detoured, a, arrival.unwrap_or(-1.0), size);
+        let mut route = geometry(&levels, &driven, &detoured, a, arrival.unwrap_or(-1.0), size);
         if arrival.is_none() {
             route.arrival = driven[a].length();
         }
@@ -227,7 +249,7 @@ fn junction_stretches(net: &Net, path: &Path) -> Vec<JunctionStretch> {
         }
         // An internal edge's id begins with that of its junction, as in `:centre_2`.
         let name = edge.id.strip_prefix(':')?.rsplit_once('_')?.0;
-        let unregulated = net.junctions.iter().any(|j| j.id == name && j.kind == "unregulated");
+        let unregulated = net.junctions.iter().any(|j| j.id == name && j.is_unregulated());
         Some(JunctionStretch { from, to, unregulated })
     });
     stretches.collect()

@@ -114,18 +114,21 @@ fn write_lane(view: &View<'_>, w: &mut Writer<'_>) {
 
 /// Writes the vehicles on the routes that conflict with the agent's.
 fn write_streams(view: &View<'_>, w: &mut Writer<'_>) {
+    let conflicts = view.route().upcoming(view.own().s, streams(view.scenario));
     for stream in 0..streams(view.scenario) {
-        let Some(conflict) = view.route().conflicts.get(stream) else {
+        let Some(conflict) = conflicts.get(stream) else {
             w.skip(PER_STREAM * VEHICLE.len() + COUNTS.len());
             continue;
         };
-        let queue = &view.traffic.by_route[conflict.route];
-        let approaching = queue
-            .iter()
+        let queue = || {
+            let queue = view.traffic.by_route[conflict.route].iter();
+            queue.filter(|&&j| j != view.slot)
+        };
+        let approaching = queue()
             .map(|&j| (conflict.other - view.traffic.slots[j].s, j))
             .filter(|v| v.0 > -CLEARED);
         put_vehicles(view, w, approaching, PER_STREAM);
-        put_counts(view, w, queue.iter().copied());
+        put_counts(view, w, queue().copied());
     }
 }
 

@@ -13,7 +13,7 @@
 use std::collections::HashSet;
 
 use super::geometry::stretch;
-use super::routes::crossing;
+use super::conflicts::crossing;
 use crate::scenario::{Border, Termination};
 use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 

@@ -181,7 +181,7 @@ mod tests {
 
     use super::*;
     use crate::env::driving::geometry::Pose;
-    use crate::env::driving::routes::crossing;
+    use crate::env::driving::conflicts::crossing;
     use crate::scenario::{Border, Termination};
 
     const HALF: [f64; 2] = [2.2575, 0.926];
