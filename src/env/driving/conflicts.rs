@@ -11,6 +11,8 @@ use crate::sumo::net::Path;
 const APART: f64 = 2.5;
 /// Sum of half the widths of two wide vehicles, with a margin \[m\].
 const WIDE: f64 = 3.0;
+/// Centre lines at most this far apart lie on one strip \[m\].
+const STRIP: f64 = 0.5;
 /// Distance between two positions of one path within which its own bends are no conflict \[m\].
 const BEND: f64 = 5.0;
 
@@ -164,8 +166,9 @@ impl Pair<'_> {
     }
 
     /// Returns the positions on both paths around a place, in driving order of the first, at which
-    /// vehicles on them touch, up to the lanes that both use.
-    fn band(&self, (own, other): (f64, f64)) -> Vec<(f64, f64)> {
+    /// vehicles on them touch, up to the lanes that both use; with the distance between the paths
+    /// \[m\].
+    fn band(&self, (own, other): (f64, f64)) -> Vec<(f64, f64, f64)> {
         let walk = |sign: f64| {
             let mut segment = self.other.locate(other).1;
             let mut last = other;
@@ -180,12 +183,12 @@ impl Pair<'_> {
                     && (0.0..=self.other.length()).contains(&at)
                     && !(common && k > 2);
                 (segment, last) = (on, at);
-                on_band.then_some((s, at))
+                on_band.then_some((s, at, lateral.abs()))
             })
         };
         let mut band: Vec<_> = walk(-1.0).collect();
         band.reverse();
-        band.push((own, other));
+        band.push((own, other, 0.0));
         band.extend(walk(1.0));
         band
     }
@@ -196,7 +199,7 @@ struct Found<'a> {
     pair: &'a Pair<'a>,
     places: Vec<Place>,
     /// The [`Pair::band`] of each conflict, and of each fork of the paths.
-    bands: Vec<Vec<(f64, f64)>>,
+    bands: Vec<Vec<(f64, f64, f64)>>,
     /// Whether `bands` contains those of the forks.
     forked: bool,
 }
@@ -213,10 +216,10 @@ impl Found<'_> {
         }
         let known = self.bands.iter().any(|band| {
             let near = |k: usize| {
-                let (s, at) = band[k];
+                let (s, at, _) = band[k];
                 (s - own).abs() <= 2.0 * STEP && (at - other).abs() < SAME
             };
-            let k = band.partition_point(|(s, _)| *s < own);
+            let k = band.partition_point(|(s, ..)| *s < own);
             k < band.len() && near(k) || k > 0 && near(k - 1)
         });
         if known {
@@ -225,15 +228,19 @@ impl Found<'_> {
         let band = self.pair.band((own, other));
         self.places.push(Place { own, other, first: true });
         // Two vehicles that come from both ends of one strip have a conflict all along it.
-        let ([from, at], [to, end]) = (band[0].into(), band[band.len() - 1].into());
-        if to - from > 2.0 * CLEARED && end < at {
+        let strip = || band.iter().filter(|(_, _, apart)| *apart < STRIP);
+        if let (Some(&(from, at, _)), Some(&(to, end, _))) = (strip().next(), strip().next_back())
+            && to - from > 2.0 * CLEARED
+            && end < at
+        {
             let mut next = from;
-            for &(s, at) in &band {
-                if s >= next && (s - own).abs() >= CLEARED {
-                    self.places.push(Place { own: s, other: at, first: false });
+            for &(s, at, _) in strip() {
+                if s < next {
+                    continue;
                 }
-                if s >= next {
-                    next = s + CLEARED;
+                next = s + CLEARED;
+                if (s - own).abs() >= CLEARED {
+                    self.places.push(Place { own: s, other: at, first: false });
                 }
             }
         }

@@ -154,6 +154,12 @@ impl RouteGeometry {
         left.min(self.groups.len().saturating_sub(1))
     }
 
+    /// Returns the conflicts from the first one of the group in which or before which a vehicle is.
+    pub(super) fn group_from(&self, s: f64) -> &[Conflict] {
+        let Some([from, _]) = self.groups.get(self.group_at(s)) else { return &[] };
+        &self.conflicts[self.conflicts.partition_point(|conflict| conflict.own < *from)..]
+    }
+
     /// Returns `count` of the conflicts: the first ones, or, where there are more, those that a
     /// vehicle at `s` has not yet left, as long as any are left.
     pub(super) fn upcoming(&self, s: f64, count: usize) -> &[Conflict] {

@@ -114,7 +114,12 @@ fn write_lane(view: &View<'_>, w: &mut Writer<'_>) {
 
 /// Writes the vehicles on the routes that conflict with the agent's.
 fn write_streams(view: &View<'_>, w: &mut Writer<'_>) {
-    let conflicts = view.route().upcoming(view.own().s, streams(view.scenario));
+    let (route, s) = (view.route(), view.own().s);
+    // Where encounters stand for streams, the state describes the first conflict of the group.
+    let conflicts = match view.scenario.observation.conflict_streams {
+        0 => route.group_from(s),
+        count => route.upcoming(s, count),
+    };
     for stream in 0..streams(view.scenario) {
         let Some(conflict) = conflicts.get(stream) else {
             w.skip(PER_STREAM * VEHICLE.len() + COUNTS.len());
