@@ -166,7 +166,8 @@ impl Fleet {
         if vehicle % slots >= first && x != c::INVALID_DOUBLE_VALUE {
             let [dx, dy] = self.offsets[vehicle / slots];
             let heading = (90.0 - angle).to_radians();
-            self.snapshot.bodies[vehicle] = Some(Body { x: x - dx, y: y - dy, heading, lane, time_loss });
+            self.snapshot.bodies[vehicle] =
+                Some(Body { x: x - dx, y: y - dy, heading, lane, time_loss });
         }
     }
 

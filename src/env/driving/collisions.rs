@@ -27,8 +27,7 @@ impl Partner {
     /// Returns the crash of an agent on `route` with this vehicle.
     pub(super) fn crash(&self, route: &RouteGeometry, agent: &Slot, step: u32) -> Crash {
         let Self { route: other, same_path, wreck } = *self;
-        let upstream =
-            !route.conflicts.is_empty() && route.to_first_conflict(agent.s) > UPSTREAM;
+        let upstream = !route.conflicts.is_empty() && route.to_first_conflict(agent.s) > UPSTREAM;
         Crash { other, same_path, wreck, step, speed: agent.speed, upstream }
     }
 }
@@ -88,11 +87,8 @@ impl Collisions {
                 let drives = |k: usize| k < agents && moving(k);
                 self.crashes += u32::from(drives(i) || drives(j));
                 let follows = |a: usize, b: usize| {
-                    let gap = map.routes[slots[a].route].gap_to(
-                        slots[a].s,
-                        slots[b].route,
-                        slots[b].s,
-                    );
+                    let gap =
+                        map.routes[slots[a].route].gap_to(slots[a].s, slots[b].route, slots[b].s);
                     // On a path that meets itself, a vehicle that crosses is far ahead on it.
                     gap.is_some_and(|gap| gap < slots[a].size[0] + slots[b].size[0])
                 };

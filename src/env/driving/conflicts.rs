@@ -87,10 +87,8 @@ impl Pair<'_> {
                 if self.on_one_level(touch.at, touch.along) {
                     found.add(touch.at);
                 } else {
-                    let [own, other] =
-                        [[touch.at.0, touch.to.0], [touch.at.1, touch.to.1]].map(|[a, b]| {
-                            [a.min(b) - touch.reach, a.max(b) + touch.reach]
-                        });
+                    let [own, other] = [[touch.at.0, touch.to.0], [touch.at.1, touch.to.1]]
+                        .map(|[a, b]| [a.min(b) - touch.reach, a.max(b) + touch.reach]);
                     bridges.push(Bridge { route, own, other });
                 }
             }
@@ -118,8 +116,17 @@ impl Pair<'_> {
         let Pair { own, other, shared, same, .. } = *self;
         let [a, b] = [own.points[i - 1], own.points[i]];
         let touch = |j: usize| {
-            let middle = f64::midpoint(other.cumulative[j - 1], other.cumulative[j]);
-            if shared.iter().any(|k| (k.from..=k.to).contains(&middle)) {
+            let ends = [other.cumulative[j - 1], other.cumulative[j]];
+            let middle = f64::midpoint(ends[0], ends[1]);
+            // On a common lane, one vehicle follows the other. A path that uses the lane several
+            // times also comes to it from elsewhere.
+            let common = |k: &Shared| {
+                let [from, to] = ends.map(|u| u + k.shift);
+                (k.from..=k.to).contains(&middle)
+                    && from <= own.cumulative[i] + BEND
+                    && own.cumulative[i - 1] <= to + BEND
+            };
+            if shared.iter().any(common) {
                 return None;
             }
             let [c, d] = [other.points[j - 1], other.points[j]];
@@ -134,7 +141,8 @@ impl Pair<'_> {
             };
             let (s, u) = touch.at;
             // Two routes that fork from one lane touch at the fork, which is no conflict.
-            let fork = shared.iter().any(|k| (u - k.to).abs() < 0.5);
+            let fork =
+                shared.iter().any(|k| (u - k.to).abs() < 0.5 && (s - k.to - k.shift).abs() < BEND);
             (!fork && !(same && (s - u).abs() < BEND)).then_some(touch)
         };
         (1..other.points.len()).filter_map(touch).collect()

@@ -54,9 +54,8 @@ impl<'a> Course<'a> {
     fn passes_over(&self, other: &Self, time: f64) -> bool {
         let at = |course: &Self| course.place.s + course.speed * time;
         let lengths = self.size[0] + other.size[0];
-        self.route.is_some_and(|route| {
-            route.passes_over(at(self), other.place.route, at(other), lengths)
-        })
+        self.route
+            .is_some_and(|route| route.passes_over(at(self), other.place.route, at(other), lengths))
     }
 
     /// Half the diagonal of the vehicle \[m\].

@@ -77,7 +77,8 @@ impl LaneRoutes {
         let (entries, lane) = (self.of.get(slot.assigned)?, slot.lane? as usize);
         let now = self.edge_of(routes, slot).unwrap_or(0);
         let here = entries.iter().filter(|entry| entry.lane == lane);
-        let best = here.min_by_key(|entry| (entry.edge.abs_diff(now), entry.route != slot.route))?;
+        let best =
+            here.min_by_key(|entry| (entry.edge.abs_diff(now), entry.route != slot.route))?;
         if best.route == slot.route {
             return None;
         }

@@ -39,6 +39,11 @@ impl<'a> Levels<'a> {
         let place = |(path, s): (&Path, f64)| path.lane_at(self.net, s);
         // Paths of points, which belong to no net, are on one level.
         let (Some(own), Some(other)) = (place(own), place(other)) else { return true };
+        self.lanes_meet(own, other, along)
+    }
+
+    /// Returns the same for two places as a lane and a position on it in SUMO's metres.
+    pub(super) fn lanes_meet(&self, own: (usize, f64), other: (usize, f64), along: bool) -> bool {
         let [a, b] = [own, other].map(|(lane, _)| self.net.lanes[lane].edge);
         if let (Some(high), Some(low)) = (self.height(own), self.height(other))
             && (high - low).abs() > CLEARANCE
@@ -47,7 +52,8 @@ impl<'a> Levels<'a> {
         }
         let length = |(lane, _): (usize, f64)| self.net.lanes[lane].length;
         let beside = |s: f64| (own.1 - s).abs() <= NEAR;
-        if a == b && beside(other.1) || self.net.edges[a].bidi == Some(b) && beside(length(other) - other.1)
+        if a == b && beside(other.1)
+            || self.net.edges[a].bidi == Some(b) && beside(length(other) - other.1)
         {
             return true;
         }

@@ -73,7 +73,9 @@ fn is_anyone_ahead(route: &RouteGeometry, slots: &[Slot], agent: usize) -> bool 
         let on_path = gap.is_some_and(|gap| own.s + gap - other.size[0] / 2.0 < end);
         let body = (&other.pose, other.size);
         let lengths = own.size[0] + other.size[0];
-        on_path || !route.passes_over(own.s, other.route, other.s, lengths) && poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
+        on_path
+            || !route.passes_over(own.s, other.route, other.s, lengths)
+                && poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
     })
 }
 

@@ -185,9 +185,8 @@ pub(crate) fn to_entry(map: &Map, slot: &Slot) -> Option<f64> {
 /// Whether the vehicle at `behind` will come to the position of the vehicle at `ahead` on its
 /// route, and before any conflict with it. On a ring, the shorter way around counts.
 pub(crate) fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
-    let gap = |from: &Candidate, to: &Candidate| {
-        routes[from.route].gap_to_leader(from.s, to.route, to.s)
-    };
+    let gap =
+        |from: &Candidate, to: &Candidate| routes[from.route].gap_to_leader(from.s, to.route, to.s);
     gap(behind, ahead).is_some_and(|gap_ahead| {
         gap(ahead, behind).is_none_or(|gap_behind| gap_ahead <= gap_behind)
     })

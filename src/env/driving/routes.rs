@@ -127,6 +127,14 @@ impl RouteGeometry {
         self.by_route[route].first().copied()
     }
 
+    /// Returns the first conflict between a vehicle at `own` on this route and one at `other` on
+    /// `route` that the two have not both left; the last one if they have left all.
+    pub(super) fn conflict_between(&self, own: f64, route: usize, other: f64) -> Option<Conflict> {
+        let met = &self.by_route[route];
+        let left = |met: &Conflict| (met.own - own).max(met.other - other) < -CLEARED;
+        met.iter().find(|met| !left(met)).or(met.last()).copied()
+    }
+
     /// Returns the next conflict between a vehicle at `own` on this route and one at `other` on
     /// `route`. A conflict counts until one of the two is more than `cleared` metres past it.
     pub fn next_conflict(

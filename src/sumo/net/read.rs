@@ -248,7 +248,8 @@ impl Reader<'_, '_> {
         };
         let point = |text: &str| {
             let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
-            matches!(numbers.len(), 2 | 3).then(|| ([numbers[0], numbers[1]], numbers.get(2).copied()))
+            matches!(numbers.len(), 2 | 3)
+                .then(|| ([numbers[0], numbers[1]], numbers.get(2).copied()))
         };
         let points: Option<Vec<_>> = text.split_whitespace().map(point).collect();
         let points = points.filter(|points| points.len() >= least).ok_or_else(|| {
