@@ -377,7 +377,7 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
         }
     }
     let route = |(k, edges): (usize, &&str)| {
-        format!(r#"<route id="agent{k}" edges="{edges}" arrivalPos="-1"/>"#)
+        format!(r#"<route id="agent{k}" edges="{edges}" arrivalPos="-5"/>"#)
     };
     let routes: String = taken.iter().enumerate().map(route).collect();
     let spawn = |k: usize| format!(r#"<spawn route="agent{k}" first="10" spacing="8" count="1"/>"#);

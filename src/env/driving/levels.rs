@@ -45,9 +45,7 @@ impl<'a> Levels<'a> {
     /// Returns the same for two places as a lane and a position on it in SUMO's metres.
     pub(super) fn lanes_meet(&self, own: (usize, f64), other: (usize, f64), along: bool) -> bool {
         let [a, b] = [own, other].map(|(lane, _)| self.net.lanes[lane].edge);
-        if let (Some(high), Some(low)) = (self.height(own), self.height(other))
-            && (high - low).abs() > CLEARANCE
-        {
+        if (self.height(own) - self.height(other)).abs() > CLEARANCE {
             return false;
         }
         let length = |(lane, _): (usize, f64)| self.net.lanes[lane].length;
@@ -78,10 +76,13 @@ impl<'a> Levels<'a> {
         [(start, distance(s)), (end, distance(length - s))]
     }
 
-    /// Returns the height of a place on a lane \[m\]; `None` if the net gives none.
-    fn height(&self, (lane, s): (usize, f64)) -> Option<f64> {
+    /// Returns the height of a place on a lane \[m\]; 0 where the net gives none, as in SUMO.
+    fn height(&self, (lane, s): (usize, f64)) -> f64 {
         let lane = &self.net.lanes[lane];
-        let (&last, all) = (lane.heights.last()?, lane.heights.windows(2));
+        let all = lane.heights.windows(2);
+        if lane.heights.is_empty() {
+            return 0.0;
+        }
         let step = |pair: &[[f64; 2]]| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
         let metres: f64 = lane.shape.windows(2).map(step).sum();
         let mut left = (s / lane.length).clamp(0.0, 1.0) * metres;
@@ -89,10 +90,10 @@ impl<'a> Levels<'a> {
             let metres = step(points);
             if left <= metres {
                 let share = if metres > 0.0 { left / metres } else { 0.0 };
-                return Some(heights[0] + share * (heights[1] - heights[0]));
+                return heights[0] + share * (heights[1] - heights[0]);
             }
             left -= metres;
         }
-        Some(last)
+        lane.heights.last().copied().unwrap_or(0.0)
     }
 }
